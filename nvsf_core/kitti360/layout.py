@@ -1,0 +1,85 @@
+"""Where the files of a drive lie in KITTI-360's layout: for the reader and for the writer alike."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+PERSPECTIVE_CAMERAS = ("image_00", "image_01")
+"""Recorded through a pinhole lens; their files are already rectified."""
+FISHEYE_CAMERAS = ("image_02", "image_03")
+"""Recorded through a fisheye lens; their files are raw."""
+CAMERAS = PERSPECTIVE_CAMERAS + FISHEYE_CAMERAS
+
+
+@dataclass(frozen=True, slots=True)
+class DriveLayout:
+    """Paths of one sequence below a KITTI-360 root. No path is promised to exist."""
+
+    root: Path
+    """Folder that holds `calibration`, `data_poses`, `data_3d_raw`, `data_2d_raw`, `data_3d_bboxes`."""
+    sequence: str
+    """For example `2013_05_28_drive_0000_sync`."""
+
+    @property
+    def calibration_dir(self) -> Path:
+        """Folder of the calibration files."""
+        return self.root / "calibration"
+
+    @property
+    def perspective_path(self) -> Path:
+        """Intrinsics and rectification of `image_00` and `image_01`."""
+        return self.calibration_dir / "perspective.txt"
+
+    @property
+    def cam_to_pose_path(self) -> Path:
+        """Mounting of every unrectified camera in the pose frame."""
+        return self.calibration_dir / "calib_cam_to_pose.txt"
+
+    @property
+    def cam_to_velo_path(self) -> Path:
+        """Mounting of the unrectified camera 0 in the LiDAR frame."""
+        return self.calibration_dir / "calib_cam_to_velo.txt"
+
+    def fisheye_path(self, camera: str) -> Path:
+        """MEI calibration of a fisheye camera."""
+        return self.calibration_dir / f"{camera}.yaml"
+
+    @property
+    def poses_path(self) -> Path:
+        """Pose frame to world, one line a frame."""
+        return self.root / "data_poses" / self.sequence / "poses.txt"
+
+    @property
+    def cam0_to_world_path(self) -> Path:
+        """Rectified camera 0 to world, one line a frame: a second opinion on the poses."""
+        return self.root / "data_poses" / self.sequence / "cam0_to_world.txt"
+
+    @property
+    def velodyne_dir(self) -> Path:
+        """Folder of the scans' timestamps and of `data`."""
+        return self.root / "data_3d_raw" / self.sequence / "velodyne_points"
+
+    def scan_path(self, frame: int) -> Path:
+        """One LiDAR turn: float32 x, y, z, reflectance."""
+        return self.velodyne_dir / "data" / f"{frame:010d}.bin"
+
+    def timestamps_path(self, kind: str = "") -> Path:
+        """Times of the scans' pose instants; `kind` = `start` or `end` for the turn's begin and end."""
+        return self.velodyne_dir / (f"timestamps_{kind}.txt" if kind else "timestamps.txt")
+
+    def camera_dir(self, camera: str) -> Path:
+        """Folder of a camera's images: rectified for perspective cameras, raw for fisheyes."""
+        kind = "data_rect" if camera in PERSPECTIVE_CAMERAS else "data_rgb"
+        return self.root / "data_2d_raw" / self.sequence / camera / kind
+
+    def image_path(self, camera: str, frame: int) -> Path:
+        """One image of a camera."""
+        return self.camera_dir(camera) / f"{frame:010d}.png"
+
+    def boxes_path(self, split: str) -> Path:
+        """3-D boxes; `split` is `train` or `train_full`."""
+        return self.root / "data_3d_bboxes" / split / f"{self.sequence}.xml"
+
+    @property
+    def boxes_paths(self) -> tuple[Path, ...]:
+        """Box files that exist, by name, so that which one is read never depends on the disk's order."""
+        return tuple(sorted((self.root / "data_3d_bboxes").glob(f"*/{self.sequence}.xml")))
