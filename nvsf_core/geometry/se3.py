@@ -1,0 +1,153 @@
+"""Rigid motions as 4x4 float64 matrices: exponential, logarithm, interpolation.
+
+A twist is (rho, phi): rho (3,) the translational part, phi (3,) the rotation vector in radians.
+`exp_se3(twist)` is the motion after one unit of time at that constant twist (a screw motion).
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nvsf_core.errors import ShapeError
+
+__all__ = [
+    "exp_se3",
+    "exp_so3",
+    "interpolate_poses",
+    "invert_pose",
+    "is_rigid",
+    "log_se3",
+    "log_so3",
+    "pose_from_parts",
+    "transform_points",
+]
+
+_SMALL_RAD = 1e-3
+"""Below this angle the series is more exact than the closed form: its first dropped term is 1e-15."""
+
+
+def exp_so3(rotation_vector: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), radians about the axis."""
+    sin_term, cos_term, _ = _rodrigues_terms(np.linalg.norm(rotation_vector, axis=-1))
+    cross = _cross_matrix(rotation_vector)
+    return np.eye(3) + sin_term[..., None, None] * cross + cos_term[..., None, None] * (cross @ cross)
+
+
+def log_so3(rotation: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3) of rotation matrices (..., 3, 3), angle in [0, pi].
+
+    It goes through the quaternion, so it stays exact near 0 and near 180 degrees.
+    """
+    flat = np.asarray(rotation, np.float64).reshape(-1, 3, 3)
+    if len(flat) == 0:
+        return np.zeros(rotation.shape[:-1])
+    vectors: np.ndarray = Rotation.from_matrix(flat).as_rotvec()
+    return vectors.reshape(rotation.shape[:-1])
+
+
+def exp_se3(twist: np.ndarray) -> np.ndarray:
+    """Motions (..., 4, 4) float64 of twists (..., 6) = (rho, phi).
+
+    R = exp(phi), t = V rho with V = I + (1 - cos a)/a^2 K + (a - sin a)/a^3 K^2, a = |phi|, K = phi x.
+    """
+    twist = np.asarray(twist, np.float64)
+    if twist.shape[-1] != 6:
+        raise ShapeError(f"expected twists (..., 6), found {twist.shape}; put translation before rotation")
+    rho, phi = twist[..., :3], twist[..., 3:]
+    sin_term, cos_term, cubic_term = _rodrigues_terms(np.linalg.norm(phi, axis=-1))
+    once = np.cross(phi, rho)
+    twice = np.cross(phi, once)
+    position = rho + cos_term[..., None] * once + cubic_term[..., None] * twice
+    cross = _cross_matrix(phi)
+    rotation = np.eye(3) + sin_term[..., None, None] * cross + cos_term[..., None, None] * (cross @ cross)
+    return pose_from_parts(rotation, position)
+
+
+def log_se3(pose: np.ndarray) -> np.ndarray:
+    """Twists (..., 6) = (rho, phi) of rigid motions (..., 4, 4); the inverse of `exp_se3`.
+
+    rho = V^-1 t with V^-1 = I - K/2 + (1/a^2)(1 - a sin a / (2 (1 - cos a))) K^2.
+    """
+    pose = _checked(pose)
+    phi = log_so3(pose[..., :3, :3])
+    position = pose[..., :3, 3]
+    angle = np.linalg.norm(phi, axis=-1)
+    safe = np.where(angle < _SMALL_RAD, 1.0, angle)
+    # a sin a / (2 (1 - cos a)) = (a/2) cot(a/2), which stays finite up to and at 180 degrees.
+    half_cot = 0.5 * safe * np.cos(0.5 * safe) / np.sin(0.5 * safe)
+    factor = np.where(angle < _SMALL_RAD, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - half_cot) / safe**2)
+    once = np.cross(phi, position)
+    twice = np.cross(phi, once)
+    rho = position - 0.5 * once + factor[..., None] * twice
+    return np.concatenate([rho, phi], axis=-1)
+
+
+def interpolate_poses(first: np.ndarray, second: np.ndarray, fraction: np.ndarray | float) -> np.ndarray:
+    """Pose at `fraction` of the constant-twist motion from `first` to `second`.
+
+    first exp(fraction log(first^-1 second)): 0 gives `first`, 1 gives `second`, outside [0, 1] the
+    motion goes on unchanged. Shapes (..., 4, 4), (..., 4, 4), (...) broadcast; float64.
+    """
+    first = _checked(first)
+    twist = log_se3(invert_pose(first) @ _checked(second))
+    return first @ exp_se3(np.asarray(fraction, np.float64)[..., None] * twist)
+
+
+def invert_pose(pose: np.ndarray) -> np.ndarray:
+    """Inverse (..., 4, 4) of rigid motions: R^T, -R^T t."""
+    pose = _checked(pose)
+    turned = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return pose_from_parts(turned, -(turned @ pose[..., :3, 3:])[..., 0])
+
+
+def pose_from_parts(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """4x4 float64 poses from rotations (..., 3, 3) and positions (..., 3) in metres."""
+    pose = np.zeros((*position.shape[:-1], 4, 4))
+    pose[..., :3, :3] = rotation
+    pose[..., :3, 3] = position
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def transform_points(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (N, 3) mapped by one motion (4, 4), float64."""
+    pose = _checked(pose)
+    moved: np.ndarray = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
+    return moved
+
+
+def is_rigid(pose: np.ndarray, tolerance: float = 1e-4) -> bool:
+    """Whether a 4x4 matrix is finite, a proper rotation to `tolerance`, and ends in (0, 0, 0, 1)."""
+    pose = np.asarray(pose, np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        return False
+    rotation = pose[:3, :3]
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=tolerance)
+    return bool(orthonormal and np.linalg.det(rotation) > 0.0 and np.allclose(pose[3], (0, 0, 0, 1)))
+
+
+def _rodrigues_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3, each exact near a = 0."""
+    small = angle < _SMALL_RAD
+    safe = np.where(small, 1.0, angle)
+    square = angle**2
+    sin_term = np.where(small, 1.0 - square / 6.0, np.sin(safe) / safe)
+    # 2 sin^2(a/2) = 1 - cos a without its cancellation.
+    cos_term = np.where(small, 0.5 - square / 24.0, 2.0 * np.sin(0.5 * safe) ** 2 / safe**2)
+    cubic_term = np.where(small, 1.0 / 6.0 - square / 120.0, (safe - np.sin(safe)) / safe**3)
+    return sin_term, cos_term, cubic_term
+
+
+def _cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """K with K u = vector x u, shape (..., 3, 3)."""
+    vector = np.asarray(vector, np.float64)
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    zero = np.zeros_like(x)
+    rows = [np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    return np.stack(rows, axis=-2)
+
+
+def _checked(pose: np.ndarray) -> np.ndarray:
+    pose = np.asarray(pose, np.float64)
+    if pose.shape[-2:] != (4, 4):
+        raise ShapeError(f"expected poses (..., 4, 4), found {pose.shape}; pass 4x4 matrices")
+    return pose

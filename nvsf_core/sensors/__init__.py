@@ -1,0 +1,1 @@
+"""Rotating LiDARs: their lasers, their rays, their range images."""

@@ -1,0 +1,155 @@
+"""Rotating LiDARs as tables of lasers.
+
+The model of a return of laser l at range r (metres), after the one ALICE-LRI estimates (arXiv 2510.20708):
+    elevation = elevation_l + vertical_offset_l / r
+    azimuth   = theta + horizontal_offset_l / (r cos elevation_l)
+with theta = (column + phase_l) 2 pi / lattice_steps the encoder's angle. All lasers fire together:
+(column + firing_shift_l) mod lattice_steps is one firing column, common to all of them.
+Lasers are ordered from the top.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.errors import DataError
+
+__all__ = ["HDL_64E", "OS1_128", "SENSOR_TABLES", "VLP_16", "LaserTable", "sensor_table"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserTable:
+    """One rotating LiDAR: L lasers, ordered from the top."""
+
+    name: str
+    """Name by which catalogues ask for it."""
+    elevation_rad: np.ndarray
+    """(L,) float64, elevation of each laser as its files record it at infinite range."""
+    vertical_offset_m: np.ndarray
+    """(L,) float64, lever arm across the ray, upwards."""
+    horizontal_offset_m: np.ndarray
+    """(L,) float64, lever arm across the ray, to the left (towards growing azimuth)."""
+    phase_steps: np.ndarray
+    """(L,) float64, angle of a laser against the encoder's lattice, in its steps."""
+    firing_shift_steps: np.ndarray
+    """(L,) int64, what makes a laser's encoder columns the common firing columns."""
+    lattice_steps: int
+    """Steps of the encoder in one turn."""
+    firings_per_turn: int
+    """Typical number of firings of each laser in one turn."""
+    max_range_m: float
+    """Beyond this the sensor records nothing."""
+    elevation_correction_rad: float
+    """Turn every recorded ray up by this on its way into the world; the files lack it."""
+
+    @property
+    def laser_count(self) -> int:
+        """L."""
+        return len(self.elevation_rad)
+
+    @property
+    def step_rad(self) -> float:
+        """Angle of one step of the encoder."""
+        return 2.0 * np.pi / self.lattice_steps
+
+
+_HDL_64E_ELEVATION_DEG = (
+    1.9364, 1.5737, 1.3045, 0.8713, 0.5785, 0.1804, -0.089, -0.4521, -0.8034, -1.2015,
+    -1.4941, -1.8335, -2.2078, -2.5469, -2.8741, -3.2361, -3.5396, -3.9361, -4.2158, -4.5884,
+    -4.9141, -5.2511, -5.6109, -5.9587, -6.3292, -6.6761, -6.9994, -7.2877, -7.6792, -8.0584,
+    -8.3109, -8.7118, -9.0261, -9.5736, -10.0626, -10.4709, -10.9571, -11.5991, -12.1152, -12.5623,
+    -13.0412, -13.485, -14.0485, -14.5982, -15.1889, -15.6569, -16.1768, -16.5542, -17.187, -17.7306,
+    -18.3236, -18.7973, -19.3205, -19.7366, -20.2228, -20.7879, -21.3184, -21.9357, -22.4378, -22.8568,
+    -23.3226, -23.9713, -24.5069, -24.9995,
+)
+_HDL_64E_VERTICAL_OFFSET_M = (
+    0.2091, 0.2086, 0.2083, 0.2078, 0.2074, 0.2069, 0.2065, 0.2061, 0.2057, 0.2051,
+    0.2048, 0.2044, 0.2039, 0.2035, 0.203, 0.2026, 0.2022, 0.2017, 0.2014, 0.2009,
+    0.2005, 0.2, 0.1996, 0.1992, 0.1987, 0.1982, 0.1978, 0.1975, 0.197, 0.1965,
+    0.1962, 0.1956, 0.1243, 0.1237, 0.1231, 0.1227, 0.1221, 0.1214, 0.1208, 0.1203,
+    0.1198, 0.1193, 0.1186, 0.118, 0.1173, 0.1168, 0.1162, 0.1157, 0.115, 0.1143,
+    0.1136, 0.113, 0.1124, 0.1119, 0.1113, 0.1106, 0.1099, 0.1092, 0.1085, 0.108,
+    0.1074, 0.1066, 0.1059, 0.1052,
+)
+_HDL_64E_PHASE_STEPS = (
+    -0.404, 0.307, 0.28, 0.478, 0.129, 0.107, -0.122, -0.133, -0.078, -0.138,
+    -0.118, -0.087, 0.122, -0.454, 0.396, -0.499, 0.395, -0.495, 0.33, 0.28,
+    0.026, -0.027, 0.391, 0.48, 0.151, 0.044, 0.061, -0.367, 0.006, 0.076,
+    -0.472, 0.405, -0.179, -0.143, -0.346, 0.361, 0.422, 0.341, 0.485, -0.224,
+    0.175, 0.093, 0.246, -0.434, 0.2, 0.256, -0.208, -0.341, 0.315, -0.498,
+    0.229, -0.448, -0.207, 0.171, 0.118, 0.187, -0.254, 0.335, 0.388, 0.08,
+    0.391, -0.367, -0.229, -0.351,
+)
+_HDL_64E_FIRING_SHIFT_STEPS = (
+    -29, -3, 19, 44, -68, -43, -20, 5, 27, 52, -76, -51, -29, -4, 19, 43,
+    -67, -43, -20, 5, 27, 52, -76, -51, -29, -4, 20, 43, -68, -43, -21, 5,
+    -37, -1, 35, 73, -97, -61, -24, 13, 49, 87, -112, -75, -38, 0, 36, 74,
+    -100, -62, -25, 13, 50, 89, -115, -77, -40, 0, 38, 76, -103, -64, -26, 13,
+)
+# From -15 to 15 degrees in file order of the manual; ours runs from the top.
+_VLP_16_VERTICAL_OFFSET_MM = (
+    -11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7, 0.7, 2.2, 3.7, 5.1, 6.6, 8.1, 9.7, 11.2,
+)
+
+
+def _frozen(values: object, dtype: type = np.float64) -> np.ndarray:
+    array = np.array(values, dtype)
+    array.flags.writeable = False
+    return array
+
+
+HDL_64E = LaserTable(
+    name="HDL-64E",
+    elevation_rad=_frozen(np.deg2rad(_HDL_64E_ELEVATION_DEG)),
+    vertical_offset_m=_frozen(_HDL_64E_VERTICAL_OFFSET_M),
+    horizontal_offset_m=_frozen([-0.026, 0.026] * 32),
+    phase_steps=_frozen(_HDL_64E_PHASE_STEPS),
+    firing_shift_steps=_frozen(_HDL_64E_FIRING_SHIFT_STEPS, np.int64),
+    lattice_steps=4000,
+    firings_per_turn=2172,
+    max_range_m=120.0,
+    elevation_correction_rad=float(np.deg2rad(0.205)),
+)
+"""Velodyne HDL-64E of KITTI and KITTI-360, measured on their raw scans (0.01 deg, 1 mm)."""
+
+VLP_16 = LaserTable(
+    name="VLP-16",
+    elevation_rad=_frozen(np.deg2rad(np.arange(15.0, -16.0, -2.0))),
+    vertical_offset_m=_frozen(_VLP_16_VERTICAL_OFFSET_MM) * 1e-3,
+    horizontal_offset_m=_frozen(np.zeros(16)),
+    phase_steps=_frozen(np.zeros(16)),
+    firing_shift_steps=_frozen(np.zeros(16), np.int64),
+    lattice_steps=36000,
+    firings_per_turn=1808,
+    max_range_m=100.0,
+    elevation_correction_rad=0.0,
+)
+"""Velodyne VLP-16 at 600 turns a minute, nominal: 2 degrees apart, 55.296 us a firing."""
+
+OS1_128 = LaserTable(
+    name="OS1-128",
+    elevation_rad=_frozen(np.deg2rad(np.linspace(22.5, -22.5, 128))),
+    vertical_offset_m=_frozen(np.zeros(128)),
+    horizontal_offset_m=_frozen(np.zeros(128)),
+    phase_steps=_frozen(np.zeros(128)),
+    firing_shift_steps=_frozen(np.zeros(128), np.int64),
+    lattice_steps=1024,
+    firings_per_turn=1024,
+    max_range_m=120.0,
+    elevation_correction_rad=0.0,
+)
+"""Ouster OS1-128 at 1024 columns, nominal: 45 degrees evenly divided, one origin, no column stagger."""
+
+SENSOR_TABLES = {table.name: table for table in (HDL_64E, VLP_16, OS1_128)}
+"""Every table by its name."""
+
+
+def sensor_table(name: str) -> LaserTable:
+    """The table of a sensor.
+
+    Raises:
+        DataError: No such sensor is known.
+    """
+    if name not in SENSOR_TABLES:
+        raise DataError(f"expected a sensor among {sorted(SENSOR_TABLES)}, found {name!r}; correct the catalogue")
+    return SENSOR_TABLES[name]
