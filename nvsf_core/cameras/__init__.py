@@ -1,0 +1,1 @@
+"""Undistorting camera images and their validity masks."""

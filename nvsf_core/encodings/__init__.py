@@ -1,0 +1,1 @@
+"""Positions and directions as features: hash grid, spherical harmonics."""

@@ -1,0 +1,72 @@
+"""The one error tree.
+
+NvsfError
+├── DataError                what was read is wrong: scene, path, remedy in the message
+│   ├── NoDataError          the drive is not on this machine
+│   ├── MissingFrameError    a frame that was asked for cannot be used
+│   └── CalibrationError     a calibration file lacks or garbles a value
+├── ShapeError               an array has another shape than its contract says
+├── RecipeError              a recipe asks for something impossible
+├── StoreError               an output is absent, half-written, or not what its schema says
+├── CheckFailedError         a blocking check of a stage failed
+├── MissingLibraryError      a library or a system library is absent: the message names the package
+└── DivergedError            training produced a non-finite number: step, loss term, tensor
+"""
+
+__all__ = [
+    "CalibrationError",
+    "CheckFailedError",
+    "DataError",
+    "DivergedError",
+    "MissingFrameError",
+    "MissingLibraryError",
+    "NoDataError",
+    "NvsfError",
+    "RecipeError",
+    "ShapeError",
+    "StoreError",
+]
+
+
+class NvsfError(Exception):
+    """Base of every error that this project raises on purpose."""
+
+
+class DataError(NvsfError):
+    """Input data is wrong; the message says what was expected, what was found, where, and what to do."""
+
+
+class NoDataError(DataError):
+    """The files of a catalogued scene are not on this machine."""
+
+
+class MissingFrameError(DataError):
+    """A frame that was asked for does not exist or is invalid."""
+
+
+class CalibrationError(DataError):
+    """A calibration file is absent, lacks a key, or holds something that is no number."""
+
+
+class ShapeError(NvsfError):
+    """An array has another shape than its contract says."""
+
+
+class RecipeError(NvsfError):
+    """A recipe is unknown or contradicts itself."""
+
+
+class StoreError(NvsfError):
+    """A stored output is absent, incomplete, or does not match its schema."""
+
+
+class CheckFailedError(NvsfError):
+    """A blocking check of a stage failed, so its output was not published."""
+
+
+class MissingLibraryError(NvsfError):
+    """A library or system library is missing; the message names the package that brings it."""
+
+
+class DivergedError(NvsfError):
+    """Training met a non-finite number; the message names the step, the loss term and the tensor."""

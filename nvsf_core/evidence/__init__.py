@@ -1,0 +1,1 @@
+"""What the LiDAR already proves about a scene, without learning."""

@@ -1,0 +1,120 @@
+"""Voxels as surfaces: mean, plane, intensity, and how often they stopped a ray or let it through."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.voxels import VoxelIndex, index_points
+from nvsf_core.kernels.voxel_march import count_passes, find_candidates
+
+MIN_PLANE_RETURNS = 5
+PLANE_EIGENVALUE_RATIO = 4.0
+MISSED_PLANE_SHARE = 0.1
+STOP_TRANSMITTANCE = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class Surfels:
+    """One surface element a voxel; all arrays are numbered as the index numbers its voxels."""
+
+    index: VoxelIndex
+    mean_m: np.ndarray
+    """(v, 3) float32: mean of the voxel's returns, scene-local."""
+    normal: np.ndarray
+    """(v, 3) float32: unit normal of the voxel's plane, 0 where there is none."""
+    thickness_m: np.ndarray
+    """(v,) float32: standard deviation across the plane."""
+    intensity: np.ndarray
+    """(v,) float32: mean intensity of the voxel's returns."""
+    hits: np.ndarray
+    """(v,) int32: rays that ended in the voxel."""
+    passes: np.ndarray
+    """(v,) int32: rays that went through it."""
+
+    @property
+    def opacity(self) -> np.ndarray:
+        """(v,) float32: share of rays that ended here, between 0 and 1 by its prior counts."""
+        return ((self.hits + 0.1) / (self.hits + self.passes + 0.2)).astype(np.float32)
+
+    @property
+    def is_planar(self) -> np.ndarray:
+        """(v,) bool."""
+        return np.asarray(np.any(self.normal != 0, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Surfaces that rays may end on, in order along each ray; see `find_candidates`."""
+
+    range_m: np.ndarray
+    """(r, k) float32."""
+    voxel: np.ndarray
+    """(r, k) int32, -1 where there is none."""
+    opacity: np.ndarray
+    """(r, k) float32, 0 where there is none."""
+    cosine: np.ndarray
+    """(r, k) float32: |cos| of the angle between ray and normal."""
+
+
+def build_surfels(
+    origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, intensity: np.ndarray, *,
+    voxel_m: float, threads: int,
+) -> Surfels:
+    """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
+
+    A ray sees through every voxel that it crosses up to one voxel before its return.
+    """
+    points = origin_m + direction * range_m[:, None]
+    index, voxel = index_points(points, voxel_m)
+    count = index.count
+    hits = np.bincount(voxel, minlength=count)
+    mean, covariance = _moments(points, voxel, hits)
+    normal, thickness = _planes(covariance, hits)
+    passes = count_passes(
+        np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
+        np.maximum(range_m - voxel_m, 0).astype(np.float32), index.origin_m, voxel_m, index.bricks, index.cells,
+        count, threads,
+    )
+    return Surfels(
+        index=index,
+        mean_m=mean.astype(np.float32),
+        normal=normal,
+        thickness_m=thickness,
+        intensity=(np.bincount(voxel, weights=intensity, minlength=count) / hits).astype(np.float32),
+        hits=hits.astype(np.int32),
+        passes=passes,
+    )
+
+
+def candidates_of(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, *, most: int, near_m: float, far_m: float
+) -> Candidates:
+    """Surfaces that rays (n, 3), scene-local, may end on between near and far."""
+    index = surfels.index
+    range_m, voxel, opacity, cosine, _ = find_candidates(
+        np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32), near_m, far_m,
+        index.origin_m, index.voxel_m, index.bricks, index.cells, surfels.mean_m, surfels.normal, surfels.opacity,
+        MISSED_PLANE_SHARE, STOP_TRANSMITTANCE, most,
+    )
+    return Candidates(range_m, voxel, opacity, cosine)
+
+
+def _moments(points: np.ndarray, voxel: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (v, 3) and covariance (v, 3, 3) of each voxel's points, in float64 about the voxel's mean."""
+    count = len(hits)
+    mean = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1) / hits[:, None]
+    centred = points - mean[voxel]
+    covariance = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / hits
+            covariance[:, a, b] = covariance[:, b, a] = moment
+    return mean, covariance
+
+
+def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (v, 3) float32, 0 where the returns are too few or too round, and thickness (v,) metres."""
+    values, vectors = np.linalg.eigh(covariance)
+    planar = (hits >= MIN_PLANE_RETURNS) & (values[:, 1] > PLANE_EIGENVALUE_RATIO * values[:, 0])
+    normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
+    return normal, np.sqrt(np.maximum(values[:, 0], 0.0)).astype(np.float32)

@@ -1,0 +1,56 @@
+"""A sparse voxel index: which voxels hold returns, in bricks, ready for the march."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.errors import DataError
+
+BRICK = 8
+
+
+@dataclass(frozen=True, slots=True)
+class VoxelIndex:
+    """Numbers the voxels that hold at least one return."""
+
+    origin_m: np.ndarray
+    """(3,) float64: lower corner, scene-local."""
+    voxel_m: float
+    """Edge of a voxel."""
+    bricks: np.ndarray
+    """(bx, by, bz) int32: a brick's row in `cells`, or -1."""
+    cells: np.ndarray
+    """(n_bricks, 512) int32: a voxel's number, or -1."""
+
+    @property
+    def count(self) -> int:
+        """Number of voxels that hold a return."""
+        return int(self.cells.max(initial=-1)) + 1
+
+
+def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.ndarray]:
+    """Build the index over points (n, 3), scene-local metres, and say which voxel each point lies in.
+
+    Returns:
+        The index, and (n,) int32 voxel numbers.
+
+    Raises:
+        DataError: There are no points, or their box would need more than a gigabyte of bricks.
+    """
+    if len(points_m) == 0:
+        raise DataError("evidence: expected returns to build voxels from, found none; are all scans invalid?")
+    low = np.floor(points_m.min(axis=0).astype(np.float64) / voxel_m) * voxel_m - voxel_m
+    ijk = np.floor((points_m - low) / voxel_m).astype(np.int32)
+    shape = ijk.max(axis=0) // BRICK + 1
+    if np.prod(shape.astype(np.int64)) > 250_000_000:
+        raise DataError(f"evidence: the returns span {shape * BRICK * voxel_m} m, too much for {voxel_m} m voxels")
+    brick_linear = np.ravel_multi_index((ijk // BRICK).T, shape)
+    brick_ids, brick_of_point = np.unique(brick_linear, return_inverse=True)
+    bricks = np.full(shape, -1, np.int32)
+    bricks.reshape(-1)[brick_ids] = np.arange(len(brick_ids), dtype=np.int32)
+    within = ijk % BRICK
+    cell_of_point = brick_of_point.astype(np.int64) * BRICK**3 + (within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2])
+    cell_ids, voxel_of_point = np.unique(cell_of_point, return_inverse=True)
+    cells = np.full((len(brick_ids), BRICK**3), -1, np.int32)
+    cells.reshape(-1)[cell_ids] = np.arange(len(cell_ids), dtype=np.int32)
+    return VoxelIndex(low, voxel_m, bricks, cells), voxel_of_point.astype(np.int32)

@@ -1,0 +1,1 @@
+"""The neural scene field: residual density and its heads."""

@@ -1,0 +1,151 @@
+"""What a run does: frozen presets, read from and written to JSON, never changed in place."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from nvsf_core.errors import RecipeError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvidenceSpec:
+    """How the LiDAR's own proof is used."""
+
+    votes: int = 6
+    """Nearest training scans that vote on whether a laser's firing returns."""
+    lidar_candidates: int = 24
+    """Most surfaces that a LiDAR ray looks at."""
+    camera_candidates: int = 12
+    """Most surfaces that a camera ray looks at."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldSpec:
+    """Size of a residual field: one for the LiDAR, one for the cameras."""
+
+    levels: int = 8
+    """Levels of the hash grid."""
+    features: int = 2
+    """Features an entry."""
+    log2_table: int = 17
+    """Entries a level, as a power of two."""
+    coarsest_cell_m: float = 4.0
+    """Cell of the coarsest level."""
+    finest_cell_m: float = 0.06
+    """Cell of the finest level."""
+    hidden: int = 32
+    """Width of the network at a sample."""
+    decoded: int = 8
+    """Features that are composited along a ray and decoded once."""
+    decoder_hidden: int = 64
+    """Width of the network at a ray."""
+    max_shift_m: float = 0.15
+    """Most that a surface may be moved along a ray."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BackgroundSpec:
+    """Camera samples where no LiDAR return ever was: above its reach and beyond it."""
+
+    samples: int = 12
+    """Samples a ray, evenly spaced in log distance."""
+    near_m: float = 3.0
+    """First sample."""
+    far_m: float = 300.0
+    """Last sample; what lies beyond is sky."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingSpec:
+    """How much is learned. Steps, never seconds: seconds are measured."""
+
+    steps: int
+    """Optimiser steps."""
+    rays: int
+    """Rays a step, drawn from all training frames."""
+    table_rate: float = 1e-2
+    """Adam's step size for the hash tables."""
+    network_rate: float = 3e-3
+    """Adam's step size for the networks."""
+    final_share: float = 0.05
+    """Both rates decay exponentially to this share of themselves."""
+    checkpoint_s: float = 20.0
+    """Seconds between two checkpoints."""
+    threads: int = 2
+    """CPU threads, part of the identity: sums in another order give other bits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LossWeights:
+    """Weights of the loss terms; each term is in its own unit."""
+
+    depth: float = 1.0
+    """Of the weighted distance of a ray's surfaces to the return, metres."""
+    hit: float = 0.5
+    """Of the cross-entropy of the hit probability, nats."""
+    intensity: float = 5.0
+    """Of the squared intensity error."""
+    colour: float = 1.0
+    """Of the squared colour error."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """All that decides what is trained and rendered, but the seed."""
+
+    name: str
+    """Names the output folders."""
+    evidence: EvidenceSpec = EvidenceSpec()
+    lidar_field: FieldSpec = FieldSpec()
+    camera_field: FieldSpec = FieldSpec(levels=10, coarsest_cell_m=16.0, finest_cell_m=0.05, decoded=12)
+    background: BackgroundSpec = BackgroundSpec()
+    lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
+    camera_training: TrainingSpec = TrainingSpec(steps=900, rays=2048)
+    losses: LossWeights = LossWeights()
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return asdict(self)
+
+    @staticmethod
+    def from_json(values: dict[str, Any]) -> "Recipe":
+        """Read back what `to_json` gave.
+
+        Raises:
+            RecipeError: A field is unknown or missing.
+        """
+        parts = {
+            "evidence": EvidenceSpec, "lidar_field": FieldSpec, "camera_field": FieldSpec,
+            "background": BackgroundSpec, "lidar_training": TrainingSpec, "camera_training": TrainingSpec,
+            "losses": LossWeights,
+        }  # fmt: skip
+        try:
+            return Recipe(**{k: parts[k](**v) if k in parts else v for k, v in values.items()})
+        except TypeError as error:
+            raise RecipeError(f"this is no recipe of this version: {error}") from error
+
+    def identity(self) -> str:
+        """SHA-256 of the sorted JSON: two recipes that differ anywhere differ here."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
+
+    @staticmethod
+    def preset(name: str) -> "Recipe":
+        """A recipe by name.
+
+        Raises:
+            RecipeError: There is none of that name.
+        """
+        quick = Recipe(name="quick")
+        presets = {
+            "quick": quick,
+            "smoke": replace(
+                quick,
+                name="smoke",
+                lidar_training=TrainingSpec(steps=20, rays=256, checkpoint_s=1.0),
+                camera_training=TrainingSpec(steps=10, rays=128, checkpoint_s=1.0),
+            ),
+        }
+        if name not in presets:
+            raise RecipeError(f"no recipe {name!r}; there are {', '.join(sorted(presets))}")
+        return presets[name]

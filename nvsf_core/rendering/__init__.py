@@ -1,0 +1,1 @@
+"""From densities to ranges, intensities, hits and colours; the training-free renderers."""

@@ -1,0 +1,1 @@
+"""Plots, previews and the offline HTML report."""

@@ -1,0 +1,1 @@
+"""Which pixels and which places along a ray are looked at."""

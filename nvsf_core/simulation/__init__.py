@@ -1,0 +1,1 @@
+"""Which rays a view asks for, and what comes back."""

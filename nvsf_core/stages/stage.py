@@ -1,0 +1,211 @@
+"""What a stage is, and how one is run: skipped when nothing changed, published whole when it ran."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from nvsf_core.errors import CheckFailedError
+from nvsf_core.kitti360.catalogue import SceneEntry
+from nvsf_core.recipe import Recipe
+from nvsf_core.stores.scene_store import SceneStore
+
+RECORD_NAME = "stage.json"
+Scalar = float | int | str | bool
+
+
+class Progress(Protocol):
+    """Takes one line a time for the person who waits."""
+
+    def __call__(self, line: str, /) -> None:
+        """Say `line`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig:
+    """What a run was asked for, beside the scene."""
+
+    recipe: Recipe
+    """What is trained and rendered."""
+    seed: int = 0
+    """Seed of training."""
+    draw_seed: int = 0
+    """Seed of what is random in a data set: ray drop and range noise."""
+    dataset_label: str = "manual"
+    """First part of a data set's version: an ISO week, or `manual`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """The outcome of one check of a stage's output."""
+
+    name: str
+    """A law in snake_case, for example `all_frames_have_a_pose`."""
+    passed: bool
+    """Whether it holds."""
+    detail: str
+    """What was found, with numbers."""
+    blocking: bool = False
+    """A failed blocking check keeps the output from being published."""
+
+
+@dataclass(slots=True, kw_only=True)
+class StageOutput:
+    """What a stage says of what it made."""
+
+    metadata: dict[str, Scalar] = field(default_factory=dict)
+    """Numbers and words for tables and the UI, units in the keys."""
+    checks: list[Check] = field(default_factory=list)
+    """Outcomes of the stage's checks."""
+    previews: dict[str, str] = field(default_factory=dict)
+    """Name to file name of PNG pictures inside the output folder, each below 100 kB."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """All that a stage's `run` may know."""
+
+    scene: SceneEntry
+    store: SceneStore
+    config: RunConfig
+    folder: Path
+    """Empty folder to fill; published whole when `run` returns."""
+    progress: Progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """One step of the flow and one asset of the lineage."""
+
+    name: str
+    group: str
+    """ingest, prepare, train, synthesis or report: the asset group."""
+    inputs: tuple[str, ...]
+    """Names of the stages whose outputs it reads."""
+    description: str
+    """One sentence on what the thing is, shown in the UI."""
+    version: str
+    """Raised when the code's output changes."""
+    run: Callable[[Task], StageOutput]
+    per_recipe: bool = False
+    """Whether recipe and seed are part of its identity and its path."""
+    per_draw: bool = False
+    """Whether the draw seed and the data set's label are part of its identity."""
+    reads_drive: bool = False
+    """Whether the drive's files (names, sizes, times) are part of its identity."""
+    reads_views: bool = False
+    """Whether the views that are asked for are part of its identity."""
+
+    def location(self, config: RunConfig) -> str:
+        """Where its output lies under the scene's folder."""
+        if not self.per_recipe:
+            return self.name
+        return f"{self.name}/{config.recipe.name}/{config.seed}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """One stage's run on one scene."""
+
+    stage: str
+    path: Path
+    skipped: bool
+    seconds: float
+    metadata: dict[str, Scalar]
+    checks: tuple[Check, ...]
+    previews: dict[str, Path]
+    fingerprint: str
+
+
+def run_stage(
+    stage: Stage, scene: SceneEntry, store: SceneStore, config: RunConfig, progress: Progress,
+    input_fingerprints: dict[str, str],
+) -> Outcome:
+    """Run one stage, or skip it when its code, configuration and inputs are unchanged.
+
+    Raises:
+        CheckFailedError: A blocking check failed; nothing was published.
+        NvsfError: Whatever the stage itself raises.
+    """
+    location = stage.location(config)
+    fingerprint = _fingerprint(stage, scene, config, input_fingerprints)
+    record = read_record(store.path(location))
+    if record is not None and record["fingerprint"] == fingerprint:
+        progress(f"[{scene.name}] {stage.name}: up to date, skipped")
+        return _outcome(stage, store.path(location), record, skipped=True)
+    progress(f"[{scene.name}] {stage.name}: started")
+    started = time.perf_counter()
+    with store.publish(location) as folder:
+        output = stage.run(Task(scene=scene, store=store, config=config, folder=folder, progress=progress))
+        failed = [check for check in output.checks if check.blocking and not check.passed]
+        if failed:
+            reasons = "; ".join(f"{check.name}: {check.detail}" for check in failed)
+            raise CheckFailedError(f"scene {scene.name}, stage {stage.name}: {reasons}")
+        record = {
+            "fingerprint": fingerprint,
+            "version": stage.version,
+            "seconds": time.perf_counter() - started,
+            "metadata": output.metadata,
+            "checks": [asdict(check) for check in output.checks],
+            "previews": output.previews,
+        }
+        (folder / RECORD_NAME).write_text(json.dumps(record, indent=1))
+    progress(f"[{scene.name}] {stage.name}: done in {record['seconds']:.1f} s")
+    return _outcome(stage, store.path(location), record, skipped=False)
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record of a published output, or None where there is none."""
+    path = folder / RECORD_NAME
+    if not path.is_file():
+        return None
+    record: dict[str, Any] = json.loads(path.read_text())
+    return record
+
+
+def _outcome(stage: Stage, path: Path, record: dict[str, Any], *, skipped: bool) -> Outcome:
+    return Outcome(
+        stage=stage.name,
+        path=path,
+        skipped=skipped,
+        seconds=record["seconds"],
+        metadata=record["metadata"],
+        checks=tuple(Check(**check) for check in record["checks"]),
+        previews={name: path / file for name, file in record["previews"].items()},
+        fingerprint=record["fingerprint"],
+    )
+
+
+def _fingerprint(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str, str]) -> str:
+    facts: dict[str, Any] = {
+        "stage": stage.name,
+        "version": stage.version,
+        "inputs": {name: inputs[name] for name in sorted(stage.inputs)},
+        "scene": {k: str(v) for k, v in asdict(scene).items() if k not in ("views", "recipe")},
+    }
+    if stage.per_recipe:
+        facts["recipe"] = config.recipe.identity()
+        facts["seed"] = config.seed
+    if stage.per_draw:
+        facts["draw"] = [config.draw_seed, config.dataset_label]
+    if stage.reads_views:
+        facts["views"] = [str(asdict(view)) for view in scene.views]
+    if stage.reads_drive:
+        facts["drive"] = _drive_listing(scene)
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _drive_listing(scene: SceneEntry) -> str:
+    """Names, sizes and change times of the drive's files: cheap, and different when a file is."""
+    digest = hashlib.sha256()
+    folders = [scene.root / "calibration"] + [
+        scene.root / kind / scene.sequence for kind in ("data_3d_raw", "data_2d_raw", "data_poses")
+    ]
+    for folder in folders:
+        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+            stat = path.stat()
+            digest.update(f"{path.relative_to(scene.root)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""Everything on disk: published whole, in Zarr, Parquet and safetensors."""

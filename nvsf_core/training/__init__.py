@@ -1,0 +1,1 @@
+"""Batches, the training step and the resumable loop."""
