@@ -1,1 +1,1 @@
-"""Undistorting camera images and their validity masks."""
+"""Camera images as pinhole images: fisheyes undistorted, validity masks."""

@@ -1,0 +1,105 @@
+"""Fisheye images as a perspective view, through OpenCV's omnidirectional module.
+
+The view looks along the fisheye's own optical axis, so the camera's pose stands for both.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from nvsf_core.cameras.masks import inside_source
+from nvsf_core.errors import ShapeError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+
+_LARGEST_VIEW_PX = 1000
+"""A 90 degree view of KITTI-360's fisheye is 840 pixels wide at the lens's central resolution."""
+_PREVIEW_BYTES = 100_000
+
+
+def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | None = None) -> Pinhole:
+    """The square perspective camera that a fisheye is undistorted to.
+
+    Args:
+        fisheye: The recorded camera.
+        fov_deg: Horizontal (and vertical) field of view, in (0, 170].
+        size_px: Side of the view; None = the fisheye's height, at most 1000.
+
+    Raises:
+        ValueError: The field of view is not one that a perspective image can show.
+    """
+    if not 0.0 < fov_deg <= 170.0:
+        raise ValueError(f"expected a field of view in (0, 170] degrees, found {fov_deg}")
+    size = min(fisheye.height, _LARGEST_VIEW_PX) if size_px is None else size_px
+    focal = 0.5 * size / math.tan(math.radians(0.5 * fov_deg))
+    centre = 0.5 * (size - 1)
+    return Pinhole(fx=focal, fy=focal, cx=centre, cy=centre, width=size, height=size)
+
+
+@dataclass(frozen=True, slots=True)
+class Undistorter:
+    """The resampling of one camera's images, computed once."""
+
+    fisheye: MeiFisheye
+    """The recorded camera."""
+    view: Pinhole
+    """The camera of the result."""
+    map_u: np.ndarray
+    """(H, W) float32: column of the source that each pixel shows."""
+    map_v: np.ndarray
+    """(H, W) float32: its row."""
+    valid: np.ndarray
+    """(H, W) bool: the source has that pixel."""
+
+    def apply(self, image: np.ndarray) -> np.ndarray:
+        """Resample one (h, w, 3) uint8 image bilinearly; invalid pixels become black.
+
+        Raises:
+            ShapeError: The image has not the fisheye's size.
+        """
+        expected = (self.fisheye.height, self.fisheye.width, 3)
+        if image.shape != expected:
+            raise ShapeError(f"expected an image {expected} as the calibration says, found {image.shape}")
+        resampled = cv2.remap(image, self.map_u, self.map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return np.where(self.valid[..., None], resampled, np.uint8(0))
+
+    def apply_mask(self, mask: np.ndarray) -> np.ndarray:
+        """Resample an (h, w) bool mask of the source: true where all that is mixed is true."""
+        share = cv2.remap(mask.astype(np.float32), self.map_u, self.map_v, cv2.INTER_LINEAR)
+        return np.asarray(self.valid & (share > 0.999))
+
+
+def make_undistorter(fisheye: MeiFisheye, view: Pinhole) -> Undistorter:
+    """Compute the map from `view` to `fisheye` with `cv2.omnidir.initUndistortRectifyMap`."""
+    map_u, map_v = cv2.omnidir.initUndistortRectifyMap(
+        fisheye.matrix,
+        fisheye.distortion,
+        np.array([fisheye.xi]),
+        np.eye(3),
+        view.matrix,
+        (view.width, view.height),
+        cv2.CV_32FC1,
+        cv2.omnidir.RECTIFY_PERSPECTIVE,
+    )
+    valid = inside_source(map_u, map_v, fisheye.width, fisheye.height)
+    return Undistorter(fisheye=fisheye, view=view, map_u=map_u, map_v=map_v, valid=valid)
+
+
+def write_preview(path: Path, images: list[np.ndarray]) -> None:
+    """Write (h, w, 3) RGB images below each other as a PNG of less than 100 kB, shrunk as far as that takes."""
+    width = 640
+    while True:
+        rows = [_to_width(image, width) for image in images]
+        done, encoded = cv2.imencode(".png", cv2.cvtColor(np.concatenate(rows), cv2.COLOR_RGB2BGR))
+        if done and len(encoded) < _PREVIEW_BYTES:
+            path.write_bytes(encoded.tobytes())
+            return
+        width = int(width * 0.85)
+
+
+def _to_width(image: np.ndarray, width: int) -> np.ndarray:
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
