@@ -1,0 +1,90 @@
+"""Small pictures of a stage's output, each a PNG below 100 kB so that it fits in an event log."""
+
+import io
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+MAX_BYTES = 100_000
+MAX_RANGE_M = 80.0
+
+
+def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M) -> bytes:
+    """A range image (H, W) in metres as colours, near = dark violet, far = red, 0 or no number = black."""
+    valid = np.isfinite(range_m) & (range_m > 0.0)
+    near = np.where(valid, range_m, 1.0)
+    # Square root: half of the returns lie within 15 m and would share two colours otherwise.
+    level = np.sqrt(np.clip(near / max_range_m, 0.0, 1.0))
+    return indexed_png(np.where(valid, 1 + np.rint(level * 254), 0), "turbo", row_repeat=4)
+
+
+def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> bytes:
+    """A cloud (N, 3) in the sensor's frame seen from above, forward up, coloured by height (-2.5 to 4 m)."""
+    return indexed_png(top_view_levels(points_m, extent_m, pixels), "viridis")
+
+
+def top_view_levels(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> np.ndarray:
+    """(pixels, pixels) colour levels of the highest point in each cell; 0 = none. Forward is up, left is left."""
+    points_m = points_m[np.isfinite(points_m).all(axis=1)]
+    cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
+    inside = ((cell >= 0) & (cell < pixels)).all(axis=1)
+    level = 1 + np.rint(np.clip((points_m[inside, 2] + 2.5) / 6.5, 0.0, 1.0) * 254).astype(np.int64)
+    levels = np.zeros((pixels, pixels), np.int64)
+    np.maximum.at(levels, (cell[inside, 0], cell[inside, 1]), level)
+    return levels
+
+
+def image_preview(rgb: np.ndarray, max_width: int = 704) -> bytes:
+    """A camera picture (H, W, 3) uint8, made smaller until it fits."""
+    picture = Image.fromarray(rgb)
+    width = min(max_width, picture.width)
+    while True:
+        height = max(1, round(picture.height * width / picture.width))
+        content = _png_bytes(picture.resize((width, height), Image.Resampling.LANCZOS))
+        if len(content) < MAX_BYTES:
+            return content
+        width = int(width * 0.8)
+
+
+def curve_preview(x: np.ndarray, y: np.ndarray, x_label: str, y_label: str) -> bytes:
+    """A curve, for example loss over steps, with a logarithmic y axis where all values are positive."""
+    figure = Figure(figsize=(6.0, 2.6), dpi=90, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(x, y, color="#2a6f97", linewidth=1.2)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    if len(y) and np.min(y) > 0:
+        axes.set_yscale("log")
+    axes.grid(alpha=0.3)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def indexed_png(levels: np.ndarray, colours: str, row_repeat: int = 1) -> bytes:
+    """Levels 0..255 (H, W) as a palette PNG: 0 is black, 1..255 run through a matplotlib colour map."""
+    palette = np.zeros((256, 3), np.uint8)
+    palette[1:] = np.rint(colormaps[colours](np.linspace(0.0, 1.0, 255))[:, :3] * 255)
+    return palette_png(levels, palette, row_repeat)
+
+
+def palette_png(levels: np.ndarray, palette: np.ndarray, row_repeat: int = 1) -> bytes:
+    """Indices (H, W) into a palette (K, 3) uint8 as PNG, every row repeated; thinned until it fits."""
+    index = np.repeat(levels.astype(np.uint8), row_repeat, axis=0)
+    while True:
+        picture = Image.fromarray(index)
+        picture.putpalette(palette.astype(np.uint8).tobytes())
+        content = _png_bytes(picture)
+        if len(content) < MAX_BYTES:
+            return content
+        index = index[::2, ::2]
+
+
+def _png_bytes(picture: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, format="png", optimize=True)
+    return buffer.getvalue()

@@ -1,0 +1,35 @@
+"""Previews are small PNGs that show what is there."""
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from nvsf_core.reporting import previews
+
+
+def _open(content: bytes) -> np.ndarray:
+    assert len(content) < previews.MAX_BYTES
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+
+
+def test_noise_still_fits_in_an_event_log() -> None:
+    generator = np.random.default_rng(0)
+    _open(previews.range_preview(generator.uniform(0.0, 80.0, (66, 1030))))
+    _open(previews.range_preview(generator.uniform(0.0, 80.0, (128, 4000))))
+    _open(previews.scan_top_view(generator.normal(0.0, 20.0, (120_000, 3))))
+    _open(previews.image_preview(generator.integers(0, 255, (376, 1408, 3), np.uint8)))
+    _open(previews.curve_preview(np.arange(500), generator.random(500), "step", "loss"))
+
+
+def test_a_ray_without_return_is_black() -> None:
+    range_m = np.full((4, 8), 10.0)
+    range_m[0, :3] = [0.0, np.nan, np.inf]
+    picture = _open(previews.range_preview(range_m))
+    assert (picture[0, :3] == 0).all()
+    assert (picture[0, 3:].sum(axis=1) > 0).all()
+
+
+def test_from_above_forward_is_up_and_left_is_left() -> None:
+    levels = previews.top_view_levels(np.array([[39.0, 0.0, 0.0], [0.0, 39.0, 0.0]]), 40.0, 80)
+    assert np.argwhere(levels).tolist() == [[1, 40], [40, 1]]
