@@ -1,0 +1,70 @@
+"""Does a ray come back? Errors of the hit channel (1 = return)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nvsf_core.metrics.elementwise import rmse, same_shape
+from nvsf_core.metrics.measure import Measure, fault, undefined
+
+N_CELLS = 2000
+"""Azimuth cells of a turn, 0.18 degrees each: no firing step is wider, so an empty cell is a drop."""
+
+
+def hit_image_metrics(probability: np.ndarray, truth: np.ndarray) -> Mapping[str, Measure]:
+    """`hit_rmse` of the probability against 0/1, `hit_accuracy` and `hit_f_score` (class hit) at 0.5.
+
+    The F-score is 0 when neither side hits the other's hits, and undefined when neither hits at all.
+
+    Args:
+        probability: Predicted probability of a return, any shape.
+        truth: Whether there was one, bool, the same shape.
+    """
+    error = rmse(probability, truth.astype(np.float64))
+    bad = fault(probability, truth)
+    if bad is not None:
+        return {"hit_rmse": error, "hit_accuracy": bad, "hit_f_score": bad}
+    return {"hit_rmse": error, **_agreement(probability > 0.5, truth)}
+
+
+def hit_cell_metrics(
+    predicted_m: np.ndarray, predicted_laser: np.ndarray,
+    truth_m: np.ndarray, truth_laser: np.ndarray, n_lasers: int,
+) -> Mapping[str, Measure]:
+    """`hit_accuracy` and `hit_f_score` on the grid of lasers x 2000 cells of 0.18 degrees.
+
+    A cell is hit if at least one return lies in it: laser of the return, floor(azimuth / 0.18 deg)
+    of the point as recorded (sensor frame, metres). Undefined where lasers are unknown (-1).
+    """
+    unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
+    if unknown or n_lasers < 1:
+        bad = undefined(f"the laser of {unknown} returns is unknown")
+        return {"hit_accuracy": bad, "hit_f_score": bad}
+    if predicted_laser.size and int(predicted_laser.max()) >= n_lasers:
+        bad = undefined(f"predicted laser {int(predicted_laser.max())}, but the sensor has {n_lasers}")
+        return {"hit_accuracy": bad, "hit_f_score": bad}
+    return _agreement(
+        hit_cells(predicted_m, predicted_laser, n_lasers), hit_cells(truth_m, truth_laser, n_lasers)
+    )
+
+
+def hit_cells(points_m: np.ndarray, laser: np.ndarray, n_lasers: int) -> np.ndarray:
+    """Which cells hold a return, bool (n_lasers, 2000)."""
+    x_m, y_m = points_m[:, 0].astype(np.float64), points_m[:, 1].astype(np.float64)
+    turn = np.mod(np.arctan2(y_m, x_m) / (2.0 * np.pi), 1.0)
+    # A tiny negative azimuth wraps to exactly 1.0 in floating point.
+    cell = np.minimum((turn * N_CELLS).astype(np.int64), N_CELLS - 1)
+    hit = np.zeros((n_lasers, N_CELLS), dtype=bool)
+    hit[laser.astype(np.int64), cell] = True
+    return hit
+
+
+def _agreement(predicted: np.ndarray, truth: np.ndarray) -> dict[str, Measure]:
+    same_shape(predicted, truth)
+    true_positive = int(np.count_nonzero(predicted & truth))
+    claimed = int(np.count_nonzero(predicted)) + int(np.count_nonzero(truth))
+    f_score = (
+        Measure(2.0 * true_positive / claimed, truth.size) if claimed
+        else undefined("neither side has a return", truth.size)
+    )
+    return {"hit_accuracy": Measure(float(np.mean(predicted == truth)), truth.size), "hit_f_score": f_score}

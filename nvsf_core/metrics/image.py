@@ -1,0 +1,43 @@
+"""Errors of camera images."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nvsf_core.errors import ShapeError
+from nvsf_core.metrics.elementwise import psnr, same_shape
+from nvsf_core.metrics.lpips import Lpips, lpips_measure
+from nvsf_core.metrics.measure import Measure, undefined
+from nvsf_core.metrics.ssim import ssim
+
+
+def image_metrics(
+    predicted_rgb: np.ndarray, truth_rgb: np.ndarray, valid: np.ndarray, lpips: Lpips | None
+) -> Mapping[str, Measure]:
+    """PSNR (peak 1), SSIM (7x7 uniform, mean of channels) and LPIPS over the recorded image's pixels.
+
+    A predicted pixel without an answer is black and counts. Pixels that the undistorted recording
+    does not cover count in no PSNR and no SSIM window, and are black on both sides for LPIPS.
+
+    Args:
+        predicted_rgb: (H, W, 3) uint8.
+        truth_rgb: (H, W, 3) uint8.
+        valid: (H, W) bool, pixels that the recording covers.
+        lpips: The network, or None where its weights are absent.
+
+    Raises:
+        ShapeError: The shapes differ.
+    """
+    same_shape(predicted_rgb, truth_rgb)
+    if valid.shape != truth_rgb.shape[:2]:
+        raise ShapeError(f"validity mask {valid.shape} for an image of {truth_rgb.shape[:2]} pixels")
+    n_valid = int(np.count_nonzero(valid))
+    if n_valid == 0:
+        bad = undefined("the recorded image has no valid pixel")
+        return {"image_psnr_db": bad, "image_ssim": bad, "image_lpips_squeeze": bad}
+    predicted, truth = predicted_rgb.astype(np.float64) / 255.0, truth_rgb.astype(np.float64) / 255.0
+    return {
+        "image_psnr_db": Measure(psnr(predicted[valid], truth[valid], 1.0).value, n_valid),
+        "image_ssim": ssim(predicted, truth, 1.0, valid),
+        "image_lpips_squeeze": lpips_measure(lpips, predicted * valid[..., None], truth * valid[..., None]),
+    }

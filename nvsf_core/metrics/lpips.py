@@ -1,0 +1,122 @@
+"""LPIPS (Zhang et al. 2018), version 0.1, with the SqueezeNet 1.1 backbone.
+
+Written out here because every package that has it needs torchvision, whose wheels do not load beside
+CPU torch. The weights are not part of this repository: `find_weights` says where they are looked for.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from nvsf_core.errors import StoreError
+from nvsf_core.metrics.elementwise import same_shape
+from nvsf_core.metrics.measure import Measure, fault, undefined
+from nvsf_core.stores.checkpoints import load_tensors
+
+WEIGHTS_VARIABLE = "NVSF_LPIPS_WEIGHTS"
+WEIGHTS_NAME = "lpips_squeeze_v0.1.safetensors"
+MIN_SIDE = 32
+"""Smaller images shrink to nothing in the backbone's pools."""
+
+_POOLS_BEFORE = (3, 6, 9)
+"""Layers of SqueezeNet 1.1 that follow a max pool (3x3, stride 2, rounding up)."""
+_FIRES = (3, 4, 6, 7, 9, 10, 11, 12)
+_TAPS = (4, 7, 9, 10, 11, 12)
+"""Fire modules whose output is compared, after the first convolution's."""
+
+
+class Lpips:
+    """The network with its weights, on CPU in float32 (bfloat16 would cost 1.4e-3)."""
+
+    def __init__(self, weights: Mapping[str, Tensor]) -> None:
+        self._weights = dict(weights)
+
+    @torch.no_grad()
+    def __call__(self, predicted: Tensor, truth: Tensor) -> Tensor:
+        """Perceptual distance of image pairs (B, 3, H, W) in 0..1 (scaled to -1..1 here), (B,)."""
+        total = torch.zeros(predicted.shape[0])
+        pairs = zip(self._features(predicted), self._features(truth), strict=True)
+        for index, (p, t) in enumerate(pairs):
+            difference = (_unit(p) - _unit(t)).square()
+            head = self._weights[f"lin.{index}"].view(1, -1, 1, 1)
+            total += (difference * head).sum(dim=1).mean(dim=(1, 2))
+        return total
+
+    def _features(self, image: Tensor) -> list[Tensor]:
+        w = self._weights
+        x = (2.0 * image.float() - 1.0 - w["shift"]) / w["scale"]
+        x = functional.relu(functional.conv2d(x, w["features.0.weight"], w["features.0.bias"], stride=2))
+        taps = [x]
+        for layer in _FIRES:
+            if layer in _POOLS_BEFORE:
+                x = functional.max_pool2d(x, 3, 2, ceil_mode=True)
+            x = self._fire(x, f"features.{layer}")
+            if layer in _TAPS:
+                taps.append(x)
+        return taps
+
+    def _fire(self, x: Tensor, name: str) -> Tensor:
+        """Squeeze to few channels, expand by 1x1 and by 3x3 convolutions, side by side."""
+        squeezed = self._conv(x, f"{name}.squeeze", 0)
+        narrow = self._conv(squeezed, f"{name}.expand1x1", 0)
+        return torch.cat([narrow, self._conv(squeezed, f"{name}.expand3x3", 1)], dim=1)
+
+    def _conv(self, x: Tensor, name: str, padding: int) -> Tensor:
+        weight, bias = self._weights[f"{name}.weight"], self._weights[f"{name}.bias"]
+        return functional.relu(functional.conv2d(x, weight, bias, padding=padding))
+
+
+def _unit(x: Tensor) -> Tensor:
+    return x / (x.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)
+
+
+def find_weights() -> Path | None:
+    """File named by `NVSF_LPIPS_WEIGHTS`, else `../shared/weights/` beside the checkout; None if absent.
+
+    Raises:
+        StoreError: The variable names a file that does not exist.
+    """
+    named = os.environ.get(WEIGHTS_VARIABLE)
+    if named:
+        path = Path(named)
+        if not path.is_file():
+            raise StoreError(f"{WEIGHTS_VARIABLE}={named}: no such file; unset it or name {WEIGHTS_NAME}")
+        return path
+    path = Path(__file__).resolve().parents[3] / "shared" / "weights" / WEIGHTS_NAME
+    return path if path.is_file() else None
+
+
+def load_lpips() -> Lpips | None:
+    """The network, or None where `find_weights` finds no weights."""
+    path = find_weights()
+    return None if path is None else Lpips(load_tensors(path)[0])
+
+
+def lpips_measure(lpips: Lpips | None, predicted: np.ndarray, truth: np.ndarray) -> Measure:
+    """LPIPS of one pair (H, W) or (H, W, 3); one channel is repeated thrice.
+
+    Values belong in 0..1. The LiDAR4D protocol puts metres in, and so lies far outside the domain that
+    the network was trained on: its numbers compare with the papers' only.
+    """
+    if lpips is None:
+        return undefined(f"no LPIPS weights: set {WEIGHTS_VARIABLE} to {WEIGHTS_NAME}")
+    same_shape(predicted, truth)
+    bad = fault(predicted, truth)
+    if bad is not None:
+        return bad
+    if min(truth.shape[:2]) < MIN_SIDE:
+        return undefined(f"image {truth.shape[:2]} is smaller than {MIN_SIDE} pixels a side")
+    value = float(lpips(_as_batch(predicted), _as_batch(truth))[0])
+    return Measure(value, truth.shape[0] * truth.shape[1])
+
+
+def _as_batch(image: np.ndarray) -> Tensor:
+    tensor = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32))
+    if tensor.ndim == 2:
+        tensor = tensor[..., None].expand(-1, -1, 3)
+    return tensor.permute(2, 0, 1)[None]

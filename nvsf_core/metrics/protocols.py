@@ -1,0 +1,119 @@
+"""Which numbers are compared with which: the protocols of the metric tables.
+
+`lidar4d`: as published by LiDAR4D and NVSF. The recorded scan projected to the 66x1030 pano with the
+papers' quirks against the model's pano, masked by its hits; every pixel counts, empty ones as 0.
+`lidar4d_scan`: the same, with the projection of the exported scan as the prediction.
+`raw`: the recorded scan itself, 0 to 80 m on both sides: along its own rays, and as a cloud.
+`image`: all pixels of the recorded image.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
+from nvsf_core.metrics.intensity import clamped_intensity, intensity_image_metrics, ray_intensity_metrics
+from nvsf_core.metrics.lpips import Lpips, lpips_measure
+from nvsf_core.metrics.measure import Measure
+from nvsf_core.metrics.point_cloud import point_cloud_metrics
+from nvsf_core.metrics.range import clamped_range_m, range_image_metrics, ray_range_metrics
+from nvsf_core.sensors.linear_pano import LinearPano
+
+MAX_RANGE_M = 80.0
+"""Returns beyond it count on neither side."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanoImage:
+    """One frame on the linear pano, all (H, W)."""
+
+    range_m: np.ndarray
+    """Range in metres, 0 = empty."""
+    intensity: np.ndarray
+    """Intensity 0..1, 0 where empty."""
+    hit: np.ndarray
+    """Probability of a return, 0..1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """One turn of a LiDAR in its own frame, as recorded or exported."""
+
+    points_m: np.ndarray
+    """(N, 3) metres."""
+    intensity: np.ndarray
+    """(N,) 0..1."""
+    laser: np.ndarray
+    """(N,) index of the laser, -1 = unknown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RayAnswers:
+    """What lies along the recorded returns' own rays, all (R,)."""
+
+    range_m: np.ndarray
+    """Metres along the ray; inf = no answer."""
+    intensity: np.ndarray
+    """Intensity 0..1."""
+
+
+def project_scan(pano: LinearPano, scan: Scan) -> PanoImage:
+    """A scan on the pano, quirks of the papers on; a filled pixel is a certain hit."""
+    range_m, intensity = pano.project(scan.points_m, scan.intensity, quirks=True)
+    return PanoImage(range_m=range_m, intensity=intensity, hit=(range_m > 0.0).astype(np.float32))
+
+
+def lidar4d(
+    predicted: PanoImage, truth: PanoImage, pano: LinearPano, lpips: Lpips | None
+) -> Mapping[str, Measure]:
+    """Metrics of the protocols `lidar4d` and `lidar4d_scan`, of one frame.
+
+    The prediction is masked by hit > 0.5 before anything else; points come from both panos by the
+    pano's inverse. LPIPS takes the range image in metres, as the papers do.
+    """
+    answered = predicted.hit > 0.5
+    range_m = np.where(answered, predicted.range_m, 0.0)
+    intensity = np.where(answered, predicted.intensity, 0.0)
+    return {
+        **point_cloud_metrics(pano.unproject(range_m), pano.unproject(truth.range_m)),
+        **range_image_metrics(range_m, truth.range_m),
+        "range_lpips_squeeze": lpips_measure(lpips, clamped_range_m(range_m), clamped_range_m(truth.range_m)),
+        **intensity_image_metrics(intensity, truth.intensity),
+        "intensity_lpips_squeeze": lpips_measure(
+            lpips, clamped_intensity(intensity), clamped_intensity(truth.intensity)
+        ),
+        **hit_image_metrics(predicted.hit, truth.range_m > 0.0),
+    }
+
+
+def raw(
+    predicted: Scan, answers: RayAnswers, truth: Scan, truth_rays: RayAnswers, n_lasers: int
+) -> Mapping[str, Measure]:
+    """Metrics of the protocol `raw`, of one frame.
+
+    Args:
+        predicted: The exported scan.
+        answers: The prediction along the recorded rays, in the order of the recorded returns.
+        truth: The recorded scan.
+        truth_rays: Recorded range and intensity along the same rays.
+        n_lasers: Lasers of the sensor, for the hit cells.
+    """
+    counted = (truth_rays.range_m > 0.0) & (truth_rays.range_m <= MAX_RANGE_M)
+    answered = np.isfinite(answers.range_m[counted])
+    near_predicted, near_truth = _near(predicted), _near(truth)
+    return {
+        **ray_range_metrics(answers.range_m[counted], truth_rays.range_m[counted]),
+        **ray_intensity_metrics(answers.intensity[counted], truth_rays.intensity[counted], answered),
+        **hit_cell_metrics(
+            near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser, n_lasers
+        ),
+        **point_cloud_metrics(near_predicted.points_m, near_truth.points_m),
+    }
+
+
+def _near(scan: Scan) -> Scan:
+    """The returns within 80 m of the sensor; a broken (NaN) point stays, to be counted as such."""
+    range_m = np.linalg.norm(scan.points_m.astype(np.float64), axis=1)
+    keep = ~((range_m > MAX_RANGE_M) | (range_m == 0.0))
+    return Scan(points_m=scan.points_m[keep], intensity=scan.intensity[keep], laser=scan.laser[keep])

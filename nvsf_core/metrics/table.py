@@ -1,0 +1,125 @@
+"""The rows of `scene_metrics`, their means, and a table for the terminal."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+COLUMNS = (
+    "scene", "split", "frame", "protocol", "region", "sensor", "metric", "value", "unit", "n_valid", "recipe",
+    "seed", "train_seconds", "render_seconds", "parameters", "model_mb", "peak_memory_mb", "commit",
+)  # fmt: skip
+"""Columns of `scene_metrics`, one row a frame and metric."""
+
+UNITS = {
+    "chamfer_m2": "m2", "f_score": "1",
+    "range_rmse_m": "m", "range_medae_m": "m", "range_psnr_db": "dB", "range_ssim": "1",
+    "range_lpips_squeeze": "1",
+    "range_abs_error_median_m": "m", "range_abs_error_p90_m": "m", "range_missing": "1",
+    "intensity_rmse": "1", "intensity_medae": "1", "intensity_psnr_db": "dB", "intensity_ssim": "1",
+    "intensity_lpips_squeeze": "1",
+    "hit_rmse": "1", "hit_accuracy": "1", "hit_f_score": "1",
+    "image_psnr_db": "dB", "image_ssim": "1", "image_lpips_squeeze": "1",
+}  # fmt: skip
+"""Unit of every metric that is measured; 1 = a bare number."""
+
+BASELINES = ("reproject", "copy_nearest", "mesh")
+"""Recipes that learn nothing, in the order in which a table lists them, below the models."""
+
+_PANO = ("chamfer_m2", "f_score", "range_rmse_m", "range_psnr_db", "intensity_rmse", "hit_accuracy")
+HEADLINES = {
+    "lidar4d": _PANO,
+    "lidar4d_scan": _PANO,
+    "raw": (
+        "chamfer_m2", "f_score", "range_abs_error_median_m", "range_missing",
+        "intensity_rmse", "hit_accuracy",
+    ),
+    "image": ("image_psnr_db", "image_ssim", "image_lpips_squeeze"),
+}  # fmt: skip
+"""Metrics of each protocol that the terminal shows; the store and the report hold all."""
+
+_SHORT = {
+    "chamfer_m2": "CD m2", "f_score": "F", "range_rmse_m": "range RMSE m", "range_psnr_db": "range PSNR dB",
+    "range_abs_error_median_m": "|range err| med m", "range_missing": "missing",
+    "intensity_rmse": "intens. RMSE", "hit_accuracy": "hit acc.",
+    "image_psnr_db": "PSNR dB", "image_ssim": "SSIM", "image_lpips_squeeze": "LPIPS-sq",
+}  # fmt: skip
+
+Row = Mapping[str, Any]
+
+
+def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Mean over frames of each scene, split, region, recipe, seed, protocol, sensor and metric.
+
+    Returns:
+        Rows with these keys, `value` (mean of the frames where it is defined, NaN if there is none),
+        `unit`, `n_frames`, `n_defined`, `render_seconds` (mean a frame) and the costs of the model.
+    """
+    keys = ("scene", "split", "region", "protocol", "sensor", "recipe", "seed", "metric")
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    means = []
+    for key, group in groups.items():
+        value, n_defined = _mean([row["value"] for row in group])
+        costs = {name: group[0][name] for name in ("unit", "train_seconds", "parameters", "model_mb")}
+        seconds, _ = _mean([row["render_seconds"] for row in group])
+        means.append(
+            dict(zip(keys, key, strict=True)) | costs
+            | {"value": value, "n_frames": len(group), "n_defined": n_defined, "render_seconds": seconds}
+        )
+    return means
+
+
+def summary_table(rows: Sequence[Row]) -> str:
+    """Plain text, one block a scene, protocol and sensor: the model above the baselines, time beside error.
+
+    A mean over fewer frames than there are carries `*`; `-` is undefined on all of them.
+    """
+    blocks: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in mean_rows(rows):
+        if row["region"] == "all":
+            blocks.setdefault((row["scene"], row["protocol"], row["sensor"]), []).append(row)
+    # Frames' order of writing puts a method's protocols together; a reader compares methods.
+    order = sorted(blocks, key=lambda block: (block[0], list(HEADLINES).index(block[1]), block[2]))
+    return "\n\n".join(_block(key, blocks[key]) for key in order)
+
+
+def _block(key: tuple[str, str, str], rows: Sequence[dict[str, Any]]) -> str:
+    metrics = [metric for metric in HEADLINES[key[1]] if any(row["metric"] == metric for row in rows)]
+    methods = sorted(
+        {(row["recipe"], row["seed"]) for row in rows}, key=lambda method: (_rank(method[0]), method)
+    )
+    lines = [["method", *(_SHORT[metric] for metric in metrics), "train s", "render s/frame"]]
+    for recipe, seed in methods:
+        mine = {row["metric"]: row for row in rows if (row["recipe"], row["seed"]) == (recipe, seed)}
+        any_row = next(iter(mine.values()))
+        costs = [_number(any_row["train_seconds"], 1), _number(any_row["render_seconds"], 3)]
+        lines.append([recipe, *(_cell(mine.get(metric)) for metric in metrics), *costs])
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    n_frames = max(row["n_frames"] for row in rows)
+    text = [f"{key[0]} | protocol {key[1]} | {key[2]} | mean of {n_frames} held-out frame(s)"]
+    for line in lines:
+        cells = [line[0].ljust(widths[0])] + [c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True)]
+        text.append("  " + "  ".join(cells))
+    return "\n".join(text)
+
+
+def _rank(recipe: str) -> int:
+    return 1 + BASELINES.index(recipe) if recipe in BASELINES else 0
+
+
+def _cell(row: dict[str, Any] | None) -> str:
+    if row is None or row["n_defined"] == 0:
+        return "-"
+    digits = 2 if row["unit"] == "dB" else 4
+    return _number(row["value"], digits) + ("*" if row["n_defined"] < row["n_frames"] else "")
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _mean(values: Sequence[float | None]) -> tuple[float, int]:
+    """Mean of the defined values and their number."""
+    defined = [value for value in values if value is not None and not math.isnan(value)]
+    return (sum(defined) / len(defined) if defined else math.nan), len(defined)

@@ -1,0 +1,77 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.errors import ShapeError, StoreError
+from nvsf_core.metrics.image import image_metrics
+from nvsf_core.metrics.lpips import find_weights, load_lpips, lpips_measure
+
+
+def _needs_weights() -> None:
+    if find_weights() is None:
+        pytest.skip("no LPIPS weights on this machine (NVSF_LPIPS_WEIGHTS)")
+
+
+def test_lpips_gives_the_published_numbers() -> None:
+    _needs_weights()
+    lpips = load_lpips()
+    assert lpips is not None
+    generator = torch.Generator().manual_seed(42)
+    first = torch.rand(2, 3, 100, 100, generator=generator)
+    second = torch.rand(2, 3, 100, 100, generator=generator)
+    found = lpips(first, second)
+    assert found.tolist() == pytest.approx([0.102380, 0.093774], abs=2e-6)
+
+
+def test_lpips_of_equal_images_is_zero() -> None:
+    _needs_weights()
+    image = np.random.default_rng(0).random((40, 50))
+    assert lpips_measure(load_lpips(), image, image).value == 0.0
+
+
+def test_lpips_without_weights_is_undefined_and_says_how_to_get_it() -> None:
+    measure = lpips_measure(None, np.zeros((40, 40)), np.zeros((40, 40)))
+    assert math.isnan(measure.value)
+    assert "NVSF_LPIPS_WEIGHTS" in measure.reason
+
+
+def test_a_named_weight_file_must_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NVSF_LPIPS_WEIGHTS", "/nowhere/weights.safetensors")
+    with pytest.raises(StoreError, match="unset it"):
+        find_weights()
+
+
+def test_image_error_of_a_known_offset() -> None:
+    truth = np.full((20, 20, 3), 100, dtype=np.uint8)
+    found = image_metrics(truth + np.uint8(51), truth, np.ones((20, 20), dtype=bool), None)
+    assert found["image_psnr_db"].value == pytest.approx(-20 * math.log10(0.2))
+    assert found["image_psnr_db"].n_valid == 400
+
+
+def test_an_unanswered_pixel_is_black_and_counts() -> None:
+    truth = np.full((20, 20, 3), 255, dtype=np.uint8)
+    predicted = truth.copy()
+    predicted[:10] = 0
+    found = image_metrics(predicted, truth, np.ones((20, 20), dtype=bool), None)
+    assert found["image_psnr_db"].value == pytest.approx(10 * math.log10(2))
+
+
+def test_pixels_outside_the_recording_do_not_count() -> None:
+    truth = np.random.default_rng(0).integers(0, 255, (30, 30, 3)).astype(np.uint8)
+    predicted = truth.copy()
+    predicted[:5] = 0
+    valid = np.ones((30, 30), dtype=bool)
+    valid[:5] = False
+    found = image_metrics(predicted, truth, valid, None)
+    assert found["image_psnr_db"].value == 80.0
+    assert found["image_ssim"].value == pytest.approx(1.0)
+    empty = image_metrics(predicted, truth, np.zeros((30, 30), dtype=bool), None)
+    assert all(math.isnan(measure.value) for measure in empty.values())
+
+
+def test_a_mask_of_another_size_is_refused() -> None:
+    image = np.zeros((20, 20, 3), dtype=np.uint8)
+    with pytest.raises(ShapeError):
+        image_metrics(image, image, np.ones((10, 20), dtype=bool), None)
