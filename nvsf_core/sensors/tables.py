@@ -86,7 +86,7 @@ _HDL_64E_FIRING_SHIFT_STEPS = (
     -37, -1, 35, 73, -97, -61, -24, 13, 49, 87, -112, -75, -38, 0, 36, 74,
     -100, -62, -25, 13, 50, 89, -115, -77, -40, 0, 38, 76, -103, -64, -26, 13,
 )
-# From -15 to 15 degrees in file order of the manual; ours runs from the top.
+# The manual lists them from -15 to 15 degrees, 11.2 to -11.2 mm; ours run from the top.
 _VLP_16_VERTICAL_OFFSET_MM = (
     -11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7, 0.7, 2.2, 3.7, 5.1, 6.6, 8.1, 9.7, 11.2,
 )
@@ -115,7 +115,7 @@ HDL_64E = LaserTable(
 VLP_16 = LaserTable(
     name="VLP-16",
     elevation_rad=_frozen(np.deg2rad(np.arange(15.0, -16.0, -2.0))),
-    vertical_offset_m=_frozen(_VLP_16_VERTICAL_OFFSET_MM) * 1e-3,
+    vertical_offset_m=_frozen(np.array(_VLP_16_VERTICAL_OFFSET_MM) * 1e-3),
     horizontal_offset_m=_frozen(np.zeros(16)),
     phase_steps=_frozen(np.zeros(16)),
     firing_shift_steps=_frozen(np.zeros(16), np.int64),

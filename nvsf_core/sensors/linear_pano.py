@@ -1,0 +1,92 @@
+"""The papers' range image: rows evenly spaced in elevation, columns in azimuth.
+
+Row j looks at elevation fov_up - j fov / H, column i at azimuth -(i - W/2) 2 pi / W: the cells' centres
+lie on whole numbers, row 0 on the upper edge of the field of view, column 0 behind the car.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.errors import DataError, ShapeError
+from nvsf_core.sensors.project import project_nearest
+
+__all__ = ["LinearPano"]
+
+
+@dataclass(frozen=True, slots=True)
+class LinearPano:
+    """A range image of one viewpoint, the sensor's centre."""
+
+    height: int = 66
+    """Rows."""
+    width: int = 1030
+    """Columns of one full turn."""
+    fov_up_deg: float = 2.0
+    """Elevation of row 0."""
+    fov_deg: float = 26.9
+    """Elevation that `height` rows span, downwards."""
+    max_range_m: float = 80.0
+    """Returns at or beyond it are dropped."""
+    quirks: bool = False
+    """As the papers' code: returns that round to column W are dropped; else they wrap to column 0."""
+
+    def project(self, points_m: np.ndarray, intensity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Range and intensity images (H, W) float32 of points (N, 3) in the sensor's frame; 0.0 = empty.
+
+        column = round((pi - azimuth) / (2 pi / W)), row = round(H - (elevation + fov_down) / (fov / H)),
+        halves to the even number; outside rows are dropped; the nearest return of a cell is kept.
+        A point at the sensor's very centre has no direction and is left out.
+
+        Raises:
+            ShapeError: The arrays are not (N, 3) and (N,).
+            DataError: A coordinate is not finite.
+        """
+        row, column, range_m, kept = self.cells(points_m)
+        if intensity.shape != range_m.shape:
+            raise ShapeError(f"expected one intensity a point, found {intensity.shape} for {points_m.shape}")
+        shape = (self.height, self.width)
+        return project_nearest(row[kept], column[kept], range_m[kept], intensity[kept], shape)
+
+    def cells(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where each point falls: row (N,), column (N,), range (N,) in metres, whether it is kept (N,)."""
+        if points_m.ndim != 2 or points_m.shape[1] != 3:
+            raise ShapeError(f"expected points (N, 3), found {points_m.shape}")
+        x, y, z = points_m.astype(np.float64).T
+        range_m = np.sqrt(x * x + y * y + z * z)
+        if not np.isfinite(range_m).all():
+            count = int((~np.isfinite(range_m)).sum())
+            raise DataError(f"expected finite points, found {count} of {len(x)} that are not; drop them first")
+        fov_rad = np.deg2rad(self.fov_deg)
+        fov_down_rad = np.deg2rad(self.fov_deg - self.fov_up_deg)
+        beta = np.pi - np.arctan2(y, x)
+        alpha = np.arctan2(z, np.sqrt(x * x + y * y)) + fov_down_rad
+        column = np.rint(beta / (2.0 * np.pi / self.width)).astype(np.int64)
+        row = np.rint(self.height - alpha / (fov_rad / self.height)).astype(np.int64)
+        kept = (row >= 0) & (row < self.height) & (range_m > 0.0) & (range_m < self.max_range_m)
+        if self.quirks:
+            kept &= column < self.width
+        else:
+            column %= self.width
+        return row, column, range_m, kept
+
+    def directions(self) -> np.ndarray:
+        """Unit directions (H, W, 3) float64 of the cells' centres, in the sensor's frame."""
+        elevation = np.deg2rad(self.fov_up_deg - np.arange(self.height) / self.height * self.fov_deg)[:, None]
+        azimuth = (-(np.arange(self.width) - self.width / 2) / self.width * 2.0 * np.pi)[None, :]
+        up = np.broadcast_to(np.sin(elevation), (self.height, self.width))
+        return np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), up], axis=-1
+        )
+
+    def points(self, range_m: np.ndarray) -> np.ndarray:
+        """Points (N, 3) float64 of the filled cells of a range image (H, W), row by row.
+
+        Raises:
+            ShapeError: The image has another size.
+        """
+        if range_m.shape != (self.height, self.width):
+            raise ShapeError(f"expected a range image {(self.height, self.width)}, found {range_m.shape}")
+        filled = range_m > 0.0
+        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
+        return found
