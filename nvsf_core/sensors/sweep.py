@@ -1,0 +1,173 @@
+"""When and from where each ray of a turning sensor was fired.
+
+The sensor spins clockwise; a frame's pose is its pose when the laser faces forward. What is measured at
+azimuth a in (-pi, pi] comes s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Between two poses the sensor
+moves at a constant twist (turning and going at once).
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nvsf_core.errors import DataError, ShapeError
+from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3
+from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up, wrap_angle
+from nvsf_core.sensors.tables import LaserTable
+
+__all__ = ["Trajectory", "compensate", "rays_to_local", "sweep_fraction"]
+
+
+def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
+    """Sweeps after the pose's instant, in [-0.5, 0.5), of what is measured at an azimuth: -a / 2 pi."""
+    fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
+    return fraction
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where the sensor was at any time of a drive."""
+
+    times_s: np.ndarray
+    """(n,) float64, ascending: instants of the poses."""
+    lidar_to_world: np.ndarray
+    """(n, 4, 4) float64, in the world."""
+    scene_origin_m: np.ndarray
+    """(3,) float64, world position of the scene's origin."""
+    _local: np.ndarray = field(init=False, repr=False)
+    _twists: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check the poses and take the twist from each to the next.
+
+        Raises:
+            ShapeError: Times, poses and origin do not fit one another.
+            DataError: Times do not ascend, or a pose is not finite.
+        """
+        times_s = np.asarray(self.times_s, np.float64)
+        local = np.array(self.lidar_to_world, np.float64)
+        origin_m = np.asarray(self.scene_origin_m, np.float64)
+        if len(times_s) == 0 or local.shape != (len(times_s), 4, 4) or origin_m.shape != (3,):
+            raise ShapeError(
+                f"expected times (n,), poses (n, 4, 4), origin (3,) with n >= 1, found {times_s.shape}, "
+                f"{local.shape}, {origin_m.shape}"
+            )
+        if not (np.diff(times_s) > 0.0).all():
+            where = int(np.argmin(np.diff(times_s)))
+            raise DataError(
+                f"expected ascending times, found {times_s[where]} s before {times_s[where + 1]} s at poses "
+                f"{where} and {where + 1}; correct the timestamps or remove them"
+            )
+        if not np.isfinite(local).all():
+            raise DataError("expected finite poses, found NaN or infinity; leave invalid frames out")
+        local[:, :3, 3] -= origin_m
+        twists = log_se3(invert_pose(local[:-1]) @ local[1:]) if len(local) > 1 else np.zeros((0, 6))
+        object.__setattr__(self, "times_s", times_s)
+        object.__setattr__(self, "scene_origin_m", origin_m)
+        object.__setattr__(self, "_local", local)
+        object.__setattr__(self, "_twists", twists)
+
+    def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (N, 3, 3) and scene-local position (N, 3) of the sensor at times (N,), float64.
+
+        Before the first and after the last pose the motion goes on unchanged for one interval; a gap in
+        the frames is bridged by its neighbours. A single pose stands still.
+
+        Raises:
+            DataError: A time lies further outside the poses, or is not finite.
+        """
+        time_s = np.asarray(time_s, np.float64)
+        if len(self.times_s) == 1:
+            count = len(time_s)
+            return np.repeat(self._local[:, :3, :3], count, axis=0), np.repeat(self._local[:, :3, 3], count, axis=0)
+        self._check_within(time_s)
+        # All lasers fire together: a scan has 120,000 returns but some 2,000 times.
+        moments_s, inverse = np.unique(time_s, return_inverse=True)
+        interval = np.clip(np.searchsorted(self.times_s, moments_s, side="right") - 1, 0, len(self.times_s) - 2)
+        length_s = self.times_s[interval + 1] - self.times_s[interval]
+        share = (moments_s - self.times_s[interval]) / length_s
+        pose = self._local[interval] @ exp_se3(share[:, None] * self._twists[interval])
+        return pose[inverse, :3, :3], pose[inverse, :3, 3]
+
+    def _check_within(self, time_s: np.ndarray) -> None:
+        spare_s = float(np.median(np.diff(self.times_s))) * (1.0 + 1e-6)
+        first_s, last_s = self.times_s[0] - spare_s, self.times_s[-1] + spare_s
+        outside = ~((time_s >= first_s) & (time_s <= last_s))
+        if outside.any():
+            raise DataError(
+                f"expected times within {first_s:.4f} .. {last_s:.4f} s, found {time_s[outside][0]} s; ask for "
+                "times at most one frame outside the recorded poses"
+            )
+
+    def move_rays(
+        self, origin_s: np.ndarray, direction_s: np.ndarray, time_s: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Rays (N, 3), (N, 3) of the sensor's frame at times (N,) as scene-local rays, float64."""
+        rotation, position_m = self.at(time_s)
+        origin_m = np.einsum("nij,nj->ni", rotation, origin_s) + position_m
+        return origin_m, np.einsum("nij,nj->ni", rotation, direction_s)
+
+
+def rays_to_local(
+    origin_s: np.ndarray,
+    direction_s: np.ndarray,
+    fraction: np.ndarray,
+    frame_index: np.ndarray | int,
+    poses: np.ndarray,
+    times_s: np.ndarray,
+    period_s: float,
+    scene_origin_m: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rays of the sensor's frame, each fired at its own time, as scene-local rays.
+
+    Args:
+        origin_s: (N, 3) in metres, in the sensor's frame at the ray's own time.
+        direction_s: (N, 3) unit, in that frame.
+        fraction: (N,) sweeps after the instant of the ray's frame.
+        frame_index: (N,) or one index into `poses`.
+        poses: (n, 4, 4) float64 LiDAR to world.
+        times_s: (n,) their instants.
+        period_s: Seconds of one sweep.
+        scene_origin_m: (3,) world position of the scene's origin.
+
+    Returns:
+        origin_m (N, 3) and unit direction (N, 3), scene-local, float64.
+    """
+    trajectory = Trajectory(times_s, poses, scene_origin_m)
+    time_s = trajectory.times_s[frame_index] + np.asarray(fraction, np.float64) * period_s
+    return trajectory.move_rays(origin_s, direction_s, time_s)
+
+
+def compensate(
+    table: LaserTable,
+    points_m: np.ndarray,
+    laser: np.ndarray,
+    fraction: np.ndarray,
+    instant_s: float,
+    period_s: float,
+    trajectory: Trajectory,
+    *,
+    compensated: bool = True,
+    elevation_correction_rad: float | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One scan as rays in the world: from where, whither and how far each return was measured.
+
+    Args:
+        table: The sensor.
+        points_m: (N, 3) as recorded, in the moving sensor's frame.
+        laser: (N,), -1 unknown: such rays start at the sensor's centre.
+        fraction: (N,) sweeps after the pose's instant.
+        instant_s: The scan's own instant.
+        period_s: Seconds of one sweep.
+        trajectory: Where the sensor was.
+        compensated: False puts the whole scan at the pose's instant, as the papers do.
+        elevation_correction_rad: How far to turn rays up; None = the table's.
+
+    Returns:
+        origin_m (N, 3), unit direction (N, 3), range_m (N,): scene-local, float64.
+    """
+    angle_rad = table.elevation_correction_rad if elevation_correction_rad is None else elevation_correction_rad
+    origin_s, direction_s, range_m = recorded_ray_of_points(table, points_m, laser)
+    origin_s, direction_s = turn_up(origin_s, direction_s, encoder_angle(table, points_m, laser), angle_rad)
+    time_s = instant_s + (np.asarray(fraction, np.float64) * period_s if compensated else np.zeros(len(fraction)))
+    origin_m, direction = trajectory.move_rays(origin_s, direction_s, time_s)
+    return origin_m, direction, range_m

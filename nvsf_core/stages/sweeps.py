@@ -1,0 +1,268 @@
+"""`sweeps`: every return with its laser, its firing, its time, and the ray in the world that measured it."""
+
+import json
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.kitti360.scans import read_scan
+from nvsf_core.reporting.previews import scan_top_view
+from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
+from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
+from nvsf_core.sensors.sweep import Trajectory, compensate
+from nvsf_core.sensors.tables import HDL_64E, LaserTable
+from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.tables import read_rows
+
+ARRAYS_NAME = "returns.zarr"
+SENSOR = HDL_64E
+"""The sensor of KITTI and KITTI-360."""
+
+_OWN_VEHICLE_CELLS = 2000
+_SAY_EVERY_S = 4.0
+_MAP_RANGE_M = 25.0
+_MAP_VOXEL_M = 0.4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scan:
+    """One scan with what was recovered of it."""
+
+    row: dict[str, Any]
+    """Its row of `frames.parquet`."""
+    points_m: np.ndarray
+    intensity: np.ndarray
+    timing: ScanTiming
+
+
+def _run(task: Task) -> StageOutput:
+    return make_sweeps(task, compensated=True)
+
+
+def make_sweeps(task: Task, *, compensated: bool) -> StageOutput:
+    """Fill the task's folder with `returns.zarr`; False puts each scan at its pose's instant, as papers do."""
+    frames_dir = task.store.require("frames")
+    rows = read_rows(frames_dir / "frames.parquet")
+    drive: dict[str, Any] = json.loads((frames_dir / "drive.json").read_text())
+    posed = [row for row in rows if row["pose_valid"]]
+    scans = _read_scans(task, [row for row in posed if row["scan_valid"]])
+    sources = Counter(scan.timing.source for scan in scans)
+    source = sources.most_common(1)[0][0] if scans else UNKNOWN
+    own = _learn_own_vehicle(scans)
+    correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
+    arrays = _arrays(task, posed, scans, drive, own, correction_rad, compensated=compensated)
+    evidence = _evidence(scans, sources)
+    attrs = {
+        "scene_origin_m": drive["scene_origin_m"],
+        "sweep_period_s": drive["sweep_period_s"],
+        "elevation_correction_deg": float(np.rad2deg(correction_rad)),
+        "laser_source": source,
+        "laser_evidence": evidence,
+        "lasers": np.unique(arrays["laser"][arrays["laser"] >= 0]).tolist(),
+        "compensated": compensated,
+        "sensor": SENSOR.name,
+    }
+    write_arrays(task.folder / ARRAYS_NAME, arrays, attrs)
+    return _output(task, scans, arrays, attrs, drive)
+
+
+def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
+    layout = DriveLayout(task.scene.root, task.scene.sequence)
+    scans = []
+    said_s = time.monotonic()
+    for row in rows:
+        points = read_scan(layout.scan_path(row["frame"]))
+        timing = recover_timing(points[:, :3], SENSOR)
+        scans.append(_Scan(row, np.ascontiguousarray(points[:, :3]), points[:, 3].copy(), timing))
+        if time.monotonic() - said_s > _SAY_EVERY_S:
+            said_s = time.monotonic()
+            task.progress(f"[{task.scene.name}] sweeps: read {len(scans)} of {len(rows)} scans")
+    return scans
+
+
+def _learn_own_vehicle(scans: list[_Scan]) -> OwnVehicle:
+    training = [scan for scan in scans if scan.row["split"] == "train"]
+    firings = [scan.timing.firings for scan in training if scan.timing.firings > 0]
+    # Cells finer than the firings would stay empty by chance and hide the car.
+    cells = min(_OWN_VEHICLE_CELLS, min(firings, default=_OWN_VEHICLE_CELLS))
+    return learn_own_vehicle(
+        SENSOR, [(scan.points_m, scan.intensity, scan.timing.laser) for scan in training], cells
+    )
+
+
+def _arrays(
+    task: Task, posed: list[dict[str, Any]], scans: list[_Scan], drive: dict[str, Any], own: OwnVehicle,
+    correction_rad: float, *, compensated: bool,
+) -> dict[str, np.ndarray]:
+    rays = []
+    if scans:
+        # Held-out and scan-less frames too: a pose is known of every frame, and motion is read off poses.
+        trajectory = Trajectory(
+            np.array([row["time_s"] for row in posed]),
+            np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
+            np.array(drive["scene_origin_m"], np.float64),
+        )
+        said_s = time.monotonic()
+        for scan in scans:
+            rays.append(
+                compensate(
+                    SENSOR, scan.points_m, scan.timing.laser, scan.timing.sweep_fraction,
+                    scan.row["time_s"], drive["sweep_period_s"], trajectory,
+                    compensated=compensated, elevation_correction_rad=correction_rad,
+                )
+            )  # fmt: skip
+            if time.monotonic() - said_s > _SAY_EVERY_S:
+                said_s = time.monotonic()
+                task.progress(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
+    counts = [len(scan.points_m) for scan in scans]
+    poses = np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
+    return {
+        "frame": np.array([scan.row["frame"] for scan in scans], np.int64),
+        "time_s": np.array([scan.row["time_s"] for scan in scans], np.float64),
+        "lidar_to_world": poses,
+        "firings": np.array([scan.timing.firings for scan in scans], np.int32),
+        "offsets": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        "points_m": _joined([scan.points_m for scan in scans], np.float32, 3),
+        "intensity": _joined([scan.intensity for scan in scans], np.float32),
+        "laser": _joined([scan.timing.laser for scan in scans], np.int16),
+        "firing": _joined([scan.timing.firing for scan in scans], np.int16),
+        "sweep_fraction": _joined([scan.timing.sweep_fraction for scan in scans], np.float32),
+        "origin_m": _joined([ray[0] for ray in rays], np.float32, 3),
+        "direction": _joined([ray[1] for ray in rays], np.float32, 3),
+        "range_m": _joined([ray[2] for ray in rays], np.float32),
+        "is_own_vehicle": _joined(
+            [own.is_own(SENSOR, scan.points_m, scan.timing.laser) for scan in scans], np.bool_
+        ),
+        "own_vehicle_range_m": own.range_m,
+        "own_vehicle_intensity": own.intensity,
+    }
+
+
+def _joined(parts: list[np.ndarray], dtype: type, columns: int = 0) -> np.ndarray:
+    empty = np.zeros((0, columns) if columns else (0,), dtype)
+    return np.concatenate([empty, *[part.astype(dtype) for part in parts]])
+
+
+def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
+    if not scans:
+        return "no scans"
+    firings = [scan.timing.firings for scan in scans]
+    counts = ", ".join(f"{source} in {count} scans" for source, count in sources.items())
+    first = scans[0]
+    return (
+        f"{counts}; {min(firings)} to {max(firings)} firings a turn; "
+        f"frame {first.row['frame']}: {first.timing.evidence}"
+    )
+
+
+def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> float:
+    """How thick the map's surfaces are: median over flat voxels of the deviation across the plane, in metres.
+
+    A voxel counts as flat with at least 30 points and a second eigenvalue of its covariance at least four
+    times the smallest. NaN where no voxel is flat.
+    """
+    cell = np.floor(points_m / voxel_m).astype(np.int64)
+    cell -= cell.min(axis=0, initial=0)
+    size = cell.max(axis=0, initial=0) + 1
+    _, voxel, count = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2],
+                                return_inverse=True, return_counts=True)  # fmt: skip
+    mean = np.stack([np.bincount(voxel, points_m[:, k]) / count for k in range(3)], axis=-1)
+    apart = points_m - mean[voxel]
+    covariance = np.zeros((len(count), 3, 3))
+    for i in range(3):
+        for k in range(3):
+            covariance[:, i, k] = np.bincount(voxel, apart[:, i] * apart[:, k]) / count
+    eigenvalue = np.linalg.eigvalsh(covariance[count >= 30])
+    flat = eigenvalue[eigenvalue[:, 1] > 4.0 * eigenvalue[:, 0], 0]
+    return float(np.sqrt(np.median(np.maximum(flat, 0.0)))) if len(flat) else float("nan")
+
+
+def _thickness(arrays: dict[str, np.ndarray], frames: int = 8) -> float:
+    """Thickness of the map of up to `frames` consecutive scans in the drive's middle, own vehicle left out."""
+    middle = len(arrays["frame"]) // 2
+    first = max(0, middle - frames // 2)
+    part = slice(arrays["offsets"][first], arrays["offsets"][min(first + frames, len(arrays["frame"]))])
+    kept = (arrays["range_m"][part] < _MAP_RANGE_M) & ~arrays["is_own_vehicle"][part]
+    range_m = arrays["range_m"][part][kept, None].astype(np.float64)
+    points_m = arrays["origin_m"][part][kept] + range_m * arrays["direction"][part][kept]
+    return map_thickness_m(points_m)
+
+
+def _output(
+    task: Task, scans: list[_Scan], arrays: dict[str, np.ndarray], attrs: dict[str, Any], drive: dict[str, Any]
+) -> StageOutput:
+    if not scans:
+        check = Check(name="drive_has_scans", passed=True, detail="camera-only drive: no valid scan")
+        return StageOutput(metadata={"scans": 0, "returns": 0}, checks=[check])
+    own_per_scan = arrays["is_own_vehicle"].sum() / len(scans)
+    output = StageOutput(
+        metadata={
+            "scans": len(scans),
+            "returns": len(arrays["laser"]),
+            "firings_min": int(arrays["firings"].min()),
+            "firings_max": int(arrays["firings"].max()),
+            "laser_source": attrs["laser_source"],
+            "laser_evidence": attrs["laser_evidence"],
+            "own_vehicle_returns_per_scan": float(own_per_scan),
+            "map_thickness_m": _thickness(arrays),
+            "compensated": attrs["compensated"],
+            "sweep_period_s": drive["sweep_period_s"],
+            "sweep_period_assumed": bool(drive["period_assumed"]),
+            "elevation_correction_deg": attrs["elevation_correction_deg"],
+        },
+        checks=_checks(scans, arrays, attrs, SENSOR),
+    )
+    middle = scans[len(scans) // 2]
+    (task.folder / "scan.png").write_bytes(scan_top_view(middle.points_m))
+    output.previews["scan"] = "scan.png"
+    return output
+
+
+def _checks(
+    scans: list[_Scan], arrays: dict[str, np.ndarray], attrs: dict[str, Any], table: LaserTable
+) -> list[Check]:
+    finite = all(bool(np.isfinite(arrays[name]).all()) for name in ("origin_m", "direction", "range_m"))
+    length_error = float(np.abs(np.linalg.norm(arrays["direction"], axis=1) - 1.0).max())
+    unknown = int((arrays["laser"] < 0).sum())
+    shared = sum(_shared_cells(scan.timing, table.laser_count) for scan in scans)
+    ordered = sum(scan.timing.source == FILE_ORDER for scan in scans)
+    return [
+        Check(
+            name="every_return_has_a_ray", passed=finite and length_error < 1e-5, blocking=True,
+            detail=f"rays finite: {finite}; directions off unit length by at most {length_error:.1e}",
+        ),
+        Check(
+            name="lasers_are_known", passed=unknown == 0,
+            detail=f"{unknown} of {len(arrays['laser'])} returns without a laser; {attrs['laser_evidence']}",
+        ),
+        Check(
+            name="scans_are_in_file_order", passed=ordered == len(scans),
+            detail=f"{ordered} of {len(scans)} scans hold laser after laser",
+        ),
+        Check(
+            name="no_two_returns_share_a_firing", passed=shared <= 1e-4 * len(arrays["laser"]),
+            detail=f"{shared} of {len(arrays['laser'])} returns share laser and firing with another",
+        ),
+    ]  # fmt: skip
+
+
+def _shared_cells(timing: ScanTiming, laser_count: int) -> int:
+    known = (timing.laser >= 0) & (timing.firing >= 0)
+    cell = timing.firing[known].astype(np.int64) * laser_count + timing.laser[known]
+    return len(cell) - len(np.unique(cell))
+
+
+STAGE = Stage(
+    name="sweeps",
+    group="ingest",
+    inputs=("frames",),
+    description="Every LiDAR return with its laser, firing and time, as the ray in the world that measured it.",
+    version="1",
+    run=_run,
+    reads_drive=True,
+)
