@@ -59,8 +59,12 @@ class RayAnswers:
 
 
 def project_scan(pano: LinearPano, scan: Scan) -> PanoImage:
-    """A scan on the pano, quirks of the papers on; a filled pixel is a certain hit."""
-    range_m, intensity = pano.project(scan.points_m, scan.intensity, quirks=True)
+    """A scan on the pano (the protocol asks for `quirks=True`); a filled pixel is a certain hit.
+
+    Raises:
+        DataError: A point of the scan is not finite.
+    """
+    range_m, intensity = pano.project(scan.points_m, scan.intensity)
     return PanoImage(range_m=range_m, intensity=intensity, hit=(range_m > 0.0).astype(np.float32))
 
 
@@ -76,7 +80,7 @@ def lidar4d(
     range_m = np.where(answered, predicted.range_m, 0.0)
     intensity = np.where(answered, predicted.intensity, 0.0)
     return {
-        **point_cloud_metrics(pano.unproject(range_m), pano.unproject(truth.range_m)),
+        **point_cloud_metrics(pano.points(range_m), pano.points(truth.range_m)),
         **range_image_metrics(range_m, truth.range_m),
         "range_lpips_squeeze": lpips_measure(lpips, clamped_range_m(range_m), clamped_range_m(truth.range_m)),
         **intensity_image_metrics(intensity, truth.intensity),

@@ -116,7 +116,7 @@ def _measure_lidar(
         return
     names = ("offsets", "points_m", "intensity", "laser", "pano_range_m", "pano_intensity", "pano_hit")
     a = read_arrays(path, *names, "ray_offsets", "ray_range_m", "ray_intensity", "lidar_render_seconds")
-    pano = LinearPano()
+    pano = LinearPano(quirks=True)
     for i, frame in enumerate(frames.tolist()):
         truth, truth_rays = recording.scan(frame)
         own, rays = _part(a["offsets"], i), _part(a["ray_offsets"], i)
