@@ -23,8 +23,8 @@ def load_open3d() -> Any:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as error:
         raise MissingLibraryError(
-            f"not run: open3d cannot be loaded ({error}). Install it with `pip install open3d-cpu libusb-package`"
-            f" and its system libraries with `apt-get install -y {_SYSTEM_PACKAGES}`"
+            f"not run: open3d cannot be loaded ({error}). `pip install open3d libusb-package` installs it,"
+            f" `apt-get install -y {_SYSTEM_PACKAGES}` the system libraries that it links to"
         ) from error
 
 

@@ -13,7 +13,7 @@ MAX_RANGE_M = 80.0
 
 
 def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M) -> bytes:
-    """A range image (H, W) in metres as colours, near = dark violet, far = red, 0 or no number = black."""
+    """A range image (H, W) in metres as colours: near violet, far red, no return (0, inf, NaN) black."""
     valid = np.isfinite(range_m) & (range_m > 0.0)
     near = np.where(valid, range_m, 1.0)
     # Square root: half of the returns lie within 15 m and would share two colours otherwise.
@@ -27,7 +27,7 @@ def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 48
 
 
 def top_view_levels(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> np.ndarray:
-    """(pixels, pixels) colour levels of the highest point in each cell; 0 = none. Forward is up, left is left."""
+    """(pixels, pixels) levels of the highest point in each cell, 0 = none; forward is up, left is left."""
     points_m = points_m[np.isfinite(points_m).all(axis=1)]
     cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
     inside = ((cell >= 0) & (cell < pixels)).all(axis=1)

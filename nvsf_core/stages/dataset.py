@@ -1,0 +1,334 @@
+"""Versioned synthetic data sets: what is random is drawn, files are exported, a manifest says of what.
+
+Rendering is free of chance; a real scan is not. Here each ray of the rendered grid returns or not by its
+hit probability, and each return's range gets the sensor's noise, from a seed of the data set's own.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.cameras.images import write_image
+from nvsf_core.clouds.open3d_room import write_pcd
+from nvsf_core.clouds.ply import write_ply
+from nvsf_core.errors import DataError, StoreError
+from nvsf_core.kitti360.catalogue import ViewEntry
+from nvsf_core.metrics.table import mean_rows
+from nvsf_core.reporting.previews import image_preview, scan_top_view
+from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan
+from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.tables import read_rows
+
+VERSIONS_NAME = "versions.json"
+MANIFEST_NAME = "manifest.json"
+_EXPORTS = ("bin", "ply", "pcd")
+_PACKAGES = ("numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
+
+
+def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> str:
+    """`<label>-<8 hex>`: the hex digits are of the SHA-256 over recipe, seed, draw seed, view and sources."""
+    facts = {
+        "recipe": task.config.recipe.identity(),
+        "seed": task.config.seed,
+        "draw_seed": task.config.draw_seed,
+        "view": asdict(view),
+        "sources": dict(sources),
+    }
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+    return f"{task.config.dataset_label}-{digest[:8]}"
+
+
+def _run(task: Task) -> StageOutput:
+    recipe, seed = task.config.recipe, task.config.seed
+    rendered = task.store.require(f"novel_views/{recipe.name}/{seed}")
+    sources = _source_checksums(task)
+    metrics = _field_metrics(task)
+    held_out = ViewEntry(name="test", exports=("bin", "ply"))
+    output = StageOutput()
+    made: list[dict[str, Any]] = []
+    for view in (held_out, *task.scene.views):
+        unknown = sorted(set(view.exports) - set(_EXPORTS))
+        if unknown:
+            raise DataError(
+                f"view {view.name}: unknown exports {unknown}; there are {', '.join(_EXPORTS)}"
+            )
+        version = dataset_version(task, view, sources)
+        arrays = _read_view(rendered / view.name / "model.zarr")
+        attrs = read_attrs(rendered / view.name / "model.zarr")
+        location = f"dataset/{view.name}/{version}"
+        with task.store.publish(location) as folder:
+            scans = _write_scans(folder, view, _scans(task, view, arrays), _numbers(arrays.get("frame")))
+            pictures = _write_images(folder, arrays)
+            manifest = {
+                **_identity(task, view, version),
+                "drawn": _what_was_drawn(arrays),
+                "software": _software(),
+                "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
+                "source_checksums": sources,
+                "scans": _with_poses(scans, arrays),
+                "images": pictures,
+                "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
+            }
+            (folder / MANIFEST_NAME).write_text(json.dumps(manifest, indent=1, allow_nan=False))
+        entry = _summary(task.store.path(location), location, view.name, version, scans, pictures)
+        made.append(entry)
+        _preview(task.folder, view, arrays, output)
+        task.progress(
+            f"[{task.scene.name}] dataset: {location}, {len(scans)} scans, {len(pictures)} pictures,"
+            f" {entry['megabytes']:.1f} MB"
+        )
+    (task.folder / VERSIONS_NAME).write_text(json.dumps(made, indent=1))
+    output.metadata = _metadata(made)
+    output.checks = _checks(made)
+    return output
+
+
+def _identity(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
+    """What the manifest says of where the data set comes from."""
+    recipe = task.config.recipe
+    return {
+        "scene": task.scene.name,
+        "sequence": task.scene.sequence,
+        "view": asdict(view),
+        "version": version,
+        "recipe": {**recipe.to_json(), "identity": recipe.identity()},
+        "seed": task.config.seed,
+        "draw_seed": task.config.draw_seed,
+    }
+
+
+def _read_view(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of a rendered view; a number that is none is an error, "no answer" being infinite or 0."""
+    arrays = read_arrays(path)
+    for name in ("points_m", "intensity", *GRID_ARRAYS):
+        broken = int(np.isnan(arrays[name]).sum()) if name in arrays else 0
+        if broken:
+            raise StoreError(f"{path}: {name} holds {broken} NaN, expected numbers; make novel_views anew")
+    present = [name for name in GRID_ARRAYS if name in arrays]
+    if present and len(present) != len(GRID_ARRAYS):
+        raise StoreError(f"{path}: expected all of {GRID_ARRAYS}, found {present}; make novel_views anew")
+    return arrays
+
+
+def _scans(task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """(N, 4) float32 a scan: drawn where the view has a grid, as rendered where it has points alone."""
+    if GRID_ARRAYS[0] in arrays:
+        key = f"{task.scene.name} {view.name} {task.config.recipe.identity()} {task.config.seed}"
+        words = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
+        return [
+            draw_scan(
+                {name: arrays[name][index] for name in GRID_ARRAYS},
+                np.random.default_rng([task.config.draw_seed, index, *words]),
+            )
+            for index in range(len(arrays[GRID_ARRAYS[0]]))
+        ]
+    if "points_m" not in arrays:
+        return []
+    rows = np.concatenate([arrays["points_m"], arrays["intensity"][:, None]], axis=1).astype(np.float32)
+    return np.split(rows, arrays["offsets"][1:-1])
+
+
+def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    if GRID_ARRAYS[0] not in arrays:
+        return {"hits": "as rendered (probability above one half)", "range_noise_m": 0.0}
+    return {
+        "hits": "drawn from the hit probability",
+        "sharpness": DRAW_SHARPNESS,
+        "range_noise_m": RANGE_NOISE_M,
+    }
+
+
+def _numbers(frames: np.ndarray | None) -> list[int]:
+    """File numbers: the nearest recorded frame's, or counted from 0 where two share one."""
+    if frames is None:
+        return []
+    if len(np.unique(frames)) == len(frames):
+        return [int(frame) for frame in frames]
+    return list(range(len(frames)))
+
+
+def _write_scans(
+    folder: Path, view: ViewEntry, scans: list[np.ndarray], numbers: list[int]
+) -> list[dict[str, Any]]:
+    """Write each scan in the formats that the view asks for; returns one manifest row a scan."""
+    rows: list[dict[str, Any]] = []
+    for number, scan in zip(numbers[: len(scans)], scans, strict=True):
+        files = {
+            kind: f"velodyne_points/{'data' if kind == 'bin' else kind}/{number:010d}.{kind}"
+            for kind in view.exports
+        }
+        for kind, name in files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if kind == "bin":
+                scan.astype("<f4").tofile(path)
+            else:
+                {"ply": write_ply, "pcd": write_pcd}[kind](path, scan[:, :3], scan[:, 3])
+        rows.append({"number": number, "files": files, "returns": len(scan)})
+    return rows
+
+
+def _with_poses(scans: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    return [
+        {
+            **scan,
+            "nearest_frame": int(arrays["frame"][index]),
+            "time_s": float(arrays["time_s"][index]),
+            "lidar_to_world": arrays["lidar_to_world"][index].reshape(-1).tolist(),
+        }
+        for index, scan in enumerate(scans)
+    ]
+
+
+def _write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Write every rendered picture as PNG; returns one manifest row a picture."""
+    rows: list[dict[str, Any]] = []
+    for camera in sorted(name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb")):
+        frames = arrays[f"{camera}_frame"]
+        poses = arrays.get(f"{camera}_camera_to_world")
+        for index, (number, rgb) in enumerate(zip(_numbers(frames), arrays[f"{camera}_rgb"], strict=True)):
+            name = f"{camera}/data_rect/{number:010d}.png"
+            write_image(folder / name, rgb)
+            row = {"camera": camera, "number": number, "file": name, "nearest_frame": int(frames[index])}
+            if poses is not None:
+                row["camera_to_world"] = poses[index].reshape(-1).tolist()
+            rows.append(row)
+    return rows
+
+
+def _source_checksums(task: Task) -> dict[str, str]:
+    """Checksum of each recorded file that the scene was built from, by kind and frame."""
+    folder = task.store.require("frames")
+    sources = {
+        f"scan {row['frame']:010d}": row["checksum"]
+        for row in read_rows(folder / "frames.parquet")
+        if row["checksum"]
+    }
+    if (folder / "cameras.parquet").is_file():
+        for row in read_rows(folder / "cameras.parquet"):
+            if row["checksum"]:
+                sources[f"{row['camera']} {row['frame']:010d}"] = row["checksum"]
+    return sources
+
+
+def _field_metrics(task: Task) -> list[dict[str, Any]]:
+    """Means over frames of the source field's metrics; what is no finite number is None in JSON."""
+    config = task.config
+    path = task.store.require(f"scene_metrics/{config.recipe.name}/{config.seed}") / "metrics.parquet"
+    return [
+        {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in row.items()
+        }
+        for row in mean_rows(read_rows(path))
+        if row["recipe"] == config.recipe.name
+    ]
+
+
+def _software() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "absent"
+    return versions
+
+
+def _is_plain(value: Any) -> bool:
+    """Whether strict JSON can hold it: NaN and infinity it cannot."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _summary(
+    folder: Path, location: str, view: str, version: str, scans: list[dict[str, Any]], pictures: list[Any]
+) -> dict[str, Any]:
+    sizes_match = all(
+        (folder / scan["files"]["bin"]).stat().st_size == 16 * scan["returns"]
+        for scan in scans
+        if "bin" in scan["files"]
+    )
+    return {
+        "view": view,
+        "version": version,
+        "location": location,
+        "scans": len(scans),
+        "images": len(pictures),
+        "returns_min": min((scan["returns"] for scan in scans), default=0),
+        "returns_mean": sum(scan["returns"] for scan in scans) / max(1, len(scans)),
+        "sizes_match": sizes_match,
+        "megabytes": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6,
+    }
+
+
+def _preview(folder: Path, view: ViewEntry, arrays: Mapping[str, np.ndarray], output: StageOutput) -> None:
+    if "points_m" in arrays and len(arrays["offsets"]) > 1:
+        points_m = arrays["points_m"][arrays["offsets"][0] : arrays["offsets"][1]]
+        (folder / f"{view.name}_from_above.png").write_bytes(scan_top_view(points_m))
+        output.previews[f"{view.name} from above"] = f"{view.name}_from_above.png"
+    for camera in sorted(name for name in arrays if name.endswith("_rgb"))[:1]:
+        if len(arrays[camera]):
+            (folder / f"{view.name}_{camera}.png").write_bytes(image_preview(arrays[camera][0]))
+            output.previews[f"{view.name} {camera.removesuffix('_rgb')}"] = f"{view.name}_{camera}.png"
+
+
+def _metadata(made: list[dict[str, Any]]) -> dict[str, Scalar]:
+    size_mb = sum(entry["megabytes"] for entry in made)
+    metadata: dict[str, Scalar] = {"data_sets": len(made), "size_mb": size_mb}
+    for entry in made:
+        metadata[f"{entry['view']}_version"] = entry["version"]
+        metadata[f"{entry['view']}_scans"] = entry["scans"]
+        metadata[f"{entry['view']}_returns_mean"] = entry["returns_mean"]
+    return metadata
+
+
+def _checks(made: list[dict[str, Any]]) -> list[Check]:
+    bare = [entry["view"] for entry in made if not entry["scans"] and not entry["images"]]
+    empty = [entry["view"] for entry in made if entry["scans"] and entry["returns_min"] == 0]
+    wrong = [entry["view"] for entry in made if not entry["sizes_match"]]
+    return [
+        Check(
+            name="every_view_holds_scans_or_images",
+            passed=not bare,
+            detail=f"{len(made)} views, {bare or 'none'} of them without",
+            blocking=True,
+        ),
+        Check(
+            name="every_scan_has_returns",
+            passed=not empty,
+            detail=f"views with an empty scan: {empty or 'none'}",
+        ),
+        Check(
+            name="every_bin_is_16_bytes_a_return",
+            passed=not wrong,
+            detail=f"views whose files have another size: {wrong or 'none'}",
+            blocking=True,
+        ),
+    ]
+
+
+STAGE = Stage(
+    name="dataset",
+    group="synthesis",
+    inputs=("frames", "novel_views", "scene_metrics"),
+    description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
+    " a manifest of what they came from.",
+    version="1",
+    run=_run,
+    per_recipe=True,
+    per_draw=True,
+    reads_views=True,
+)

@@ -1,0 +1,210 @@
+"""A data set is drawn from a seed, written as a driver records, and says what it came from."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.clouds.ply import read_ply
+from nvsf_core.errors import DataError, StoreError
+from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
+from nvsf_core.recipe import Recipe
+from nvsf_core.simulation.draw import draw_scan, sharpen_hits
+from nvsf_core.stages.dataset import STAGE
+from nvsf_core.stages.stage import RunConfig, StageOutput, Task
+from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import write_rows, write_table
+
+_LASERS, _FIRINGS = 8, 64
+
+
+def _grid(scans: int) -> dict[str, np.ndarray]:
+    # Firing by firing the sensor turns clockwise: azimuth falls, and not from a multiple of 2 pi.
+    azimuth = np.broadcast_to(1.0 - np.arange(_FIRINGS) * 2 * np.pi / _FIRINGS, (scans, _LASERS, _FIRINGS))
+    elevation = np.broadcast_to(np.linspace(0.05, -0.4, _LASERS)[None, :, None], azimuth.shape)
+    range_m = np.full(azimuth.shape, 12.0)
+    range_m[:, 0, :] = np.inf
+    return {
+        "grid_range_m": range_m.astype(np.float32),
+        "grid_hit": np.full(azimuth.shape, 0.8, np.float32),
+        "grid_intensity": np.full(azimuth.shape, 0.3, np.float32),
+        "grid_azimuth_rad": azimuth.astype(np.float32),
+        "grid_elevation_rad": elevation.astype(np.float32),
+    }
+
+
+def _write_view(store: SceneStore, view: str, frames: list[int], arrays: dict[str, np.ndarray]) -> None:
+    count = len(frames)
+    with store.publish(f"novel_views/quick/0/{view}") as folder:
+        write_arrays(
+            folder / "model.zarr",
+            {
+                "frame": np.array(frames),
+                "time_s": np.arange(count) * 0.1,
+                "lidar_to_world": np.tile(np.eye(4), (count, 1, 1)),
+                "offsets": np.arange(count + 1) * 5,
+                "points_m": np.arange(count * 15, dtype=np.float32).reshape(-1, 3),
+                "intensity": np.full(count * 5, 0.25, np.float32),
+                "image_00_rgb": np.full((count, 6, 8, 3), 90, np.uint8),
+                "image_00_frame": np.array(frames),
+                **arrays,
+            },
+            {"sensor": "HDL-64E", "peak_memory_mb": math.nan},
+        )
+
+
+def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin", "ply")) -> Task:
+    store = SceneStore(home=tmp_path, scene="tiny")
+    scene = SceneEntry(
+        name="tiny", root=tmp_path, sequence="s", first_frame=1, last_frame=4, test_frames=(2,),
+        views=(ViewEntry(name="shift_1m", shift_m=(0.0, 1.0, 0.0), exports=exports),),
+    )  # fmt: skip
+    if not store.root.exists():
+        with store.publish("frames") as folder:
+            write_table(folder / "frames.parquet", {"frame": [1, 2], "checksum": ["aa", "bb"]})
+            columns = {"frame": [1, 2], "camera": ["image_00"] * 2, "checksum": ["cc", None]}
+            write_table(folder / "cameras.parquet", columns)
+        _write_view(store, "test", [2], {})
+        _write_view(store, "shift_1m", [1, 4], _grid(2))
+        shared = {
+            "scene": "tiny", "split": "test", "protocol": "raw", "region": "all", "sensor": "lidar", "unit": "1",
+            "seed": 0, "train_seconds": 3.0, "render_seconds": 0.1, "parameters": 10, "model_mb": math.nan,
+        }  # fmt: skip
+        rows = [
+            {**shared, "frame": 2, "metric": "f_score", "value": 0.5, "recipe": "quick"},
+            {**shared, "frame": 3, "metric": "f_score", "value": 0.7, "recipe": "quick"},
+            {**shared, "frame": 2, "metric": "f_score", "value": 0.1, "recipe": "copy_nearest"},
+            {**shared, "frame": 2, "metric": "range_rmse_m", "value": math.nan, "recipe": "quick"},
+        ]
+        with store.publish("scene_metrics/quick/0") as folder:
+            write_rows(folder / "metrics.parquet", rows, list(rows[0]))
+    folder = tmp_path / "record"
+    folder.mkdir(exist_ok=True)
+    config = RunConfig(recipe=Recipe.preset("quick"), draw_seed=draw_seed)
+    return Task(scene=scene, store=store, config=config, folder=folder, progress=lambda line: None)
+
+
+def _run(task: Task) -> tuple[StageOutput, dict[str, Path]]:
+    output = STAGE.run(task)
+    made = json.loads((task.folder / "versions.json").read_text())
+    return output, {entry["view"]: task.store.path(entry["location"]) for entry in made}
+
+
+def test_every_view_becomes_a_data_set_that_reads_back(tmp_path: Path) -> None:
+    output, folders = _run(_task(tmp_path))
+    assert all(check.passed for check in output.checks)
+    assert sorted(folders) == ["shift_1m", "test"]
+    scan = np.fromfile(folders["shift_1m"] / "velodyne_points/data/0000000004.bin", "<f4").reshape(-1, 4)
+    points_m, intensity = read_ply(folders["shift_1m"] / "velodyne_points/ply/0000000004.ply")
+    np.testing.assert_array_equal(scan, np.column_stack([points_m, intensity]))
+    assert (folders["test"] / "image_00/data_rect/0000000002.png").read_bytes().startswith(b"\x89PNG")
+    assert all((tmp_path / "record" / name).is_file() for name in output.previews.values())
+
+
+def test_a_view_without_a_grid_is_exported_as_rendered(tmp_path: Path) -> None:
+    _, folders = _run(_task(tmp_path))
+    scan = np.fromfile(folders["test"] / "velodyne_points/data/0000000002.bin", "<f4").reshape(-1, 4)
+    np.testing.assert_array_equal(scan[:, :3], np.arange(15).reshape(-1, 3))
+
+
+def test_the_manifest_names_sources_poses_and_metrics_in_strict_json(tmp_path: Path) -> None:
+    _, folders = _run(_task(tmp_path))
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    text = (folders["shift_1m"] / "manifest.json").read_text()
+    manifest = json.loads(text, parse_constant=refuse)
+    assert manifest["source_checksums"] == {
+        "scan 0000000001": "aa", "scan 0000000002": "bb", "image_00 0000000001": "cc",
+    }  # fmt: skip
+    assert manifest["recipe"]["identity"] == Recipe.preset("quick").identity()
+    assert manifest["software"]["numpy"] == np.__version__
+    assert [scan["nearest_frame"] for scan in manifest["scans"]] == [1, 4]
+    assert manifest["scans"][1]["lidar_to_world"] == np.eye(4).reshape(-1).tolist()
+    by_name = {row["metric"]: row for row in manifest["field_metrics"]}
+    assert by_name["f_score"]["value"] == pytest.approx(0.6)
+    assert by_name["range_rmse_m"]["value"] is None
+    assert by_name["range_rmse_m"]["n_defined"] == 0
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_a_version_beside(tmp_path: Path) -> None:
+    name = "velodyne_points/data/0000000001.bin"
+    _, first = _run(_task(tmp_path))
+    before = (first["shift_1m"] / name).read_bytes()
+    _, again = _run(_task(tmp_path))
+    assert again == first
+    assert (again["shift_1m"] / name).read_bytes() == before
+    _, other = _run(_task(tmp_path, draw_seed=7))
+    assert other["shift_1m"] != first["shift_1m"]
+    assert first["shift_1m"].is_dir()
+    assert (other["shift_1m"] / name).read_bytes() != before
+
+
+def test_two_scans_of_one_data_set_are_drawn_apart(tmp_path: Path) -> None:
+    _, folders = _run(_task(tmp_path))
+    data = folders["shift_1m"] / "velodyne_points/data"
+    assert (data / "0000000001.bin").read_bytes() != (data / "0000000004.bin").read_bytes()
+
+
+def test_views_that_share_a_nearest_frame_do_not_overwrite_each_other(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    _write_view(task.store, "shift_1m", [3, 3], _grid(2))
+    _, folders = _run(task)
+    assert sorted(path.name for path in (folders["shift_1m"] / "velodyne_points/data").iterdir()) == [
+        "0000000000.bin",
+        "0000000001.bin",
+    ]
+
+
+def test_a_nan_in_the_rendering_is_refused_by_name(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    grid = _grid(2)
+    grid["grid_hit"][0, 0, 0] = np.nan
+    _write_view(task.store, "shift_1m", [1, 4], grid)
+    with pytest.raises(StoreError, match="grid_hit holds 1 NaN"):
+        _run(task)
+
+
+def test_an_unknown_export_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"shift_1m.*las"):
+        _run(_task(tmp_path, exports=("las",)))
+
+
+def test_a_drawn_scan_is_ordered_as_a_driver_records() -> None:
+    grid = {name: array[0] for name, array in _grid(1).items()}
+    scan = draw_scan(grid, np.random.default_rng(0))
+    range_m = np.linalg.norm(scan[:, :3], axis=1)
+    elevation = np.arcsin(scan[:, 2] / range_m)
+    laser = np.abs(elevation[:, None] - np.linspace(0.05, -0.4, _LASERS)).argmin(axis=1)
+    azimuth = np.mod(np.arctan2(scan[:, 1].astype(float), scan[:, 0]), 2 * np.pi)
+    assert laser.min() == 1, "a laser that sees nothing returns nothing, whatever its hit probability"
+    assert (np.diff(laser) >= 0).all()
+    assert all((np.diff(azimuth[laser == index]) > 0).all() for index in range(1, _LASERS))
+    assert abs(range_m.mean() - 12.0) < 0.005
+    assert 0.01 < range_m.std() < 0.02
+
+
+def test_sharpening_keeps_the_expected_number_of_hits() -> None:
+    probability = np.random.default_rng(2).beta(2.0, 1.0, (16, 400))
+    sharp = sharpen_hits(probability)
+    assert sharp.sum() == pytest.approx(probability.sum(), rel=1e-6)
+    assert np.abs(sharp - 0.5).mean() > np.abs(probability - 0.5).mean()
+    np.testing.assert_allclose(sharpen_hits(probability, 1.0), probability, atol=1e-6)
+    assert sharpen_hits(np.zeros((2, 3))).max() < 1e-5
+    assert sharpen_hits(np.ones((2, 3))).min() > 1.0 - 1e-5
+
+
+def test_recipe_seed_is_part_of_the_version(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    _, first = _run(task)
+    task.store.path("novel_views/quick/0").rename(tmp_path / "moved")
+    task.store.path("novel_views/quick").joinpath("1").parent.mkdir(exist_ok=True)
+    (tmp_path / "moved").rename(task.store.path("novel_views/quick/1"))
+    task.store.path("scene_metrics/quick/0").rename(task.store.path("scene_metrics/quick/1"))
+    _, second = _run(replace(task, config=replace(task.config, seed=1)))
+    assert first["test"].name != second["test"].name
