@@ -75,6 +75,10 @@ class DriveLayout:
         """One image of a camera."""
         return self.camera_dir(camera) / f"{frame:010d}.png"
 
+    def camera_timestamps_path(self, camera: str) -> Path:
+        """Times of a camera's exposures."""
+        return self.camera_dir(camera).parent / "timestamps.txt"
+
     def boxes_path(self, split: str) -> Path:
         """3-D boxes; `split` is `train` or `train_full`."""
         return self.root / "data_3d_bboxes" / split / f"{self.sequence}.xml"

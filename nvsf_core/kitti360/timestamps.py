@@ -1,0 +1,108 @@
+"""When each frame was taken, from the drive's timestamp files or, without them, a nominal period."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.errors import DataError
+from nvsf_core.kitti360.layout import CAMERAS, DriveLayout
+
+NOMINAL_PERIOD_S = 0.1
+"""A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTimes:
+    """Times of a section's frames."""
+
+    time_s: np.ndarray
+    """(n,) float64, seconds since the first frame, one per frame number of the section."""
+    sweep_period_s: float
+    """Seconds of one turn."""
+    is_assumed: bool
+    """True where times and period are nominal, not recorded."""
+    source: str
+    """The file, or why there is none that serves."""
+
+
+def frame_times(
+    layout: DriveLayout, first_frame: int, last_frame: int, nominal_period_s: float | None
+) -> FrameTimes:
+    """Times of the frames `first_frame..last_frame`, inclusive.
+
+    A drive's timestamp file has one line a frame, numbered from 0; a cut-out drive may have lines for
+    its own frames only. Which of the two it is follows from the number of lines and of scans. Where
+    neither fits, the nominal period is taken and the reason is kept.
+
+    Raises:
+        DataError: A line is no time.
+    """
+    path = _timestamp_file(layout)
+    count = last_frame - first_frame + 1
+    period_s = NOMINAL_PERIOD_S if nominal_period_s is None else nominal_period_s
+    if path is None:
+        return _nominal(count, period_s, "no timestamp file")
+    stamps = read_timestamps(path)
+    first_line = _line_of_first_frame(len(stamps), first_frame, last_frame, _recorded_frames(layout))
+    if first_line is None:
+        misfit = f"{len(stamps)} lines fit frames {first_frame}..{last_frame} neither by number nor by count"
+        return _nominal(count, period_s, f"{path.name}: {misfit}")
+    section = stamps[first_line : first_line + count]
+    if np.isnat(section).any() or (np.diff(section) <= np.timedelta64(0, "ns")).any():
+        return _nominal(count, period_s, f"{path.name} has gaps or steps back in this section")
+    time_s = (section - section[0]) / np.timedelta64(1, "s")
+    steps_s = np.diff(time_s) if count > 1 else np.array([period_s])
+    return FrameTimes(time_s, float(np.median(steps_s)), False, str(path.relative_to(layout.root)))
+
+
+def read_timestamps(path: Path) -> np.ndarray:
+    """Read `YYYY-MM-DD hh:mm:ss.nnnnnnnnn` lines as (n,) datetime64[ns]; an empty line is NaT.
+
+    Raises:
+        DataError: A line is no time; file, line and remedy are named.
+    """
+    lines = path.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()
+    stamps = np.full(len(lines), np.datetime64("NaT", "ns"))
+    for index, line in enumerate(lines):
+        if not line.strip():
+            continue
+        try:
+            stamps[index] = np.datetime64(line.strip().replace(" ", "T", 1), "ns")
+        except ValueError as error:
+            raise DataError(
+                f"{path}, line {index + 1}: expected `YYYY-MM-DD hh:mm:ss.nnnnnnnnn`, found {line!r}; "
+                "restore the file, or remove it: the nominal period is then assumed"
+            ) from error
+    return stamps
+
+
+def _nominal(count: int, period_s: float, reason: str) -> FrameTimes:
+    source = f"assumed {period_s:g} s a frame: {reason}"
+    return FrameTimes(np.arange(count) * period_s, period_s, True, source)
+
+
+def _timestamp_file(layout: DriveLayout) -> Path | None:
+    """The scans' times, else (camera-only) those of the first camera that has any."""
+    candidates = [layout.timestamps_path()]
+    candidates += [layout.camera_timestamps_path(name) for name in CAMERAS]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _recorded_frames(layout: DriveLayout) -> list[int]:
+    """Frame numbers of the scans on disk, ascending; of the first camera in a camera-only drive."""
+    folders = [layout.scan_path(0).parent] + [layout.camera_dir(name) for name in CAMERAS]
+    for folder in folders:
+        if folder.is_dir():
+            return sorted(int(path.stem) for path in folder.iterdir() if path.stem.isdecimal())
+    return []
+
+
+def _line_of_first_frame(n_lines: int, first: int, last: int, recorded: list[int]) -> int | None:
+    """Index of the line that belongs to frame `first`, or None where no reading of the file fits."""
+    is_cut_out = bool(recorded) and recorded[0] > 0 and recorded[-1] - recorded[0] + 1 == n_lines
+    if is_cut_out and recorded[0] <= first and last <= recorded[-1]:
+        return first - recorded[0]
+    if n_lines > last:
+        return first
+    return 0 if n_lines == last - first + 1 else None

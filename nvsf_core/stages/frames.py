@@ -1,0 +1,194 @@
+"""Stage `frames`: what the drive holds, validated, as tables."""
+
+import itertools
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.kitti360.validation import Drive, read_drive
+from nvsf_core.stages.stage import Check, Progress, Scalar, Stage, StageOutput, Task
+from nvsf_core.stores.tables import write_rows
+
+FRAME_COLUMNS = (
+    "frame", "time_s", "split", "lidar_to_world", "pose_valid", "scan_valid", "reason", "checksum",
+)
+CAMERA_COLUMNS = ("frame", "camera", "camera_to_world", "image_valid", "reason", "checksum")
+BOX_COLUMNS = ("frame", "object_id", "label", "dynamic", "box_to_world")
+
+_SECONDS_PER_LINE = 2.0
+_POSE_TOLERANCE_M = 0.02
+"""World coordinates of some 1000 m, printed in files whose rotations have 6 digits on a 1.6 m lever."""
+_POSE_TOLERANCE_DEG = 0.01
+_MAX_SPEED_M_S = 70.0
+
+
+def _run(task: Task) -> StageOutput:
+    drive = read_drive(task.scene, _sparse(task.progress, task.scene.name))
+    _write(task.folder, drive)
+    return StageOutput(metadata=_metadata(drive), checks=_checks(drive))
+
+
+def _write(folder: Path, drive: Drive) -> None:
+    write_rows(
+        folder / "frames.parquet",
+        [
+            {
+                "frame": row.frame, "time_s": row.time_s, "split": row.split,
+                "lidar_to_world": _flat(row.lidar_to_world), "pose_valid": row.pose_valid,
+                "scan_valid": row.scan_valid, "reason": row.reason, "checksum": row.checksum,
+            }
+            for row in drive.frames
+        ],
+        FRAME_COLUMNS,
+    )
+    write_rows(
+        folder / "cameras.parquet",
+        [
+            {
+                "frame": row.frame, "camera": row.camera, "camera_to_world": _flat(row.camera_to_world),
+                "image_valid": row.image_valid, "reason": row.reason, "checksum": row.checksum,
+            }
+            for row in drive.images
+        ],
+        CAMERA_COLUMNS,
+    )
+    write_rows(
+        folder / "boxes.parquet",
+        [
+            {
+                "frame": box.frame, "object_id": box.object_id, "label": box.label, "dynamic": box.dynamic,
+                "box_to_world": _flat(box.box_to_world),
+            }
+            for box in drive.boxes
+        ],
+        BOX_COLUMNS,
+    )
+    facts: dict[str, Any] = {
+        "scene_origin_m": drive.scene_origin_m.tolist(),
+        "sweep_period_s": drive.times.sweep_period_s,
+        "period_assumed": drive.times.is_assumed,
+        "time_source": drive.times.source,
+        "cameras": {name: camera.facts() for name, camera in drive.calibration.cameras.items()},
+        "notes": list(drive.notes),
+    }
+    (folder / "drive.json").write_text(json.dumps(facts, indent=1))
+
+
+def _metadata(drive: Drive) -> dict[str, Scalar]:
+    placed = [row.lidar_to_world[:3, 3] for row in drive.frames if row.lidar_to_world is not None]
+    path_m = float(np.linalg.norm(np.diff(np.stack(placed), axis=0), axis=1).sum())
+    metadata: dict[str, Scalar] = {
+        "frames": len(drive.frames),
+        "test_frames": sum(row.split == "test" for row in drive.frames),
+        "frames_without_pose": sum(not row.pose_valid for row in drive.frames),
+        "usable_scans": sum(row.scan_valid for row in drive.frames),
+        "usable_images": sum(row.image_valid for row in drive.images),
+        "unusable_images": sum(not row.image_valid for row in drive.images),
+        "cameras": ", ".join(drive.calibration.cameras) or "none",
+        "returns": sum(row.n_returns for row in drive.frames),
+        "absurd_returns_dropped": sum(row.n_dropped for row in drive.frames),
+        "moving_objects": len({box.object_id for box in drive.boxes if box.dynamic}),
+        "boxes": len(drive.boxes),
+        "path_length_m": round(path_m, 3),
+        "duration_s": round(float(drive.times.time_s[-1]), 3),
+        "sweep_period_s": round(drive.times.sweep_period_s, 6),
+        "period_assumed": drive.times.is_assumed,
+        "time_source": drive.times.source,
+    }
+    if drive.notes:
+        metadata["notes"] = "; ".join(drive.notes)
+    return metadata
+
+
+def _checks(drive: Drive) -> list[Check]:
+    usable = {row.frame for row in drive.frames if row.scan_valid}
+    usable |= {row.frame for row in drive.images if row.image_valid}
+    training = [row.frame for row in drive.frames if row.split == "train" and row.frame in usable]
+    held_out = [row for row in drive.frames if row.split == "test"]
+    unplaced = [row.frame for row in drive.frames if not row.pose_valid]
+    bad_scans = [
+        f"{row.frame}: {row.reason}" for row in drive.frames if row.pose_valid and not row.scan_valid
+    ]
+    bad_images = [f"{row.camera} {row.frame}: {row.reason}" for row in drive.images if not row.image_valid]
+    lost = [row.frame for row in held_out if row.frame not in usable]
+    checks = [
+        Check(
+            name="at_least_one_valid_training_frame",
+            passed=bool(training),
+            detail=f"{len(training)} of {len(drive.frames) - len(held_out)} training frames can be used",
+            blocking=True,
+        ),
+        _listing("all_frames_have_a_pose", unplaced, "frames without a pose"),
+        _listing("all_images_are_usable", bad_images, "images left out"),
+        _listing("all_held_out_frames_are_usable", lost, "held-out frames that cannot be used"),
+        _speed_check(drive),
+    ]
+    if any(row.checksum for row in drive.frames):
+        checks.append(_listing("all_scans_are_usable", bad_scans, "scans left out"))
+    if drive.disagreement is not None and drive.disagreement.frames:
+        gap = drive.disagreement
+        checks.append(
+            Check(
+                name="cam0_to_world_agrees_with_poses",
+                passed=gap.translation_m <= _POSE_TOLERANCE_M and gap.rotation_deg <= _POSE_TOLERANCE_DEG,
+                detail=f"at most {1000 * gap.translation_m:.2f} mm and {gap.rotation_deg:.5f} deg apart "
+                f"over {gap.frames} frames",
+            )
+        )
+    return checks
+
+
+def _listing(name: str, faults: list[Any], what: str) -> Check:
+    detail = f"{len(faults)} {what}"
+    if faults:
+        detail += ": " + "; ".join(str(fault) for fault in faults[:5]) + ("; ..." if len(faults) > 5 else "")
+    return Check(name=name, passed=not faults, detail=detail)
+
+
+def _speed_check(drive: Drive) -> Check:
+    """No car is faster: a jump means a pose of another frame, or times in another unit."""
+    placed = [row for row in drive.frames if row.lidar_to_world is not None]
+    speeds = [
+        float(np.linalg.norm(after.lidar_to_world[:3, 3] - before.lidar_to_world[:3, 3]))
+        / (after.time_s - before.time_s)
+        for before, after in itertools.pairwise(placed)
+    ]
+    fastest = max(speeds, default=0.0)
+    return Check(
+        name="car_moves_plausibly",
+        passed=fastest <= _MAX_SPEED_M_S,
+        detail=f"fastest step {fastest:.1f} m/s, expected at most {_MAX_SPEED_M_S:.0f}",
+    )
+
+
+def _flat(matrix: np.ndarray | None) -> list[float]:
+    """Row major; empty for a pose that is not known."""
+    return [] if matrix is None else matrix.reshape(-1).tolist()
+
+
+def _sparse(progress: Progress, scene: str) -> Callable[[str], None]:
+    """Say a line at most every few seconds."""
+    spoken_s = time.monotonic()
+
+    def say(line: str) -> None:
+        nonlocal spoken_s
+        if time.monotonic() - spoken_s >= _SECONDS_PER_LINE:
+            spoken_s = time.monotonic()
+            progress(f"[{scene}] frames: {line}")
+
+    return say
+
+
+STAGE = Stage(
+    name="frames",
+    group="ingest",
+    inputs=(),
+    description="Which frames of the drive can be used, where and when they were taken, and why not.",
+    version="1",
+    run=_run,
+    reads_drive=True,
+)
