@@ -28,8 +28,11 @@ def hit_image_metrics(probability: np.ndarray, truth: np.ndarray) -> Mapping[str
 
 
 def hit_cell_metrics(
-    predicted_m: np.ndarray, predicted_laser: np.ndarray,
-    truth_m: np.ndarray, truth_laser: np.ndarray, n_lasers: int,
+    predicted_m: np.ndarray,
+    predicted_laser: np.ndarray,
+    truth_m: np.ndarray,
+    truth_laser: np.ndarray,
+    n_lasers: int,
 ) -> Mapping[str, Measure]:
     """`hit_accuracy` and `hit_f_score` on the grid of lasers x 2000 cells of 0.18 degrees.
 
@@ -64,7 +67,8 @@ def _agreement(predicted: np.ndarray, truth: np.ndarray) -> dict[str, Measure]:
     true_positive = int(np.count_nonzero(predicted & truth))
     claimed = int(np.count_nonzero(predicted)) + int(np.count_nonzero(truth))
     f_score = (
-        Measure(2.0 * true_positive / claimed, truth.size) if claimed
+        Measure(2.0 * true_positive / claimed, truth.size)
+        if claimed
         else undefined("neither side has a return", truth.size)
     )
     return {"hit_accuracy": Measure(float(np.mean(predicted == truth)), truth.size), "hit_f_score": f_score}

@@ -64,7 +64,8 @@ def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
         costs = {name: group[0][name] for name in ("unit", "train_seconds", "parameters", "model_mb")}
         seconds, _ = _mean([row["render_seconds"] for row in group])
         means.append(
-            dict(zip(keys, key, strict=True)) | costs
+            dict(zip(keys, key, strict=True))
+            | costs
             | {"value": value, "n_frames": len(group), "n_defined": n_defined, "render_seconds": seconds}
         )
     return means

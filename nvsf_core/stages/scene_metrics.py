@@ -42,8 +42,14 @@ class _Ledger:
     reasons: Counter[str] = field(default_factory=Counter)
 
     def add(
-        self, measures: Mapping[str, Measure], method: Mapping[str, Any], *, protocol: str, sensor: str,
-        frame: int, render_seconds: float,
+        self,
+        measures: Mapping[str, Measure],
+        method: Mapping[str, Any],
+        *,
+        protocol: str,
+        sensor: str,
+        frame: int,
+        render_seconds: float,
     ) -> None:
         for metric, measure in measures.items():
             if measure.reason:

@@ -119,6 +119,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
     output = STAGE.run(task)
     return output, read_rows(task.folder / TABLE_NAME)
 
+
 def _value(rows: list[dict[str, Any]], recipe: str, protocol: str, metric: str) -> float:
     wanted = (recipe, protocol, metric, FRAMES[0])
     (row,) = [r for r in rows if (r["recipe"], r["protocol"], r["metric"], r["frame"]) == wanted]
