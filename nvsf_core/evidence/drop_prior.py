@@ -1,0 +1,80 @@
+"""Which beams never return: training scans vote, laser by laser and firing by firing.
+
+Windows, puddles and the sky drop the same beams scan after scan. A laser's firing of a scan that is to
+be predicted asks the nearest training scans whether their firing at the same angle returned.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.errors import DataError
+
+
+@dataclass(frozen=True, slots=True)
+class DropPrior:
+    """Hits of the training scans, in the grid of lasers and firings."""
+
+    time_s: np.ndarray
+    """(n,) float64: time of each training scan."""
+    fraction: np.ndarray
+    """(n, f) float32: sweep fraction of each firing, ascending; infinite behind the last."""
+    is_hit: np.ndarray
+    """(n, lasers, f) bool: whether the laser returned."""
+
+    @property
+    def laser_count(self) -> int:
+        """Rows of the grid, whether or not each was ever seen."""
+        return self.is_hit.shape[1]
+
+    def nearest_scans(self, time_s: float, count: int, *, leave_out_s: float | None = None) -> np.ndarray:
+        """Indices of the training scans nearest in time; a scan at `leave_out_s` itself is not asked.
+
+        Raises:
+            DataError: No scan is left to ask.
+        """
+        order = np.argsort(np.abs(self.time_s - time_s), kind="stable")
+        if leave_out_s is not None:
+            order = order[np.abs(self.time_s[order] - leave_out_s) > 1e-6]
+        if len(order) == 0:
+            raise DataError(f"ray-drop prior: expected another training scan than the one at {leave_out_s} s")
+        return order[:count]
+
+    def vote(self, laser: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
+        """Share of `scans` whose firing nearest to each ray's returned: (r,) float32 for lasers, fractions (r,)."""
+        total = np.zeros(len(laser), np.float32)
+        for scan in scans:
+            firings = self.fraction[scan]
+            count = int(np.isfinite(firings).sum())
+            right = np.clip(np.searchsorted(firings[:count], fraction), 1, count - 1)
+            left_is_nearer = fraction - firings[right - 1] < firings[right] - fraction
+            total += self.is_hit[scan, laser, right - left_is_nearer]
+        return total / np.float32(len(scans))
+
+
+def build_drop_prior(
+    laser: np.ndarray, firing: np.ndarray, sweep_fraction: np.ndarray, offsets: np.ndarray, firings: np.ndarray,
+    time_s: np.ndarray, *, lasers: int, nominal_firings: int,
+) -> DropPrior:
+    """Fill the grid from flat returns (N,) of n scans with `offsets` (n + 1).
+
+    Scans whose firings are unknown (`firings` 0) are laid on evenly spaced nominal ones by their time.
+    """
+    n = len(time_s)
+    counts = np.where(firings > 0, firings, nominal_firings)
+    fraction = np.full((n, counts.max()), np.inf, np.float32)
+    is_hit = np.zeros((n, lasers, counts.max()), bool)
+    for scan in range(n):
+        part = slice(offsets[scan], offsets[scan + 1])
+        even = ((np.arange(counts[scan]) + 0.5) / counts[scan] - 0.5).astype(np.float32)
+        column = firing[part].astype(np.int64)
+        known = (laser[part] >= 0) & np.isfinite(sweep_fraction[part])
+        if firings[scan] == 0:
+            column = np.clip(((sweep_fraction[part] + 0.5) * counts[scan]).astype(np.int64), 0, counts[scan] - 1)
+        else:
+            known &= column >= 0
+            even[column[known]] = sweep_fraction[part][known]
+            even = np.maximum.accumulate(even)
+        fraction[scan, : counts[scan]] = even
+        is_hit[scan, laser[part][known], column[known]] = True
+    return DropPrior(np.asarray(time_s, np.float64), fraction, is_hit)

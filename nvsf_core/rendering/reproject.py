@@ -1,0 +1,44 @@
+"""The training-free LiDAR: surfels composited along the ray, hits by the vote of the nearest scans."""
+
+import numpy as np
+
+from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.rendering.lidar import RayAnswers
+
+NEAR_M = 0.9
+"""Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""
+
+
+def composite(candidates: Candidates) -> np.ndarray:
+    """Weights (r, k) float32 of a ray's candidates: w_i = a_i * prod_{j<i} (1 - a_j)."""
+    light = np.cumprod(1.0 - candidates.opacity, axis=1)
+    before = np.concatenate([np.ones_like(light[:, :1]), light[:, :-1]], axis=1)
+    return np.asarray(candidates.opacity * before)
+
+
+def median_index(weights: np.ndarray) -> np.ndarray:
+    """Index (r,) of the candidate at which half of a ray's total weight (r, k) is reached."""
+    total = np.cumsum(weights, axis=1)
+    return np.asarray((total < 0.5 * total[:, -1:]).sum(axis=1).clip(max=weights.shape[1] - 1))
+
+
+def reproject_rays(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, *, most: int, far_m: float
+) -> RayAnswers:
+    """Answer rays (r, 3), scene-local, from evidence alone.
+
+    The range is the weighted median candidate's; `vote` (r,) is the prior's share of returns and becomes
+    the hit probability wherever there is a candidate at all.
+    """
+    candidates = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+    weights = composite(candidates)
+    rows = np.arange(len(weights))
+    answered = candidates.voxel[:, 0] >= 0
+    chosen = median_index(weights)
+    total = weights.sum(axis=1)
+    intensity = (weights * surfels.intensity[candidates.voxel]).sum(axis=1) / np.where(answered, total, 1.0)
+    return RayAnswers(
+        range_m=np.where(answered, candidates.range_m[rows, chosen], np.inf).astype(np.float32),
+        hit=np.where(answered, vote, 0.0).astype(np.float32),
+        intensity=np.where(answered, intensity, 0.0).astype(np.float32),
+    )
