@@ -1,0 +1,51 @@
+"""The hash-grid encode in plain torch: slow, differentiable in everything, what the kernels are tested against."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from nvsf_core.kernels.layout import PRIMES, GridLayout
+
+__all__ = ["encode"]
+
+
+def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """Encode positions; see `nvsf_core.kernels.hash_grid_encode` for the contract.
+
+    Args:
+        positions: (n, 3) floating, in [0, 1] (clamped).
+        table: (layout.entries, layout.features) floating.
+        layout: the grid.
+
+    Returns:
+        (n, levels * features), of the table's type, level by level.
+    """
+    inside = positions.clamp(0.0, 1.0)
+    return torch.cat([_encode_level(inside, table, layout, level) for level in range(layout.levels)], dim=-1)
+
+
+def _encode_level(inside: Tensor, table: Tensor, layout: GridLayout, level: int) -> Tensor:
+    cell_position = inside * layout.scales[level] + 0.5
+    lower = torch.floor(cell_position.detach())
+    fraction = cell_position - lower
+    # A NaN position has no cell: it reads cell 0 and stays NaN through its weights.
+    cell = torch.nan_to_num(lower, nan=0.0).long()
+    total = torch.zeros(inside.shape[0], layout.features, dtype=table.dtype, device=table.device)
+    for corner in range(8):
+        upper = [(corner >> axis) & 1 for axis in range(3)]
+        weight = torch.ones_like(fraction[:, 0])
+        for axis in range(3):
+            weight = weight * (fraction[:, axis] if upper[axis] else 1.0 - fraction[:, axis])
+        entry = _entry(*(cell[:, axis] + upper[axis] for axis in range(3)), layout=layout, level=level)
+        total = total + weight[:, None].to(table.dtype) * table[entry]
+    return total
+
+
+def _entry(x: Tensor, y: Tensor, z: Tensor, *, layout: GridLayout, level: int) -> Tensor:
+    if layout.is_dense[level]:
+        resolution = layout.resolutions[level]
+        x, y, z = (c.clamp(max=resolution - 1) for c in (x, y, z))
+        return layout.offsets[level] + x + resolution * (y + resolution * z)
+    hashed = (x * PRIMES[0]) ^ (y * PRIMES[1]) ^ (z * PRIMES[2])
+    return layout.offsets[level] + (hashed & (layout.table_entries - 1))

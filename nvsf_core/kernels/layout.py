@@ -1,0 +1,104 @@
+"""How a multiresolution hash grid lies in memory: which level has how many cells, and where it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
+
+from nvsf_core.errors import RecipeError
+
+__all__ = ["PRIMES", "GridLayout"]
+
+PRIMES = (1, 2654435761, 805459861)
+"""Factors of the XOR hash for x, y, z (Teschner et al. 2003, as in tiny-cuda-nn)."""
+
+
+@dataclass(frozen=True)
+class GridLayout:
+    """A three-dimensional multiresolution hash grid (Müller et al. 2022) with tiny-cuda-nn's conventions.
+
+    Level l has ``scale = base * growth^l - 1`` and ``ceil(scale) + 1`` grid points along an axis; a
+    position x in [0, 1] lies at ``x * scale + 0.5`` in grid units. The level is dense if all its points
+    fit into ``2^log2_table`` entries and hashed otherwise. Scales are rounded to 1e-6, so that resolutions do
+    not depend on the last bit of a power (the authors' finest level of 32 768 becomes 32 769 by that bit).
+
+    Attributes:
+        levels: number of levels, at least 1.
+        features: numbers in an entry, at least 1.
+        log2_table: a level has at most 2 to this many entries.
+        base_resolution: grid points an axis of the coarsest level, at least 2.
+        finest_resolution: grid points an axis of the finest level; ignored when there is one level.
+
+    Raises:
+        RecipeError: a value is outside its interval.
+    """
+
+    levels: int
+    features: int
+    log2_table: int
+    base_resolution: int
+    finest_resolution: int
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be laid out."""
+        for name, low, high in (
+            ("levels", 1, 64),
+            ("features", 1, 64),
+            ("log2_table", 1, 30),
+            ("base_resolution", 2, 1 << 20),
+            ("finest_resolution", self.base_resolution, 1 << 20),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise RecipeError(
+                    f"GridLayout.{name}: expected a whole number in [{low}, {high}], found {value}; "
+                    "correct the recipe's grid"
+                )
+
+    @property
+    def growth(self) -> float:
+        """Factor between the resolutions of neighbouring levels; 1 for a single level."""
+        if self.levels == 1:
+            return 1.0
+        return float((self.finest_resolution / self.base_resolution) ** (1.0 / (self.levels - 1)))
+
+    @property
+    def table_entries(self) -> int:
+        """Entries of a hashed level, a power of two."""
+        return 1 << self.log2_table
+
+    @cached_property
+    def scales(self) -> tuple[float, ...]:
+        """Cells along the unit box, per level (not whole in general)."""
+        return tuple(round(self.base_resolution * self.growth**level - 1.0, 6) for level in range(self.levels))
+
+    @cached_property
+    def resolutions(self) -> tuple[int, ...]:
+        """Grid points along an axis, per level."""
+        return tuple(ceil(scale) + 1 for scale in self.scales)
+
+    @cached_property
+    def is_dense(self) -> tuple[bool, ...]:
+        """Whether every grid point of the level has an entry of its own."""
+        return tuple(resolution**3 <= self.table_entries for resolution in self.resolutions)
+
+    @cached_property
+    def offsets(self) -> tuple[int, ...]:
+        """First entry of each level, and the number of all entries last: (levels + 1)."""
+        offsets = [0]
+        for resolution, dense in zip(self.resolutions, self.is_dense, strict=True):
+            # whole multiples of 8 entries, as tiny-cuda-nn, so that every level starts aligned
+            size = min(-(-(resolution**3) // 8) * 8, self.table_entries) if dense else self.table_entries
+            offsets.append(offsets[-1] + size)
+        return tuple(offsets)
+
+    @property
+    def entries(self) -> int:
+        """Rows of the table."""
+        return self.offsets[-1]
+
+    @property
+    def outputs(self) -> int:
+        """Numbers in the encoding of a position: levels * features."""
+        return self.levels * self.features
