@@ -5,7 +5,6 @@ The view looks along the fisheye's own optical axis, so the camera's pose stands
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from nvsf_core.geometry.pinhole import Pinhole
 
 _LARGEST_VIEW_PX = 1000
 """A 90 degree view of KITTI-360's fisheye is 840 pixels wide at the lens's central resolution."""
-_PREVIEW_BYTES = 100_000
 
 
 def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | None = None) -> Pinhole:
@@ -86,20 +84,3 @@ def make_undistorter(fisheye: MeiFisheye, view: Pinhole) -> Undistorter:
     )
     valid = inside_source(map_u, map_v, fisheye.width, fisheye.height)
     return Undistorter(fisheye=fisheye, view=view, map_u=map_u, map_v=map_v, valid=valid)
-
-
-def write_preview(path: Path, images: list[np.ndarray]) -> None:
-    """Write (h, w, 3) RGB images below each other as a PNG of less than 100 kB, shrunk as far as that takes."""
-    width = 640
-    while True:
-        rows = [_to_width(image, width) for image in images]
-        done, encoded = cv2.imencode(".png", cv2.cvtColor(np.concatenate(rows), cv2.COLOR_RGB2BGR))
-        if done and len(encoded) < _PREVIEW_BYTES:
-            path.write_bytes(encoded.tobytes())
-            return
-        width = int(width * 0.85)
-
-
-def _to_width(image: np.ndarray, width: int) -> np.ndarray:
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))

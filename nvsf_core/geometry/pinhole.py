@@ -36,7 +36,9 @@ class Pinhole:
         """Refuse what is no camera."""
         finite = bool(np.isfinite([self.fx, self.fy, self.cx, self.cy]).all())
         if not finite or self.fx <= 0 or self.fy <= 0 or self.width <= 0 or self.height <= 0:
-            raise CalibrationError(f"expected positive focal lengths and image sides, found {self}; check P_rect")
+            raise CalibrationError(
+                f"expected positive focal lengths and image sides, found {self}; check P_rect"
+            )
 
     @property
     def matrix(self) -> np.ndarray:
@@ -88,7 +90,10 @@ class Pinhole:
         front = depth_m > 0
         divisor_m = np.where(front, depth_m, np.nan)
         pixels = np.stack(
-            [self.fx * points_m[..., 0] / divisor_m + self.cx, self.fy * points_m[..., 1] / divisor_m + self.cy],
+            [
+                self.fx * points_m[..., 0] / divisor_m + self.cx,
+                self.fy * points_m[..., 1] / divisor_m + self.cy,
+            ],
             axis=-1,
         )
         return pixels, front & contains(pixels, self.width, self.height)

@@ -1,0 +1,103 @@
+"""Points into an image by a z-buffer, without those that shine through a nearer surface, in numba.
+
+A point hides what lies behind it within a small disc of the world, `radius_m`: between the returns of
+one wall there are gaps of pixels through which the returns behind it would otherwise be seen.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+_LARGEST_FOOTPRINT_PX = 12
+
+
+def splat_depth(
+    points_m: np.ndarray,
+    world_to_camera: np.ndarray,
+    intrinsics: tuple[float, float, float, float],
+    shape: tuple[int, int],
+    radius_m: float = 0.08,
+    margin_m: float = 0.3,
+    margin_share: float = 0.05,
+    near_m: float = 0.5,
+) -> np.ndarray:
+    """Depth of the nearest visible point in each pixel.
+
+    A point of depth z is hidden where a point of depth z' with z > z' + margin_m + margin_share z'
+    covers its pixel with a square of half side fx radius_m / z', at most 12 pixels.
+
+    Args:
+        points_m: (M, 3) float32, in the frame that `world_to_camera` maps from.
+        world_to_camera: (4, 4); camera x right, y down, z forward.
+        intrinsics: fx, fy, cx, cy in pixels; pixel centres at integers.
+        shape: Rows and columns of the image.
+        radius_m: Half side of what a point hides, metres.
+        margin_m: A surface's own thickness, metres.
+        margin_share: Its thickness as a share of the depth, for surfaces seen at grazing angles.
+        near_m: Nearer points are left out.
+
+    Returns:
+        (H, W) float32 depth along z in metres; inf where no point is seen.
+    """
+    points = np.ascontiguousarray(points_m, np.float32)
+    motion = np.ascontiguousarray(world_to_camera[:3], np.float32)
+    fx, fy, cx, cy = intrinsics
+    rows, columns = shape
+    image = _project(points, motion, fx, fy, cx, cy, near_m)
+    nearest = np.full(shape, np.inf, np.float32)
+    _nearest(image, nearest)
+    # Hiding needs only each pixel's nearest point: what that hides, the ones behind it need not.
+    cover = np.full((rows, columns), np.inf, np.float32)
+    _cover(nearest, cover, fx * radius_m, margin_m, margin_share)
+    return np.where(nearest <= cover, nearest, np.float32(np.inf))
+
+
+@njit(cache=True, nogil=True)
+def _project(points, motion, fx, fy, cx, cy, near_m):  # type: ignore[no-untyped-def]
+    """(M, 3) float32: u, v, depth; depth inf where the point is too near or not finite."""
+    image = np.empty_like(points)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        depth = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]
+        if not depth > near_m:
+            image[i, 2] = np.inf
+            continue
+        right = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3]
+        down = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3]
+        image[i, 0] = fx * right / depth + cx
+        image[i, 1] = fy * down / depth + cy
+        image[i, 2] = depth
+    return image
+
+
+@njit(cache=True, nogil=True)
+def _nearest(image, nearest):  # type: ignore[no-untyped-def]
+    rows, columns = nearest.shape
+    for i in range(image.shape[0]):
+        depth = image[i, 2]
+        if not depth < np.inf:
+            continue
+        u, v = image[i, 0], image[i, 1]
+        if not (u >= -0.5 and u < columns - 0.5 and v >= -0.5 and v < rows - 0.5):
+            continue
+        row, column = math.floor(v + 0.5), math.floor(u + 0.5)
+        if depth < nearest[row, column]:
+            nearest[row, column] = depth
+
+
+@njit(cache=True, nogil=True)
+def _cover(nearest, cover, radius_px_m, margin_m, margin_share):  # type: ignore[no-untyped-def]
+    """Depth behind which each pixel is hidden, by the squares of the pixels around it."""
+    rows, columns = nearest.shape
+    for row in range(rows):
+        for column in range(columns):
+            depth = nearest[row, column]
+            if not depth < np.inf:
+                continue
+            half = min(int(radius_px_m / depth), _LARGEST_FOOTPRINT_PX)
+            limit = depth + margin_m + margin_share * depth
+            for r in range(max(row - half, 0), min(row + half + 1, rows)):
+                for c in range(max(column - half, 0), min(column + half + 1, columns)):
+                    if limit < cover[r, c]:
+                        cover[r, c] = limit

@@ -1,0 +1,215 @@
+"""The training-free camera: recorded images, warped into the wanted view by the LiDAR's depth.
+
+The depth is that of the aggregated returns, seen through a z-buffer that drops what lies behind a
+nearer surface's neighbourhood. Gaps take the nearest depth; far from any return, where that is a
+guess, a plane sweep between the two source images corrects it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import distance_transform_edt
+from torch import Tensor
+from torch.nn import functional
+
+from nvsf_core.errors import ShapeError
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.kernels.splat import splat_depth
+
+FAR_M = 300.0
+"""Depth of the sky, and of everything where there is no LiDAR at all."""
+_NEAREST_PLANE_M = 3.0
+_BASELINE_FLOOR_M = 0.05
+"""Below this distance a source image counts as taken at the wanted place."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepOptions:
+    """The plane sweep that finds depth where the LiDAR has none."""
+
+    planes: int = 48
+    """Depths that are tried, evenly spaced in inverse depth from 3 m to 300 m."""
+    window_px: int = 17
+    """Side of the square over which the two images are compared."""
+    beyond_px: float = 6.0
+    """Pixels nearer than this to a return keep the LiDAR's depth."""
+    pull: float = 0.15
+    """Cost of leaving the filled depth, grey values (0..1) for the whole span of inverse depths."""
+
+
+def render_by_warping(
+    target_pose: np.ndarray,
+    pinhole: Pinhole,
+    depth_points_local: np.ndarray,
+    source_images: np.ndarray,
+    source_poses: np.ndarray,
+    *,
+    source_valid: np.ndarray | None = None,
+    sweep: SweepOptions | None = SweepOptions(),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Show a view by warping the two source images nearest to it.
+
+    A pixel is the mean of both, weighted by the inverse of their distance to the wanted place; where
+    only one sees it, that one.
+
+    Args:
+        target_pose: (4, 4) camera to scene-local frame.
+        pinhole: Intrinsics of the wanted view and of all sources.
+        depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
+        source_images: (k, H, W, 3) uint8, k >= 1.
+        source_poses: (k, 4, 4) camera to scene-local frame.
+        source_valid: (H, W) bool, pixels of the sources that show anything; None = all.
+        sweep: How depth is found far from returns; None = the nearest return's depth stays.
+
+    Returns:
+        `rgb` (H, W, 3) uint8, black where nothing answers, and `answered` (H, W) bool.
+
+    Raises:
+        ShapeError: There is no source, or the arrays do not fit each other.
+    """
+    _check(pinhole, source_images, source_poses)
+    chosen = nearest_sources(target_pose, source_poses)
+    images = _to_float(source_images[chosen])
+    motions = [_motion(target_pose, source_poses[i]) for i in chosen]
+    if source_valid is None:
+        source_valid = np.ones((pinhole.height, pinhole.width), np.bool_)
+    valid = torch.from_numpy(source_valid).float()[None]
+    depth_m, gap_px = view_depth(target_pose, pinhole, depth_points_local)
+    inverse = torch.from_numpy(1.0 / depth_m)
+    rays = _rays(pinhole)
+    if sweep is not None and len(chosen) == 2 and _baseline(source_poses[chosen]) > _BASELINE_FLOOR_M:
+        gap = torch.from_numpy(gap_px)
+        inverse = _sweep(images, motions, rays, pinhole, inverse, gap, sweep)
+    total = torch.zeros(3, pinhole.height, pinhole.width)
+    weight = torch.zeros(pinhole.height, pinhole.width)
+    for image, motion, index in zip(images, motions, chosen, strict=True):
+        grid, seen = _source_pixels(motion, rays, inverse, pinhole)
+        seen = seen & (_sample(valid, grid)[0] > 0.999)
+        share = seen / (_distance(target_pose, source_poses[index]) + _BASELINE_FLOOR_M)
+        total += share * _sample(image, grid)
+        weight += share
+    answered = weight > 0
+    rgb = torch.where(answered, total / weight.clamp_min(1e-12), 0.0)
+    rgb_u8 = (rgb * 255.0).round().clamp(0, 255).to(torch.uint8)
+    return rgb_u8.permute(1, 2, 0).contiguous().numpy(), answered.numpy()
+
+
+def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray) -> list[int]:
+    """Indices of the (at most) two sources nearest in place, the nearest first; ties keep their order."""
+    distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
+    return [int(i) for i in np.argsort(distances, kind="stable")[:2]]
+
+
+def view_depth(
+    target_pose: np.ndarray, pinhole: Pinhole, depth_points_local: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth of every pixel of a view, from points.
+
+    Returns:
+        `depth_m` (H, W) float32 along z, positive and finite: the nearest seen point's, by distance in
+        the image, and `gap_px` (H, W) float32 the distance to it, inf where there is no point at all.
+    """
+    shape = (pinhole.height, pinhole.width)
+    intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
+    sparse = splat_depth(depth_points_local, invert_pose(target_pose), intrinsics, shape)
+    known = np.isfinite(sparse)
+    if not known.any():
+        return np.full(shape, FAR_M, np.float32), np.full(shape, np.inf, np.float32)
+    gap, where = distance_transform_edt(~known, return_indices=True)
+    filled = np.minimum(sparse[where[0], where[1]], np.float32(FAR_M))
+    return filled, gap.astype(np.float32)
+
+
+def _sweep(
+    images: Tensor,
+    motions: list[Tensor],
+    rays: Tensor,
+    pinhole: Pinhole,
+    inverse: Tensor,
+    gap_px: Tensor,
+    options: SweepOptions,
+) -> Tensor:
+    """Replace inverse depth far from returns by that at which both images agree best."""
+    span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
+    planes = torch.linspace(1.0 / FAR_M, 1.0 / _NEAREST_PLANE_M, options.planes)
+    grey = images.mean(dim=1, keepdim=True)
+    best_cost = torch.full_like(inverse, torch.inf)
+    best = inverse.clone()
+    for plane in planes:
+        candidate = torch.full_like(inverse, float(plane))
+        difference = torch.zeros_like(inverse)
+        seen_by_both = torch.ones_like(inverse, dtype=torch.bool)
+        warped = []
+        for image, motion in zip(grey, motions, strict=True):
+            grid, seen = _source_pixels(motion, rays, candidate, pinhole)
+            warped.append(_sample(image, grid)[0])
+            seen_by_both &= seen
+        difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), 0.5)
+        cost = _box_mean(difference, options.window_px) + options.pull * (plane - inverse).abs() / span
+        better = cost < best_cost
+        best_cost = torch.where(better, cost, best_cost)
+        best = torch.where(better, candidate, best)
+    return torch.where(gap_px > options.beyond_px, best, inverse)
+
+
+def _box_mean(image: Tensor, side: int) -> Tensor:
+    """Mean over a square window, one axis after the other."""
+    half = side // 2
+    rows = functional.avg_pool2d(image[None, None], (side, 1), 1, (half, 0), count_include_pad=False)
+    return functional.avg_pool2d(rows, (1, side), 1, (0, half), count_include_pad=False)[0, 0]
+
+
+def _source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
+    """Where a source shows each pixel: grid_sample's coordinates (H, W, 2), and whether it does.
+
+    A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
+    """
+    point = rays @ motion[:3, :3].T + inverse[..., None] * motion[:3, 3]
+    front = point[..., 2] > 1e-3
+    divisor = torch.where(front, point[..., 2], 1.0)
+    u = pinhole.fx * point[..., 0] / divisor + pinhole.cx
+    v = pinhole.fy * point[..., 1] / divisor + pinhole.cy
+    seen = front & (u >= 0) & (u <= pinhole.width - 1) & (v >= 0) & (v <= pinhole.height - 1)
+    grid = torch.stack([(2 * u + 1) / pinhole.width - 1, (2 * v + 1) / pinhole.height - 1], dim=-1)
+    return grid, seen
+
+
+def _sample(image: Tensor, grid: Tensor) -> Tensor:
+    """Bilinear values (c, H, W) of an image (c, h, w)."""
+    return functional.grid_sample(
+        image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
+    )[0]
+
+
+def _rays(pinhole: Pinhole) -> Tensor:
+    """(H, W, 3) float32 directions (x, y, 1), so that depth is along z."""
+    directions = pinhole.rays(pinhole.pixels())
+    return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32))
+
+
+def _motion(target_pose: np.ndarray, source_pose: np.ndarray) -> Tensor:
+    return torch.from_numpy((invert_pose(source_pose) @ target_pose).astype(np.float32))
+
+
+def _distance(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+
+
+def _baseline(poses: np.ndarray) -> float:
+    return _distance(poses[0], poses[1])
+
+
+def _to_float(images: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float() / 255.0
+
+
+def _check(pinhole: Pinhole, images: np.ndarray, poses: np.ndarray) -> None:
+    count = len(images)
+    shape = (count, pinhole.height, pinhole.width, 3)
+    if count == 0 or images.shape != shape or poses.shape != (count, 4, 4):
+        raise ShapeError(
+            f"expected k >= 1 source images (k, {pinhole.height}, {pinhole.width}, 3) and poses (k, 4, 4), "
+            f"found {images.shape} and {poses.shape}"
+        )

@@ -1,0 +1,144 @@
+"""`undistorted`: every camera's frames as pinhole images with their intrinsics and a validity mask."""
+
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.cameras.masks import lens_circle
+from nvsf_core.cameras.undistort import Undistorter, make_undistorter, perspective_view
+from nvsf_core.errors import CalibrationError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kitti360.images import read_image
+from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.reporting.previews import image_preview
+from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.tables import read_rows
+
+_PROGRESS_S = 4.0
+
+
+def _run(task: Task) -> StageOutput:
+    frames = task.store.require("frames")
+    drive: dict[str, Any] = json.loads((frames / "drive.json").read_text())
+    rows = read_rows(frames / "cameras.parquet")
+    # A frame without a pose says nothing about where its image was taken: its row has an empty pose.
+    usable = [row for row in rows if row["image_valid"] and len(row["camera_to_world"] or ()) == 16]
+    output = StageOutput()
+    arrays: dict[str, np.ndarray] = {}
+    facts: dict[str, dict[str, float | int | str]] = {}
+    for camera, calibration in sorted(drive["cameras"].items()):
+        own = sorted((row for row in usable if row["camera"] == camera), key=lambda row: int(row["frame"]))
+        if not own:
+            task.progress(f"[{task.scene.name}] undistorted: {camera} has no valid image, left out")
+            continue
+        numbers = [int(row["frame"]) for row in own]
+        images, valid, view, preview = _undistort(task, camera, calibration, numbers)
+        arrays[f"{camera}_rgb"] = images
+        arrays[f"{camera}_valid"] = valid
+        arrays[f"{camera}_frame"] = np.array(numbers, np.int64)
+        poses = np.array([row["camera_to_world"] for row in own], np.float64)
+        arrays[f"{camera}_camera_to_world"] = poses.reshape(-1, 4, 4)
+        facts[camera] = _facts(view, calibration["kind"])
+        output.metadata[f"{camera}_images"] = len(own)
+        output.metadata[f"{camera}_valid_share"] = round(float(valid.mean()), 4)
+        (task.folder / f"{camera}.png").write_bytes(image_preview(preview))
+        output.previews[camera] = f"{camera}.png"
+        detail = f"{valid.mean():.1%} of the pixels show something, field {_field_deg(view):.1f} degrees"
+        output.checks.append(
+            Check(name=f"{camera}_shows_something", passed=bool(valid.any()), detail=detail, blocking=True)
+        )
+    write_arrays(task.folder / "images.zarr", arrays, {"cameras": facts})
+    output.metadata["cameras"] = len(facts)
+    output.metadata["images_left_out"] = len(rows) - len(usable)
+    return output
+
+
+def _undistort(
+    task: Task, camera: str, calibration: Mapping[str, Any], frames: list[int]
+) -> tuple[np.ndarray, np.ndarray, Pinhole, np.ndarray]:
+    """Images (n, H, W, 3) uint8, validity (H, W), their camera, and a picture of what was done."""
+    layout = DriveLayout(task.scene.root, task.scene.sequence)
+    width, height = int(calibration["width"]), int(calibration["height"])
+    undistorter, view = _camera_of(camera, calibration)
+    images = np.zeros((len(frames), view.height, view.width, 3), np.uint8)
+    brightest = np.zeros((height, width, 3), np.uint8)
+    said = time.monotonic()
+    for i, frame in enumerate(frames):
+        image = read_image(layout.image_path(camera, frame), width, height)
+        if undistorter is None:
+            images[i] = image
+        else:
+            images[i] = undistorter.apply(image)
+            brightest = np.maximum(brightest, image)
+        if time.monotonic() - said > _PROGRESS_S:
+            said = time.monotonic()
+            task.progress(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(frames)} images")
+    if undistorter is None:
+        return images, np.ones((height, width), np.bool_), view, images[0]
+    valid = undistorter.apply_mask(lens_circle(brightest))
+    first = read_image(layout.image_path(camera, frames[0]), width, height)
+    return images, valid, view, _beside(first, images[0])
+
+
+def _camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
+    """The perspective camera of a calibration, with the resampling that leads to it if one is needed."""
+    width, height = int(calibration["width"]), int(calibration["height"])
+    if calibration["kind"] == "perspective":
+        fx, fy, cx, cy = (float(calibration[key]) for key in ("fx", "fy", "cx", "cy"))
+        return None, Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+    if calibration["kind"] != "fisheye":
+        raise CalibrationError(
+            f"{camera}: expected a perspective or fisheye camera in drive.json, "
+            f"found {calibration['kind']!r}; run the stage `frames` again"
+        )
+    fisheye = MeiFisheye(
+        xi=float(calibration["xi"]),
+        k1=float(calibration["k1"]),
+        k2=float(calibration["k2"]),
+        p1=float(calibration["p1"]),
+        p2=float(calibration["p2"]),
+        gamma1=float(calibration["gamma1"]),
+        gamma2=float(calibration["gamma2"]),
+        u0=float(calibration["u0"]),
+        v0=float(calibration["v0"]),
+        width=width,
+        height=height,
+    )
+    view = perspective_view(fisheye)
+    return make_undistorter(fisheye, view), view
+
+
+def _facts(view: Pinhole, kind: str) -> dict[str, float | int | str]:
+    return {
+        "fx": view.fx, "fy": view.fy, "cx": view.cx, "cy": view.cy,
+        "width": view.width, "height": view.height, "kind": kind,
+    }  # fmt: skip
+
+
+def _field_deg(view: Pinhole) -> float:
+    """Horizontal field of view, from border to border."""
+    left, right = (view.cx + 0.5) / view.fx, (view.width - 0.5 - view.cx) / view.fx
+    return float(np.degrees(np.arctan(left) + np.arctan(right)))
+
+
+def _beside(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Two pictures side by side, the first brought to the second's height by taking every so many pixels."""
+    height, width = second.shape[0], round(first.shape[1] * second.shape[0] / first.shape[0])
+    rows = np.arange(height) * first.shape[0] // height
+    columns = np.arange(width) * first.shape[1] // width
+    return np.concatenate([first[rows][:, columns], second], axis=1)
+
+
+STAGE = Stage(
+    name="undistorted",
+    group="prepare",
+    inputs=("frames",),
+    description="Camera frames as pinhole images: perspective as rectified, fisheye undistorted, with masks.",
+    version="1",
+    run=_run,
+)
