@@ -113,7 +113,11 @@ def _checks(drive: Drive) -> list[Check]:
     bad_scans = [
         f"{row.frame}: {row.reason}" for row in drive.frames if row.pose_valid and not row.scan_valid
     ]
-    bad_images = [f"{row.camera} {row.frame}: {row.reason}" for row in drive.images if not row.image_valid]
+    bad_images = [
+        f"{row.camera} {row.frame}: {row.reason}"
+        for row in drive.images
+        if row.camera_to_world is not None and not row.image_valid
+    ]
     lost = [row.frame for row in held_out if row.frame not in usable]
     checks = [
         Check(
@@ -129,7 +133,7 @@ def _checks(drive: Drive) -> list[Check]:
     ]
     if any(row.checksum for row in drive.frames):
         checks.append(_listing("all_scans_are_usable", bad_scans, "scans left out"))
-    if drive.disagreement is not None and drive.disagreement.frames:
+    if drive.disagreement is not None:
         gap = drive.disagreement
         checks.append(
             Check(
@@ -151,11 +155,12 @@ def _listing(name: str, faults: list[Any], what: str) -> Check:
 
 def _speed_check(drive: Drive) -> Check:
     """No car is faster: a jump means a pose of another frame, or times in another unit."""
-    placed = [row for row in drive.frames if row.lidar_to_world is not None]
+    placed = [
+        (row.time_s, row.lidar_to_world[:3, 3]) for row in drive.frames if row.lidar_to_world is not None
+    ]
     speeds = [
-        float(np.linalg.norm(after.lidar_to_world[:3, 3] - before.lidar_to_world[:3, 3]))
-        / (after.time_s - before.time_s)
-        for before, after in itertools.pairwise(placed)
+        float(np.linalg.norm(there_m - here_m)) / (then_s - now_s)
+        for (now_s, here_m), (then_s, there_m) in itertools.pairwise(placed)
     ]
     fastest = max(speeds, default=0.0)
     return Check(
@@ -187,7 +192,7 @@ STAGE = Stage(
     name="frames",
     group="ingest",
     inputs=(),
-    description="Which frames of the drive can be used, where and when they were taken, and why not.",
+    description="Every frame of the drive: when and where it was taken, and whether it can be used.",
     version="1",
     run=_run,
     reads_drive=True,

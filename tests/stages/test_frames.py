@@ -1,0 +1,176 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nvsf_core.errors import CheckFailedError, DataError
+from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
+from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.recipe import Recipe
+from nvsf_core.stages.frames import STAGE
+from nvsf_core.stages.stage import Outcome, RunConfig, run_stage
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import read_rows
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "scenes.toml"
+FRAMES = range(10, 16)
+
+
+def drive(root: Path) -> SceneEntry:
+    """Six frames, one camera of 64x48, 1 m a frame along x; the LiDAR 2 m above the pose frame's origin."""
+    entry = SceneEntry(
+        name="tiny", root=root, sequence="s_sync", first_frame=10, last_frame=15, test_frames=(12,),
+        sweep_period_s=0.1,
+    )
+    layout = DriveLayout(root, entry.sequence)
+    for folder in (layout.calibration_dir, layout.scan_path(0).parent, layout.camera_dir("image_00")):
+        folder.mkdir(parents=True)
+    layout.poses_path.parent.mkdir(parents=True)
+    layout.perspective_path.write_text(
+        "S_rect_00: 64 48\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_00: 50 0 31.5 0 0 50 23.5 0 0 0 1 0\n"
+    )
+    layout.cam_to_pose_path.write_text("image_00: 0 0 1 1 1 0 0 0 0 1 0 -1.5\n")
+    layout.cam_to_velo_path.write_text("0 0 1 1 -1 0 0 0 0 -1 0 -0.5\n")
+    poses = [f"{frame} 1 0 0 {1000 + frame} 0 -1 0 3700.4 0 0 -1 110.1\n" for frame in FRAMES]
+    layout.poses_path.write_text("".join(poses))
+    rng = np.random.default_rng(0)
+    for frame in FRAMES:
+        scan = np.column_stack([rng.uniform(-20, 20, (200, 3)), rng.uniform(0, 1, 200)])
+        scan.astype("<f4").tofile(layout.scan_path(frame))
+        image = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+        cv2.imwrite(str(layout.image_path("image_00", frame)), image)
+    return entry
+
+
+def run(entry: SceneEntry, home: Path) -> Outcome:
+    store = SceneStore(home, entry.name)
+    return run_stage(STAGE, entry, store, RunConfig(recipe=Recipe.preset("quick")), lambda line: None, {})
+
+
+def remove_pose(entry: SceneEntry, frame: int) -> None:
+    path = DriveLayout(entry.root, entry.sequence).poses_path
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line for line in lines if not line.startswith(f"{frame} ")) + "\n")
+
+
+def test_a_clean_drive_is_all_usable_and_placed(tmp_path: Path) -> None:
+    outcome = run(drive(tmp_path / "d"), tmp_path)
+    rows = read_rows(outcome.path / "frames.parquet")
+    assert all(check.passed for check in outcome.checks)
+    assert [row["split"] for row in rows] == ["train", "train", "test", "train", "train", "train"]
+    lidar_to_world = np.array(rows[1]["lidar_to_world"]).reshape(4, 4)
+    # Pose frame z down, LiDAR z up: the LiDAR's axes are the world's; the camera is 1.5 m up,
+    # and the LiDAR 0.5 m above the camera.
+    assert np.allclose(lidar_to_world[:3, :3], np.eye(3))
+    assert np.allclose(lidar_to_world[:3, 3], [1011.0, 3700.4, 110.1 + 1.5 + 0.5])
+    camera = read_rows(outcome.path / "cameras.parquet")[1]
+    assert np.allclose(np.array(camera["camera_to_world"]).reshape(4, 4)[:3, 3], [1012.0, 3700.4, 111.6])
+    facts = json.loads((outcome.path / "drive.json").read_text())
+    assert facts["scene_origin_m"] == [1013.0, 3700.0, 112.0]
+    assert facts["period_assumed"] is True and facts["cameras"]["image_00"]["fx"] == 50.0
+    assert [row["time_s"] for row in rows] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+
+
+def test_a_frame_without_a_pose_is_invalid_and_never_gets_its_neighbours(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    remove_pose(entry, 13)
+    outcome = run(entry, tmp_path)
+    row = read_rows(outcome.path / "frames.parquet")[3]
+    image = read_rows(outcome.path / "cameras.parquet")[3]
+    assert row["frame"] == image["frame"] == 13
+    assert row["lidar_to_world"] == image["camera_to_world"] == []
+    assert not (row["pose_valid"] or row["scan_valid"] or image["image_valid"])
+    assert "no pose" in row["reason"] and "no pose" in image["reason"]
+    assert [check.name for check in outcome.checks if not check.passed] == ["all_frames_have_a_pose"]
+
+
+def test_a_bad_image_does_not_cost_the_frame_its_scan_nor_the_reverse(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    layout = DriveLayout(entry.root, entry.sequence)
+    layout.image_path("image_00", 11).write_bytes(b"no picture")
+    cv2.imwrite(str(layout.image_path("image_00", 13)), np.zeros((20, 20, 3), np.uint8))
+    layout.scan_path(14).write_bytes(b"123")
+    layout.scan_path(15).unlink()
+    outcome = run(entry, tmp_path)
+    scans = {row["frame"]: row for row in read_rows(outcome.path / "frames.parquet")}
+    images = {row["frame"]: row for row in read_rows(outcome.path / "cameras.parquet")}
+    assert [frame for frame in FRAMES if not scans[frame]["scan_valid"]] == [14, 15]
+    assert [frame for frame in FRAMES if not images[frame]["image_valid"]] == [11, 13]
+    assert "truncated" in scans[14]["reason"] and "no scan file" in scans[15]["reason"]
+    assert "no PNG" in images[11]["reason"] and "wrong size" in images[13]["reason"]
+    assert scans[14]["pose_valid"] and scans[11]["reason"] == ""
+
+
+def test_a_lidar_only_drive_passes(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    layout = DriveLayout(entry.root, entry.sequence)
+    for frame in FRAMES:
+        layout.image_path("image_00", frame).unlink()
+    layout.camera_dir("image_00").rmdir()
+    layout.perspective_path.unlink()
+    outcome = run(entry, tmp_path)
+    assert outcome.metadata["usable_scans"] == 6 and outcome.metadata["cameras"] == "none"
+    assert read_rows(outcome.path / "cameras.parquet") == []
+
+
+def test_a_camera_only_drive_passes(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    layout = DriveLayout(entry.root, entry.sequence)
+    for frame in FRAMES:
+        layout.scan_path(frame).unlink()
+    layout.scan_path(0).parent.rmdir()
+    layout.cam_to_velo_path.unlink()
+    outcome = run(entry, tmp_path)
+    rows = read_rows(outcome.path / "frames.parquet")
+    assert outcome.metadata["usable_images"] == 6
+    assert not any(row["scan_valid"] for row in rows) and all(row["pose_valid"] for row in rows)
+    assert np.allclose(np.array(rows[0]["lidar_to_world"]).reshape(4, 4)[:3, :3], np.eye(3))
+
+
+def test_a_section_with_nothing_usable_is_an_error_with_a_remedy(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    for frame in FRAMES:
+        remove_pose(entry, frame)
+    with pytest.raises(DataError, match=r"poses\.txt: no line for any of frames 10\.\.15; correct"):
+        run(entry, tmp_path)
+    assert not (tmp_path / "tiny" / "frames").exists()
+
+
+def test_without_a_usable_training_frame_nothing_is_published(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    for frame in FRAMES:
+        if frame not in entry.test_frames:
+            remove_pose(entry, frame)
+    with pytest.raises(CheckFailedError, match="at_least_one_valid_training_frame"):
+        run(entry, tmp_path)
+    assert not (tmp_path / "tiny" / "frames").exists()
+
+
+def test_poses_that_contradict_the_cameras_are_reported(tmp_path: Path) -> None:
+    entry = drive(tmp_path / "d")
+    layout = DriveLayout(entry.root, entry.sequence)
+    line = "{} 0 0 1 {} -1 0 0 3700.4 0 -1 0 111.6 0 0 0 1\n"
+    layout.cam0_to_world_path.write_text("".join(line.format(f, 1001 + f) for f in FRAMES))
+    agreeing = run(entry, tmp_path / "a")
+    layout.cam0_to_world_path.write_text("".join(line.format(f, 1001.3 + f) for f in FRAMES))
+    contradicting = run(entry, tmp_path / "b")
+    name = "cam0_to_world_agrees_with_poses"
+    assert [check.passed for check in agreeing.checks if check.name == name] == [True]
+    assert [check.passed for check in contradicting.checks if check.name == name] == [False]
+
+
+@pytest.mark.parametrize(
+    ("name", "n_frames", "boxes"), [("k360_street", 32, 0), ("kitti0005_van_cyclist", 30, 61)]
+)
+def test_the_real_drives_are_all_usable(tmp_path: Path, name: str, n_frames: int, boxes: int) -> None:
+    if not REAL.is_file():
+        pytest.skip(f"no real data at {REAL}")
+    entry = next(entry for entry in load_catalogue([REAL], None) if entry.name == name)
+    outcome = run(entry, tmp_path)
+    assert all(check.passed for check in outcome.checks), outcome.checks
+    assert outcome.metadata["usable_scans"] == outcome.metadata["usable_images"] == n_frames
+    assert outcome.metadata["boxes"] == boxes
+    first = np.array(read_rows(outcome.path / "frames.parquet")[0]["lidar_to_world"]).reshape(4, 4)
+    assert np.allclose(first[:3, 3], [1000.0, 3700.0, 115.0], atol=1e-6)
