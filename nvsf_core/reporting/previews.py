@@ -12,13 +12,13 @@ MAX_BYTES = 100_000
 MAX_RANGE_M = 80.0
 
 
-def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M) -> bytes:
+def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_repeat: int = 4) -> bytes:
     """A range image (H, W) in metres as colours: near violet, far red, no return (0, inf, NaN) black."""
     valid = np.isfinite(range_m) & (range_m > 0.0)
     near = np.where(valid, range_m, 1.0)
     # Square root: half of the returns lie within 15 m and would share two colours otherwise.
     level = np.sqrt(np.clip(near / max_range_m, 0.0, 1.0))
-    return indexed_png(np.where(valid, 1 + np.rint(level * 254), 0), "turbo", row_repeat=4)
+    return indexed_png(np.where(valid, 1 + np.rint(level * 254), 0), "turbo", row_repeat)
 
 
 def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> bytes:

@@ -58,9 +58,7 @@ def _run(task: Task) -> StageOutput:
     for view in (held_out, *task.scene.views):
         unknown = sorted(set(view.exports) - set(_EXPORTS))
         if unknown:
-            raise DataError(
-                f"view {view.name}: unknown exports {unknown}; there are {', '.join(_EXPORTS)}"
-            )
+            raise DataError(f"view {view.name}: unknown exports {unknown}; there are {', '.join(_EXPORTS)}")
         version = dataset_version(task, view, sources)
         arrays = _read_view(rendered / view.name / "model.zarr")
         attrs = read_attrs(rendered / view.name / "model.zarr")

@@ -71,8 +71,9 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
         _write_view(store, "test", [2], {})
         _write_view(store, "shift_1m", [1, 4], _grid(2))
         shared = {
-            "scene": "tiny", "split": "test", "protocol": "raw", "region": "all", "sensor": "lidar", "unit": "1",
-            "seed": 0, "train_seconds": 3.0, "render_seconds": 0.1, "parameters": 10, "model_mb": math.nan,
+            "scene": "tiny", "split": "test", "protocol": "raw", "region": "all", "sensor": "lidar",
+            "unit": "1", "seed": 0, "train_seconds": 3.0, "render_seconds": 0.1, "parameters": 10,
+            "model_mb": math.nan,
         }  # fmt: skip
         rows = [
             {**shared, "frame": 2, "metric": "f_score", "value": 0.5, "recipe": "quick"},

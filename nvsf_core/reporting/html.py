@@ -1,0 +1,182 @@
+"""Pieces of an HTML page that needs nothing but itself: no script, no link to elsewhere."""
+
+import base64
+import html
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+_STYLE = """
+:root { --ink:#1c2430; --soft:#5b6675; --line:#dfe4ea; --back:#f6f7f9; --best:#e3f4e8; --best-ink:#0f6b32;
+  --accent:#1f6feb; --warn:#fff3df; --warn-ink:#8a5300; --bad:#fdeaea; --bad-ink:#9b1c1c; }
+* { box-sizing:border-box; }
+body { margin:0; background:var(--back); color:var(--ink);
+  font:15px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif; }
+main { max-width:1180px; margin:0 auto; padding:28px 24px 80px; }
+h1 { font-size:28px; margin:0 0 4px; } h2 { font-size:22px; margin:0 0 4px; }
+h3 { font-size:16px; margin:28px 0 6px; }
+p { margin:6px 0 10px; max-width:860px; } .soft, figcaption { color:var(--soft); }
+section { background:#fff; border:1px solid var(--line); border-radius:10px; padding:22px 24px;
+  margin:22px 0; }
+nav a { margin-right:14px; }
+a { color:var(--accent); text-decoration:none; } a:hover { text-decoration:underline; }
+code { background:#eef1f5; border-radius:4px; padding:1px 5px; font-size:.92em; }
+.scroll { overflow-x:auto; }
+table { border-collapse:collapse; margin:8px 0 4px; font-size:14px; font-variant-numeric:tabular-nums; }
+th, td { padding:5px 8px; text-align:right; border-bottom:1px solid var(--line); }
+td { white-space:nowrap; }
+th:first-child, td:first-child { text-align:left; }
+td.words, th.words { text-align:left; white-space:normal; }
+thead th { font-weight:600; color:var(--soft); vertical-align:bottom; font-size:13px; line-height:1.3; }
+thead tr.groups th { color:var(--ink); text-align:center; border-bottom:2px solid var(--line); }
+thead tr.groups th + th, .edge { border-left:1px solid var(--line); }
+td.best { background:var(--best); color:var(--best-ink); font-weight:650; }
+tr.model td:first-child { font-weight:650; color:var(--accent); }
+figure { margin:14px 0; } figcaption { font-size:13.5px; margin:4px 0 0; max-width:860px; }
+img { max-width:100%; display:block; border-radius:4px; } img.wide { width:100%; image-rendering:auto; }
+.label { font-size:13px; font-weight:600; margin:10px 0 3px; }
+.row { display:grid; gap:14px; grid-template-columns:repeat(auto-fit,minmax(300px,1fr)); }
+.row img { width:100%; } .row.plots img { width:auto; }
+.scale { position:relative; width:300px; margin:6px 0 20px; display:inline-block; vertical-align:top; }
+.scale img { width:300px; height:12px; border-radius:3px; }
+.scale span { position:absolute; top:13px; font-size:11.5px; color:var(--soft); transform:translateX(-50%); }
+.key { display:inline-block; margin:4px 0 0 18px; font-size:13px; color:var(--soft); }
+.key i { display:inline-block; width:12px; height:12px; border-radius:3px; margin-right:5px;
+  vertical-align:-1px; }
+.bar { display:inline-block; height:11px; background:var(--accent); opacity:.75; border-radius:3px; }
+.note { border-radius:8px; padding:9px 14px; margin:10px 0; max-width:900px; background:var(--warn);
+  color:var(--warn-ink); }
+.note.bad { background:var(--bad); color:var(--bad-ink); } .note.good { background:var(--best);
+  color:var(--best-ink); }
+details { margin:14px 0 0; } summary { cursor:pointer; color:var(--accent); font-weight:600; }
+pre { white-space:pre-wrap; overflow-wrap:anywhere; margin:4px 0; font-size:13px; }
+"""
+
+_UP = ("f_score", "psnr", "ssim", "accuracy")
+_UNITS = {"m2": "m²", "1": "", "m": "m", "dB": "dB"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column of a table of methods."""
+
+    group: str
+    """Heading above several columns."""
+    title: str
+    unit: str
+    higher_is_better: bool | None
+    """None = nothing is marked as best."""
+    values: list[float]
+    """One a method; NaN where undefined."""
+    notes: list[str]
+    """One a method, shown on pointing: for example how many frames are undefined."""
+    digits: int
+
+
+def escape(value: Any) -> str:
+    """Any value as text that HTML shows as it is."""
+    return html.escape(str(value))
+
+
+def page(title: str, body: str) -> str:
+    """The whole document."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n"
+        "</body>\n</html>\n"
+    )
+
+
+def image(png: bytes, alt: str, css: str = "") -> str:
+    """A picture that travels inside the page."""
+    data = base64.b64encode(png).decode()
+    return f'<img class="{css}" alt="{escape(alt)}" src="data:image/png;base64,{data}">'
+
+
+def methods_table(methods: Sequence[tuple[str, str, bool]], columns: Sequence[Column]) -> str:
+    """Methods as rows; the best value of a column stands out, a tie at the shown digits all of it.
+
+    Args:
+        methods: Name, what it is, and whether it learned.
+        columns: In groups that stand together.
+    """
+    groups: list[list[Any]] = []
+    for column in columns:
+        if groups and groups[-1][0] == column.group:
+            groups[-1][1] += 1
+        else:
+            groups.append([column.group, 1])
+    starts = {sum(count for _, count in groups[:i]) for i in range(len(groups))}
+    head = "".join(f'<th colspan="{count}">{escape(name)}</th>' for name, count in groups)
+    titles = "".join(
+        f'<th class="{"edge" if i in starts else ""}">{_title(column)}</th>'
+        for i, column in enumerate(columns)
+    )
+    rows = []
+    for row, (name, what, learned) in enumerate(methods):
+        cells = "".join(_cell(column, row, i in starts) for i, column in enumerate(columns))
+        rows.append(
+            f'<tr class="{"model" if learned else "baseline"}"><td'
+            f' title="{escape(what)}">{escape(name)}</td>{cells}</tr>'
+        )
+    return (
+        '<div class="scroll"><table><thead><tr'
+        f' class="groups"><th></th>{head}</tr><tr><th>method</th>{titles}</tr>'
+        f"</thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[int] = ()) -> str:
+    """A table of ready-made cells (HTML); columns in `words` are set as running text."""
+
+    def css(i: int) -> str:
+        return ' class="words"' if i in words else ""
+
+    top = "".join(f"<th{css(i)}>{escape(cell)}</th>" for i, cell in enumerate(head))
+    body = "".join(
+        "<tr>" + "".join(f"<td{css(i)}>{cell}</td>" for i, cell in enumerate(row)) + "</tr>" for row in rows
+    )
+    return f'<div class="scroll"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def number(value: float, digits: int) -> str:
+    """A number for a table: a dash where undefined, groups of three from 10 000 on."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:,.{digits}f}".replace(",", " ") if abs(value) >= 10_000 else f"{value:.{digits}f}"
+
+
+def best_rows(column: Column) -> set[int]:
+    """Rows that hold the column's best value, as shown; empty where fewer than two are defined."""
+    finite = [value for value in column.values if math.isfinite(value)]
+    if column.higher_is_better is None or len(finite) < 2:
+        return set()
+    best = number(max(finite) if column.higher_is_better else min(finite), column.digits)
+    return {row for row, value in enumerate(column.values) if number(value, column.digits) == best}
+
+
+def higher_is_better(metric: str) -> bool:
+    """Whether a larger value of a metric is the better one."""
+    return any(word in metric for word in _UP)
+
+
+def unit_text(unit: str) -> str:
+    """A stored unit as it is printed; a bare number has none."""
+    return _UNITS.get(unit, unit)
+
+
+def _title(column: Column) -> str:
+    arrow = {True: " ↑", False: " ↓", None: ""}[column.higher_is_better]
+    unit = f" [{escape(column.unit)}]" if column.unit else ""
+    return f"{escape(column.title)}<br>{unit}{arrow}" if unit or arrow else escape(column.title)
+
+
+def _cell(column: Column, row: int, edge: bool) -> str:
+    css = " ".join(name for name, on in (("best", row in best_rows(column)), ("edge", edge)) if on)
+    note = column.notes[row]
+    mark = "*" if note else ""
+    return f'<td class="{css}" title="{escape(note)}">{number(column.values[row], column.digits)}{mark}</td>'

@@ -1,0 +1,162 @@
+"""The report's pictures, each as the bytes of a PNG."""
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from nvsf_core.reporting.previews import MAX_RANGE_M, indexed_png, palette_png, range_preview
+
+MAX_ERROR_M = 1.0
+MISSED_COLOUR, INVENTED_COLOUR = (64, 196, 255), (232, 62, 200)
+MODEL_COLOUR, BASELINE_COLOURS = (
+    "#1f6feb",
+    {"reproject": "#d9822b", "copy_nearest": "#6b7280", "mesh": "#5b8c5a"},
+)
+RANGE_TICKS_M = (0, 5, 20, 45, 80)
+"""Ticks of the range scale, which is linear in the square root."""
+_ROW_REPEAT = 2
+_MISSED, _INVENTED, _LEVELS = 254, 255, 252
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostPoint:
+    """One method of one scene: what it cost and how wrong it is."""
+
+    label: str
+    seconds: float
+    """Training time; 0 for a method that learns nothing."""
+    error: float
+    colour: str
+
+
+def range_image_png(range_m: np.ndarray) -> bytes:
+    """A range image (H, W) in metres; no return is black."""
+    return range_preview(range_m, row_repeat=_ROW_REPEAT)
+
+
+def range_scale_png() -> bytes:
+    """The colours of `range_image_png` from 0 to 80 m, for a legend."""
+    return indexed_png(np.tile(np.arange(1, 256), (8, 1)), "turbo")
+
+
+def error_image_png(recorded_m: np.ndarray, rendered_m: np.ndarray) -> bytes:
+    """|rendered - recorded| of two range images (H, W): dark = 0, yellow = 1 m or more.
+
+    Black = no return in either; blue = recorded, but missed; pink = rendered, but not recorded.
+    """
+    recorded = np.isfinite(recorded_m) & (recorded_m > 0.0)
+    rendered = np.isfinite(rendered_m) & (rendered_m > 0.0)
+    both = recorded & rendered
+    error_m = np.abs(np.where(both, rendered_m, 0.0) - np.where(both, recorded_m, 0.0))
+    levels = np.where(both, 1 + np.rint(np.clip(error_m / MAX_ERROR_M, 0.0, 1.0) * _LEVELS), 0)
+    levels[recorded & ~rendered] = _MISSED
+    levels[rendered & ~recorded] = _INVENTED
+    return palette_png(levels, _error_palette(), _ROW_REPEAT)
+
+
+def error_scale_png() -> bytes:
+    """The colours of `error_image_png` from 0 to 1 m, for a legend."""
+    return palette_png(np.tile(np.arange(1, _LEVELS + 2), (8, 1)), _error_palette())
+
+
+def curve_png(curve: dict[str, list[Any]]) -> bytes:
+    """Loss and its terms over seconds, one panel for each value of a column of words (sensor, phase).
+
+    Args:
+        curve: Columns `step`, `seconds`, `loss`; others that are no speed or memory are drawn as terms.
+    """
+    words = [name for name, column in curve.items() if column and isinstance(column[0], str)]
+    groups = sorted(set(curve[words[0]])) if words else [""]
+    figure = _figure(4.6 * len(groups) + 0.6, 3.2)
+    all_axes = figure.subplots(1, len(groups), squeeze=False)[0]
+    for axes, group in zip(all_axes, groups, strict=True):
+        rows = [i for i in range(len(curve["step"])) if not words or curve[words[0]][i] == group]
+        seconds = np.array([curve["seconds"][i] for i in rows], dtype=float)
+        for name, column in curve.items():
+            if name in ("step", "seconds", *words) or name.endswith(("_per_s", "_mb", "_rate")):
+                continue
+            # A term that this panel's sensor does not have is stored as None.
+            values = np.array([np.nan if column[i] is None else column[i] for i in rows], dtype=float)
+            values[values <= 0.0] = np.nan
+            if np.isnan(values).all():
+                continue
+            is_total = name == "loss"
+            axes.plot(
+                seconds,
+                values,
+                label=name,
+                linewidth=2.0 if is_total else 1.0,
+                alpha=1.0 if is_total else 0.8,
+                color=MODEL_COLOUR if is_total else None,
+            )
+        axes.set(xlabel="seconds of training", ylabel="loss", yscale="log", title=group)
+        if axes.lines:
+            axes.legend(frameon=False, fontsize=8)
+        _tidy(axes)
+    return _png(figure)
+
+
+def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
+    """Error over training time, one panel a metric; seconds are linear up to 1, then logarithmic."""
+    figure = _figure(4.6 * len(panels) + 0.4, 3.4)
+    all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (title, points) in zip(all_axes, panels, strict=True):
+        finite = [p for p in points if math.isfinite(p.seconds) and math.isfinite(p.error)]
+        for rank, point in enumerate(sorted(finite, key=lambda p: p.error)):
+            axes.scatter(point.seconds, point.error, s=60, color=point.colour, zorder=3, edgecolor="white")
+            axes.annotate(
+                point.label, (point.seconds, point.error), textcoords="offset points",
+                xytext=(8, 5 if rank % 2 else -11), fontsize=8, color=point.colour,
+            )  # fmt: skip
+        axes.set(xlabel="seconds of training", title=title)
+        axes.set_xscale("symlog", linthresh=1.0)
+        longest = max((p.seconds for p in finite), default=1.0)
+        # Room on the right for the labels.
+        axes.set_xlim(-0.3, max(10.0, longest * 20.0))
+        axes.margins(y=0.25)
+        _tidy(axes)
+    return _png(figure)
+
+
+def method_colour(recipe: str) -> str:
+    """The colour that a method has in every plot."""
+    return BASELINE_COLOURS.get(recipe, MODEL_COLOUR)
+
+
+def range_tick_percent(range_m: float) -> float:
+    """Where a range lies on the scale of `range_scale_png`, in percent from its left end."""
+    return 100.0 * math.sqrt(range_m / MAX_RANGE_M)
+
+
+def _error_palette() -> np.ndarray:
+    palette = np.zeros((256, 3), np.uint8)
+    # From 0.15: zero error must differ from "no return", which is black.
+    palette[1 : _LEVELS + 2] = np.rint(colormaps["inferno"](np.linspace(0.15, 1.0, _LEVELS + 1))[:, :3] * 255)
+    palette[_MISSED], palette[_INVENTED] = MISSED_COLOUR, INVENTED_COLOUR
+    return palette
+
+
+def _figure(width_in: float, height_in: float) -> Figure:
+    figure = Figure(figsize=(width_in, height_in), dpi=144, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _tidy(axes: Axes) -> None:
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.title.set_fontsize(10)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()

@@ -1,0 +1,342 @@
+"""The report over all scenes: one offline HTML page for a reader who knows nothing of this project."""
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.reporting import plots
+from nvsf_core.reporting.html import escape, image, number, page, plain_table
+from nvsf_core.reporting.previews import image_preview, scan_top_view
+from nvsf_core.reporting.scene_outputs import CameraPair, SceneOutputs, ViewPictures, mean_of, method_rows
+from nvsf_core.reporting.tables import (
+    METHOD_WORDS,
+    PROTOCOLS,
+    Row,
+    full_tables,
+    headline_columns,
+    headline_table,
+    methods_of,
+    wins,
+)
+
+_METHOD_ORDER = ("model", "reproject", "copy_nearest")
+_COSTS = (
+    ("lidar4d_scan", "chamfer_m2", "LiDAR: Chamfer [m²], lower is better"),
+    ("raw", "range_abs_error_median_m", "LiDAR: median range error [m], lower is better"),
+    ("image", "image_psnr_db", "Camera: PSNR [dB], higher is better"),
+)  # fmt: skip
+
+
+def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str]) -> str:
+    """The page, as text.
+
+    Args:
+        scenes: What each scene's outputs hold, in the order to show them.
+        no_data: Catalogue scenes whose recordings are not on this machine.
+    """
+    measured = [scene for scene in scenes if scene.runs]
+    parts = [_intro(scenes), _summary(scenes, measured, no_data), _how_to_read()]
+    parts += [_scene(scene) for scene in scenes]
+    return page("NVSF benchmark report", "\n".join(parts))
+
+
+def write_report(folder: Path, scenes: Sequence[SceneOutputs], no_data: Sequence[str]) -> Path:
+    """Write `index.html` into a folder; returns its path."""
+    path = folder / "index.html"
+    path.write_text(report_html(scenes, no_data), encoding="utf-8")
+    return path
+
+
+def _intro(scenes: Sequence[SceneOutputs]) -> str:
+    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    links = "".join(f'<a href="#{escape(scene.name)}">{escape(scene.name)}</a>' for scene in scenes)
+    return (
+        "<h1>Benchmark report</h1>"
+        "<p>A car with a spinning laser scanner (LiDAR) and cameras drove through a street. From that"
+        " recording a"
+        " model of the scene was trained, and from the model new scans and pictures were rendered. Some"
+        " recorded"
+        " instants were <b>held out</b>: the model never saw them. This page compares what the model renders"
+        " there"
+        " with what was really recorded, beside two simple methods that learn nothing, and says what each"
+        " took in time.</p>"
+        f'<p class="soft">Made {made}. This page is one file and needs no network.</p><nav>{links}</nav>'
+    )
+
+
+def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], no_data: Sequence[str]) -> str:
+    parts = ["<section><h2>All scenes</h2>"]
+    head = ["scene", "method", "Chamfer [m²] ↓", "F-score ↑", "range PSNR [dB] ↑", "image PSNR [dB] ↑",
+            "training [s]", "best in"]  # fmt: skip
+    lines = []
+    for scene in measured:
+        rows = method_rows(scene)
+        best = wins(rows)
+        for position, (name, _, learned) in enumerate(methods_of(rows)):
+            mine = [row for row in rows if row["method"] == name]
+            cells = [
+                number(mean_of(mine, protocol, metric)[0], digits)
+                for protocol, metric, digits in (
+                    ("lidar4d_scan", "chamfer_m2", 4), ("lidar4d_scan", "f_score", 3),
+                    ("lidar4d_scan", "range_psnr_db", 2), ("image", "image_psnr_db", 2),
+                )
+            ]  # fmt: skip
+            columns = sum(column.higher_is_better is not None for column in headline_columns(rows))
+            train = number(float(mine[0]["train_seconds"] or 0.0), 1)
+            shown = f"<b>{escape(name)}</b>" if learned else escape(name)
+            link = f'<a href="#{escape(scene.name)}">{escape(scene.name)}</a>' if position == 0 else ""
+            lines.append([link, shown, *cells, train, f"{best[name]} of {columns}"])
+    if lines:
+        parts.append(plain_table(head, lines, words=(0, 1)))
+        parts.append(
+            '<p class="soft">Means over the held-out frames; LiDAR by the protocol'
+            " <code>lidar4d_scan</code>, images by"
+            " <code>image</code>, mean over the cameras. “Best in” counts the main numbers of a scene in"
+            " which a"
+            " method is the best one.</p>"
+        )
+    else:
+        parts.append('<div class="note">No scene has been measured yet.</div>')
+    failed = [scene for scene in scenes if scene.failure]
+    for scene in failed:
+        parts.append(
+            f'<div class="note bad"><b>{escape(scene.name)}'
+            f" failed:</b><pre>{escape(scene.failure)}</pre></div>"
+        )
+    if no_data:
+        names = ", ".join(f"<code>{escape(name)}</code>" for name in no_data)
+        parts.append(
+            f'<div class="note"><b>No data on this machine</b> for {len(no_data)} scenes of the catalogue:'
+            f" {names}."
+            " They were not run, and nothing is claimed about them.</div>"
+        )
+    parts.append(
+        '<p class="soft">Not measured on KITTI-360’s ten scenes that papers report on: their recordings were'
+        " never at"
+        " hand. Numbers published elsewhere are of other scenes, so none stand here beside"
+        " ours.</p></section>"
+    )
+    return "".join(parts)
+
+
+def _how_to_read() -> str:
+    methods = "".join(
+        f"<li><code>{name}</code>: {escape(METHOD_WORDS[name])}.</li>"
+        for name in ("reproject", "copy_nearest")
+    )
+    protocols = "".join(
+        f"<li><code>{name}</code>: {escape(words)}.</li>" for name, words in PROTOCOLS.items()
+    )
+    return (
+        "<section><h2>How to read this</h2><h3>Methods</h3><ul><li>A name in <b>blue</b>, such as"
+        " <code>quick</code>: the trained model, called by its recipe.</li>"
+        f"{methods}</ul><p>A model earns its training time only where it beats both baselines.</p>"
+        "<details><summary>Measures and protocols</summary><ul>"
+        "<li><b>Chamfer</b>: mean squared distance from each point of one cloud to the nearest of the other,"
+        " both ways"
+        " added; small is good. <b>F-score</b>: how much of both clouds lies within 22 cm (d² below 0.05 m²)"
+        " of the"
+        " other; 1 is perfect.</li>"
+        "<li><b>Range error</b>: distance between predicted and recorded return along the very rays that the"
+        " recording"
+        " returned on. A ray without an answer counts as infinitely wrong; <b>no answer</b> is their"
+        " share.</li>"
+        "<li><b>Hit accuracy</b>: share of the laser’s directions for which it is rightly told whether"
+        " anything comes"
+        " back. The unknown phase of the scanner’s turn keeps a real sensor from exceeding about 0.99.</li>"
+        "<li><b>PSNR, SSIM</b>: likeness of pictures; large is good.</li></ul><p>A protocol says what"
+        " exactly is"
+        f" compared:</p><ul>{protocols}</ul></details>"
+        "<p>In tables, ↓ means that lower is better, ↑ that higher is; the best value of a column has a"
+        " <span style='background:var(--best);color:var(--best-ink);padding:1px 6px'>green ground</span>."
+        " “–” is undefined, never zero; * is undefined on some frames (point at it).</p></section>"
+    )
+
+
+def _scene(scene: SceneOutputs) -> str:
+    parts = [f'<section id="{escape(scene.name)}"><h2>{escape(scene.name)}</h2>']
+    if scene.failure:
+        parts.append(
+            f'<div class="note bad"><b>The last run failed.</b><pre>{escape(scene.failure)}</pre></div>'
+        )
+    if not scene.runs:
+        parts.append("<p>Nothing has been measured for this scene.</p>")
+        return "".join([*parts, _stages(scene), "</section>"])
+    rows = method_rows(scene)
+    newest = scene.runs[0]
+    parts += [_verdict(rows), "<h3>Error beside time</h3>", headline_table(rows), _cost_plot(rows)]
+    for view in newest.pictures:
+        parts.append(_view(view, newest.recipe))
+    curves = [run for run in scene.runs if run.curve.get("step")]
+    if curves:
+        parts.append("<h3>Training</h3>")
+    for run in curves:
+        caption = f"Loss of {run.recipe}, seed {run.seed}; thick: the sum that is minimised, thin: its terms."
+        parts.append(_figure([image(plots.curve_png(run.curve), "loss curve")], caption))
+    parts.append(_profile(scene))
+    parts.append(_stages(scene))
+    tables = "".join(f'<div class="label">{escape(name)}</div>{table}' for name, table in full_tables(rows))
+    parts.append(
+        f"<details><summary>All metrics, by protocol and sensor</summary>{tables}</details></section>"
+    )
+    return "".join(parts)
+
+
+def _verdict(rows: Sequence[Row]) -> str:
+    """Who is best in how many of the main numbers, in one sentence."""
+    count = wins(rows)
+    total = sum(column.higher_is_better is not None for column in headline_columns(rows))
+    models = [name for name, _, learned in methods_of(rows) if learned]
+    if not models or not total:
+        return ""
+    best = max(models, key=lambda name: count[name])
+    others = ", ".join(f"{escape(name)} in {wins_}" for name, wins_ in count.items() if name != best)
+    css = "good" if count[best] > total / 2 else ""
+    return (
+        f'<div class="note {css}"><b>{escape(best)}</b> is best in {count[best]} of {total} main numbers at'
+        " the"
+        f" held-out frames ({others}).</div>"
+    )
+
+
+def _cost_plot(rows: Sequence[Row]) -> str:
+    panels = []
+    for protocol, metric, title in _COSTS:
+        points = []
+        for name, _, _ in methods_of(rows):
+            mine = [row for row in rows if row["method"] == name]
+            value = mean_of(mine, protocol, metric)[0]
+            seconds = float(mine[0]["train_seconds"] or 0.0)
+            colour = plots.method_colour(mine[0]["recipe"])
+            points.append(plots.CostPoint(label=name, seconds=seconds, error=value, colour=colour))
+        if any(np.isfinite(point.error) for point in points):
+            panels.append((title, points))
+    if not panels:
+        return ""
+    picture = image(plots.cost_error_png(panels), "error over training time")
+    return _figure([picture], "What each method took to prepare, and how wrong it is afterwards.")
+
+
+def _view(view: ViewPictures, recipe: str) -> str:
+    is_test = view.recorded_range_m is not None or any(pair.recorded is not None for pair in view.cameras)
+    names = {"model": recipe}
+    if is_test:
+        parts = [f"<h3>Held-out frame {view.frame}</h3>"]
+    else:
+        sensor = f", sensor {escape(view.sensor)}" if view.sensor else ""
+        parts = [
+            f"<h3>View <code>{escape(view.view)}</code>{sensor}</h3><p>Nobody recorded this one: rendered by"
+            f" {escape(recipe)} alone, nearest recorded frame {view.frame}.</p>"
+        ]
+    if view.rendered_range_m:
+        parts.append(_range_images(view, names))
+    if view.rendered_points_m:
+        parts.append(_top_views(view, names))
+    parts += [_camera_pair(pair, names) for pair in view.cameras]
+    return "".join(parts)
+
+
+def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
+    def strip(label: str, png: bytes) -> str:
+        return f'<div class="label">{escape(label)}</div>{image(png, label, "wide")}'
+
+    recorded = view.recorded_range_m
+    pictures = [] if recorded is None else [strip("recorded range", plots.range_image_png(recorded))]
+    for method in _METHOD_ORDER:
+        if method not in view.rendered_range_m:
+            continue
+        name, range_m = names.get(method, method), view.rendered_range_m[method]
+        pictures.append(strip(f"{name}: range", plots.range_image_png(range_m)))
+        if recorded is not None:
+            pictures.append(strip(f"{name}: error", plots.error_image_png(recorded, range_m)))
+    ticks = [(plots.range_tick_percent(tick), f"{tick} m") for tick in plots.RANGE_TICKS_M]
+    legend = _scale(plots.range_scale_png(), ticks)
+    if recorded is not None:
+        legend += " " + _scale(plots.error_scale_png(), [(0, "0"), (50, "0.5 m"), (100, "1 m or more")])
+        legend += _key(plots.MISSED_COLOUR, "recorded, but missed") + _key(
+            plots.INVENTED_COLOUR, "never recorded"
+        )
+    caption = (
+        "What the laser scanner sees, unrolled: a full turn from left to right, straight ahead in the"
+        " middle, one row"
+        " an elevation. Black: nothing came back."
+    )
+    return _figure([*pictures, f"<div>{legend}</div>"], caption)
+
+
+def _top_views(view: ViewPictures, names: Mapping[str, str]) -> str:
+    clouds = [("recorded", view.recorded_points_m)] if view.recorded_points_m is not None else []
+    clouds += [
+        (names.get(m, m), view.rendered_points_m[m]) for m in _METHOD_ORDER if m in view.rendered_points_m
+    ]
+    cells = [
+        f'<div><div class="label">{escape(name)}: {len(points_m):,} returns</div>'
+        f"{image(scan_top_view(points_m), name + ' from above')}</div>"
+        for name, points_m in clouds
+    ]
+    caption = "The same scan from above, 80 m by 80 m, driving direction up; violet is low, yellow is high."
+    return _figure([f'<div class="row">{"".join(cells)}</div>'], caption)
+
+
+def _camera_pair(pair: CameraPair, names: Mapping[str, str]) -> str:
+    pictures = [("recorded", pair.recorded)] if pair.recorded is not None else []
+    pictures += [(names.get(m, m), pair.rendered[m]) for m in _METHOD_ORDER if m in pair.rendered]
+    cells = [
+        "<div><div"
+        f' class="label">{escape(name)}</div>{image(image_preview(rgb), f"{pair.camera} {name}")}</div>'
+        for name, rgb in pictures
+        if rgb is not None
+    ]
+    return _figure([f'<div class="row">{"".join(cells)}</div>'], f"Camera {pair.camera}, frame {pair.frame}.")
+
+
+def _profile(scene: SceneOutputs) -> str:
+    rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
+    if not rows:
+        return ""
+    table = plain_table(["", ""], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,))
+    return f"<h3>Profile: what the laser’s own returns say of this scene</h3>{table}"
+
+
+def _stages(scene: SceneOutputs) -> str:
+    if not scene.records:
+        return ""
+    longest = max(record.seconds for record in scene.records) or 1.0
+    total = sum(record.seconds for record in scene.records)
+    rows = []
+    for record in scene.records:
+        failed = [check for check in record.checks if not check["passed"]]
+        bar = f'<span class="bar" style="width:{240 * record.seconds / longest:.0f}px"></span>'
+        state = (
+            f"{len(record.checks) - len(failed)} of {len(record.checks)} hold" if record.checks else "none"
+        )
+        details = "".join(f"<br><b>{escape(c['name'])}</b>: {escape(c['detail'])}" for c in failed)
+        rows.append([escape(record.stage), number(record.seconds, 1), bar, state + details])
+    rows.append(["<b>together</b>", f"<b>{number(total, 1)}</b>", "", ""])
+    table = plain_table(["stage", "seconds", "", "checks"], rows, words=(2, 3))
+    return f"<h3>Where the time went</h3><p>Seconds of each stage when it last ran.</p>{table}"
+
+
+def _words(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def _value(value: object) -> str:
+    if isinstance(value, float):
+        return number(value, 3)
+    return escape(value)
+
+
+def _scale(png: bytes, ticks: Sequence[tuple[float, str]]) -> str:
+    marks = "".join(f'<span style="left:{left:.1f}%">{escape(text)}</span>' for left, text in ticks)
+    return f'<span class="scale">{image(png, "colour scale")}{marks}</span>'
+
+
+def _key(colour: tuple[int, int, int], words: str) -> str:
+    return f'<span class="key"><i style="background:rgb{colour}"></i>{escape(words)}</span>'
+
+
+def _figure(parts: Sequence[str], caption: str) -> str:
+    return f"<figure>{''.join(parts)}<figcaption>{escape(caption)}</figcaption></figure>"

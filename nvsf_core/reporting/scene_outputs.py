@@ -1,0 +1,212 @@
+"""What the report shows of one scene, read from its published outputs; what is absent stays empty."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.metrics.table import BASELINES, mean_rows
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.tables import read_rows, read_table
+
+METHODS = ("model", "reproject", "copy_nearest")
+TEST_VIEW = "test"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageRecord:
+    """What a stage wrote down of its own run."""
+
+    stage: str
+    """Name of the stage, with recipe and seed where they belong to it."""
+    seconds: float
+    metadata: dict[str, Any]
+    checks: list[dict[str, Any]]
+    """Each with `name`, `passed`, `detail`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPair:
+    """One instant of one camera: recorded (None at a view nobody recorded) and as each method sees it."""
+
+    camera: str
+    frame: int
+    recorded: np.ndarray | None
+    rendered: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewPictures:
+    """One instant of one rendered view."""
+
+    view: str
+    frame: int
+    sensor: str
+    recorded_range_m: np.ndarray | None = None
+    """(H, W) range image, 0 = no return; None where the instant was not recorded."""
+    rendered_range_m: dict[str, np.ndarray] = field(default_factory=dict)
+    """Method to range image."""
+    recorded_points_m: np.ndarray | None = None
+    rendered_points_m: dict[str, np.ndarray] = field(default_factory=dict)
+    cameras: list[CameraPair] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldRun:
+    """One trained field: a recipe and a seed."""
+
+    recipe: str
+    seed: int
+    means: list[dict[str, Any]]
+    """Rows of `metrics.table.mean_rows`, the baselines' included."""
+    curve: dict[str, list[Any]]
+    """Training curve by column; empty where there is none."""
+    pictures: list[ViewPictures]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneOutputs:
+    """All that the report shows of one scene."""
+
+    name: str
+    records: list[StageRecord] = field(default_factory=list)
+    runs: list[FieldRun] = field(default_factory=list)
+    """Newest first; the pictures are of the newest."""
+    profile: dict[str, Any] = field(default_factory=dict)
+    """What the evidence says that this scene needs."""
+    failure: str | None = None
+    """Why its last run failed; outputs of earlier runs may be there all the same."""
+
+
+def collect_scene(
+    home: Path, name: str, records: Sequence[StageRecord] = (), failure: str | None = None
+) -> SceneOutputs:
+    """Read one scene's metrics, curves and pictures from `<home>/<name>/`."""
+    root = home / name
+    tables = sorted(root.glob("scene_metrics/*/*/metrics.parquet"), key=lambda path: -path.stat().st_mtime_ns)
+    runs = []
+    for position, table in enumerate(tables):
+        recipe, seed = table.parts[-3], table.parts[-2]
+        curve = root / "field" / recipe / seed / "curve.parquet"
+        runs.append(
+            FieldRun(
+                recipe=recipe,
+                seed=int(seed),
+                means=mean_rows(read_rows(table)),
+                curve=read_table(curve) if curve.is_file() else {},
+                pictures=_pictures(root, root / "novel_views" / recipe / seed) if position == 0 else [],
+            )
+        )
+    return SceneOutputs(
+        name=name, records=list(records), runs=runs, profile=_profile(records), failure=failure
+    )
+
+
+def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
+    """All mean rows, each with a `method` to show; a baseline comes once, from the newest run."""
+    several = len({run.recipe for run in scene.runs}) < len(scene.runs)
+    rows: list[dict[str, Any]] = []
+    for position, run in enumerate(scene.runs):
+        for row in run.means:
+            is_baseline = row["recipe"] in BASELINES
+            if is_baseline and position > 0:
+                continue
+            label = f"{row['recipe']}, seed {run.seed}" if several and not is_baseline else row["recipe"]
+            rows.append({**row, "method": label, "is_baseline": is_baseline})
+    return rows
+
+
+def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
+    """The evidence's own words and numbers."""
+    for record in records:
+        if record.stage == "evidence":
+            return dict(record.metadata)
+    return {}
+
+
+def _pictures(root: Path, views: Path) -> list[ViewPictures]:
+    if not views.is_dir():
+        return []
+    names = sorted(path.name for path in views.iterdir() if (path / "model.zarr").is_dir())
+    names.sort(key=lambda name: name != TEST_VIEW)
+    return [_view_pictures(root, views / name) for name in names]
+
+
+def _view_pictures(root: Path, folder: Path) -> ViewPictures:
+    """The middle instant of a view, beside what was recorded then if it is the held-out view."""
+    attrs = read_attrs(folder / "model.zarr")
+    frames = read_arrays(folder / "model.zarr", "frame")["frame"]
+    is_test = folder.name == TEST_VIEW
+    methods = {m: folder / f"{m}.zarr" for m in METHODS if (folder / f"{m}.zarr").is_dir()}
+    found = [_camera(root, methods, camera, is_test) for camera in attrs.get("cameras", [])]
+    cameras = [pair for pair in found if pair is not None]
+    sensor = str(attrs.get("sensor", ""))
+    if not frames.size:
+        frame = cameras[0].frame if cameras else 0
+        return ViewPictures(view=folder.name, frame=frame, sensor=sensor, cameras=cameras)
+    row = len(frames) // 2
+    frame = int(frames[row])
+    ranges_m, points_m = {}, {}
+    for method, path in methods.items():
+        stored = read_arrays(path, "pano_range_m", "points_m", "offsets")
+        ranges_m[method] = stored["pano_range_m"][row]
+        points_m[method] = stored["points_m"][stored["offsets"][row] : stored["offsets"][row + 1]]
+    recorded_range_m, recorded_points_m = _recorded_scan(root, frame) if is_test else (None, None)
+    return ViewPictures(
+        view=folder.name, frame=frame, sensor=sensor, cameras=cameras,
+        recorded_range_m=recorded_range_m, rendered_range_m=ranges_m,
+        recorded_points_m=recorded_points_m, rendered_points_m=points_m,
+    )  # fmt: skip
+
+
+def _recorded_scan(root: Path, frame: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Linear range image and points of a recorded frame."""
+    pano, returns = root / "pano" / "pano.zarr", root / "sweeps" / "returns.zarr"
+    range_m = points_m = None
+    if pano.is_dir():
+        stored = read_arrays(pano, "frame", "linear_range_m")
+        for row in np.flatnonzero(stored["frame"] == frame)[:1]:
+            range_m = stored["linear_range_m"][row]
+    if returns.is_dir():
+        stored = read_arrays(returns, "frame", "offsets", "points_m")
+        for row in np.flatnonzero(stored["frame"] == frame)[:1]:
+            points_m = stored["points_m"][stored["offsets"][row] : stored["offsets"][row + 1]]
+    return range_m, points_m
+
+
+def _camera(root: Path, methods: dict[str, Path], camera: str, is_test: bool) -> CameraPair | None:
+    """The middle picture of one camera, or None where the view has none."""
+    frames = read_arrays(methods["model"], f"{camera}_frame")[f"{camera}_frame"]
+    if not frames.size:
+        return None
+    frame = int(frames[len(frames) // 2])
+    rendered = {}
+    for method, path in methods.items():
+        if camera not in read_attrs(path).get("cameras", []):
+            continue
+        stored = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
+        for row in np.flatnonzero(stored[f"{camera}_frame"] == frame)[:1]:
+            rendered[method] = stored[f"{camera}_rgb"][row]
+    recorded = None
+    images = root / "undistorted" / "images.zarr"
+    if is_test and images.is_dir():
+        stored = read_arrays(images, f"{camera}_rgb", f"{camera}_frame")
+        for row in np.flatnonzero(stored[f"{camera}_frame"] == frame)[:1]:
+            recorded = stored[f"{camera}_rgb"][row]
+    return CameraPair(camera=camera, frame=frame, recorded=recorded, rendered=rendered)
+
+
+def mean_of(rows: Sequence[dict[str, Any]], protocol: str, metric: str) -> tuple[float, int, int]:
+    """Mean over sensors of one metric at the held-out frames: value, frames defined, frames."""
+    mine = [
+        row
+        for row in rows
+        if (row["protocol"], row["metric"]) == (protocol, metric)
+        and (row["split"], row["region"]) == (TEST_VIEW, "all")
+    ]
+    values = [row["value"] for row in mine if row["n_defined"]]
+    value = sum(values) / len(values) if values else math.nan
+    return value, sum(row["n_defined"] for row in mine), sum(row["n_frames"] for row in mine)

@@ -1,0 +1,171 @@
+"""The report's tables of methods, made from mean metric rows."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from nvsf_core.metrics.table import BASELINES
+from nvsf_core.reporting.html import Column, best_rows, higher_is_better, methods_table, unit_text
+from nvsf_core.reporting.scene_outputs import TEST_VIEW, mean_of
+
+HEADLINES = (
+    ("lidar4d_scan", "chamfer_m2", "Chamfer"), ("lidar4d_scan", "f_score", "F-score"),
+    ("lidar4d_scan", "range_psnr_db", "range PSNR"),
+    ("raw", "range_abs_error_median_m", "range error, median"),
+    ("raw", "range_missing", "no answer"), ("raw", "hit_accuracy", "hit accuracy"),
+    ("raw", "intensity_rmse", "intensity RMSE"), ("image", "image_psnr_db", "PSNR"),
+    ("image", "image_ssim", "SSIM"),
+)  # fmt: skip
+"""Protocol, metric and title of the columns that every scene shows first."""
+
+PROTOCOLS = {
+    "lidar4d": "as published by LiDAR4D: the recorded scan projected to a 66×1030 range image, against the"
+    " range image"
+    " that the model renders",
+    "lidar4d_scan": "the same, but the prediction is the exported scan, projected in the same way",
+    "raw": "the recorded scan itself, 0 to 80 m: errors along the recorded rays, hits on a grid of 64 × 2000"
+    " cells",
+    "masked": "inside and outside the boxes of moving objects",
+    "image": "all pixels of the recorded camera image",
+}
+"""What a protocol compares, in words."""
+
+METHOD_WORDS = {
+    "reproject": "baseline: the recorded returns of the other frames, rendered along the sensor's rays;"
+    " nothing is"
+    " learned",
+    "copy_nearest": "baseline: the recorded scan and image nearest in time, as they are",
+    "mesh": "baseline: a Poisson mesh of the recorded scans, ray-cast",
+}
+
+_METRIC_WORDS = {
+    "chamfer_m2": "Chamfer", "f_score": "F-score", "range_rmse_m": "range RMSE", "range_medae_m": "range"
+    " MedAE",
+    "range_psnr_db": "range PSNR", "range_ssim": "range SSIM", "range_missing": "no answer",
+    "range_abs_error_median_m": "range error, median", "range_abs_error_p90_m": "range error, p90",
+    "intensity_rmse": "intensity RMSE", "intensity_medae": "intensity MedAE",
+    "intensity_psnr_db": "intensity PSNR", "intensity_ssim": "intensity SSIM", "hit_rmse": "hit RMSE",
+    "hit_accuracy": "hit accuracy", "hit_f_score": "hit F", "image_psnr_db": "PSNR", "image_ssim": "SSIM",
+    "image_depth_rmse_m": "depth RMSE",
+}  # fmt: skip
+
+Row = dict[str, Any]
+
+
+def methods_of(rows: Sequence[Row]) -> list[tuple[str, str, bool]]:
+    """Name, words and whether it learned, of each method in the rows: models first."""
+    found = {row["method"]: row for row in rows}
+    order = sorted(found.values(), key=lambda row: (_rank(row["recipe"]), row["method"]))
+    return [
+        (row["method"], METHOD_WORDS.get(row["recipe"], "trained field"), not row["is_baseline"])
+        for row in order
+    ]
+
+
+def headline_columns(rows: Sequence[Row]) -> list[Column]:
+    """The main errors at the held-out frames, with time and size beside them."""
+    methods = [name for name, _, _ in methods_of(rows)]
+    by_method = {name: [row for row in rows if row["method"] == name] for name in methods}
+    columns = []
+    for protocol, metric, title in HEADLINES:
+        column = _column(by_method, protocol, metric, title, protocol)
+        if not all(math.isnan(value) for value in column.values):
+            columns.append(column)
+    costs = (
+        ("train_seconds", "training", "s", None, 1), ("render_seconds", "a scan", "s", "lidar", 2),
+        ("render_seconds", "an image", "s", "image", 2), ("parameters", "parameters", "", None, 0),
+        ("model_mb", "model", "MB", None, 1),
+    )  # fmt: skip
+    for key, title, unit, kind, digits in costs:
+        values = [_cost(by_method[name], key, kind) for name in methods]
+        if not all(math.isnan(value) for value in values):
+            columns.append(
+                Column(
+                    group="time and size", title=title, unit=unit, higher_is_better=None, values=values,
+                    notes=[""] * len(values), digits=digits,
+                )
+            )  # fmt: skip
+    return columns
+
+
+def headline_table(rows: Sequence[Row]) -> str:
+    """The model beside the baselines."""
+    return methods_table(methods_of(rows), headline_columns(rows))
+
+
+def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Heading and table for each split, protocol, region and sensor that was measured."""
+    keys = sorted(
+        {(row["split"], row["protocol"], row["region"], row["sensor"]) for row in rows},
+        key=lambda key: (key[0] != TEST_VIEW, *key),
+    )
+    tables = []
+    for key in keys:
+        mine = [row for row in rows if (row["split"], row["protocol"], row["region"], row["sensor"]) == key]
+        methods = [name for name, _, _ in methods_of(mine)]
+        metrics = list(dict.fromkeys(row["metric"] for row in mine))
+        columns = []
+        for metric in metrics:
+            cells = [
+                [row for row in mine if (row["method"], row["metric"]) == (name, metric)] for name in methods
+            ]
+            values = [cell[0]["value"] if cell else math.nan for cell in cells]
+            notes = [_undefined(cell[0]["n_defined"], cell[0]["n_frames"]) if cell else "" for cell in cells]
+            unit = next(cell[0]["unit"] for cell in cells if cell)
+            columns.append(
+                _metric_column(key[1], metric, _METRIC_WORDS.get(metric, metric), unit, values, notes)
+            )
+        split, protocol, region, sensor = key
+        frames = max(row["n_frames"] for row in mine)
+        where = "held-out frames" if split == TEST_VIEW else f"split {split}"
+        place = "" if region == "all" else f", {region}"
+        heading = f"{where}, protocol {protocol}, {sensor}{place}: mean of {frames} frames"
+        tables.append((heading, methods_table(methods_of(mine), columns)))
+    return tables
+
+
+def wins(rows: Sequence[Row]) -> dict[str, int]:
+    """How many of the headline errors each method is best in; a tie counts for all who share it."""
+    methods = [name for name, _, _ in methods_of(rows)]
+    count = dict.fromkeys(methods, 0)
+    for column in headline_columns(rows):
+        for row in best_rows(column):
+            count[methods[row]] += 1
+    return count
+
+
+def _column(by_method: dict[str, list[Row]], protocol: str, metric: str, title: str, group: str) -> Column:
+    found = [mean_of(rows, protocol, metric) for rows in by_method.values()]
+    units = [row["unit"] for rows in by_method.values() for row in rows if row["metric"] == metric]
+    unit = units[0] if units else ""
+    notes = [_undefined(defined, frames) for _, defined, frames in found]
+    return _metric_column(group, metric, title, unit, [value for value, _, _ in found], notes)
+
+
+def _metric_column(
+    group: str, metric: str, title: str, unit: str, values: list[float], notes: list[str]
+) -> Column:
+    digits = 2 if unit == "dB" else 4 if unit == "m2" else 3
+    return Column(
+        group=group, title=title, unit=unit_text(unit), higher_is_better=higher_is_better(metric),
+        values=values, notes=notes, digits=digits,
+    )  # fmt: skip
+
+
+def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
+    """A cost of a method; `kind` restricts render times to the LiDAR's or the images' rows."""
+    values = [
+        float(row[key])
+        for row in rows
+        if row["split"] == TEST_VIEW and (kind is None or (row["protocol"] == "image") == (kind == "image"))
+        if row[key] is not None and not math.isnan(row[key])
+    ]
+    return sum(values) / len(values) if values else math.nan
+
+
+def _undefined(defined: int, frames: int) -> str:
+    return "" if defined == frames else f"defined on {defined} of {frames} frames"
+
+
+def _rank(recipe: str) -> int:
+    return 1 + BASELINES.index(recipe) if recipe in BASELINES else 0

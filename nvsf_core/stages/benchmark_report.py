@@ -1,0 +1,70 @@
+"""`benchmark_report`: one offline HTML page over all scenes. It belongs to no scene, so it is no `Stage`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from nvsf_core.reporting.report import write_report
+from nvsf_core.reporting.scene_outputs import StageRecord, collect_scene
+from nvsf_core.stages import STAGE_NAMES
+from nvsf_core.stages.stage import RECORD_NAME, read_record
+from nvsf_core.stores.scene_store import publish_folder
+
+_RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
+"""Where stages leave their records below a scene's folder: plain, by recipe and seed, and the data sets'."""
+
+
+def make_benchmark_report(
+    home: Path, scene_names: Sequence[str], failures: Mapping[str, str], no_data: Sequence[str]
+) -> Path:
+    """Make the page from whatever the scenes have published, and publish it whole.
+
+    Args:
+        home: NVSF_HOME.
+        scene_names: Scenes to show, in this order.
+        failures: Scene to the reason why its run failed; such a scene is shown with what it has.
+        no_data: Catalogue scenes whose recordings are not on this machine.
+
+    Returns:
+        Path of `<home>/benchmark_report/index.html`.
+
+    Raises:
+        StoreError: A published output is not what its contract says.
+    """
+    names = list(dict.fromkeys([*scene_names, *failures]))
+    scenes = [collect_scene(home, name, _records(home / name), failures.get(name)) for name in names]
+    target = home / "benchmark_report"
+    with publish_folder(target) as folder:
+        written = write_report(folder, scenes, no_data)
+    return target / written.name
+
+
+def _records(root: Path) -> list[StageRecord]:
+    """The stages' records in the order of the flow, the newest version of each data set only."""
+    found: dict[str, tuple[int, Path]] = {}
+    for pattern in _RECORDS:
+        for path in root.glob(pattern):
+            parts = path.parent.relative_to(root).parts
+            if any(part.startswith((".work", ".publishing-", ".retired-")) for part in parts):
+                continue
+            name = parts[0] if len(parts) == 1 else " ".join(part for part in parts[:3] if part != ".index")
+            changed = path.stat().st_mtime_ns
+            if name not in found or found[name][0] < changed:
+                found[name] = (changed, path.parent)
+    records = []
+    for name in sorted(found, key=_flow_rank):
+        record = read_record(found[name][1])
+        if record is not None:
+            records.append(
+                StageRecord(
+                    stage=name,
+                    seconds=record["seconds"],
+                    metadata=record["metadata"],
+                    checks=record["checks"],
+                )
+            )
+    return records
+
+
+def _flow_rank(name: str) -> tuple[int, str]:
+    stage = name.split(" ")[0]
+    return (STAGE_NAMES.index(stage) if stage in STAGE_NAMES else len(STAGE_NAMES), name)
