@@ -1,0 +1,156 @@
+"""The whole lineage of one scene, without Dagster; and one stage of it, for whoever schedules them."""
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nvsf_core.errors import DataError, StoreError
+from nvsf_core.kitti360.catalogue import (
+    SceneEntry,
+    catalogue_from_environment,
+    has_data,
+    home_from_environment,
+)
+from nvsf_core.recipe import Recipe
+from nvsf_core.stages.lease import device_lease
+from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, read_record, run_stage
+from nvsf_core.stores.scene_store import SceneStore
+
+DEMO_SCENE = "demo"
+"""The scene whose drive is written here where it is absent."""
+DEFAULT_RECIPE = "quick"
+"""Used where neither the user nor the catalogue names one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneRun:
+    """One scene, where its outputs go, and what was asked for."""
+
+    scene: SceneEntry
+    store: SceneStore
+    config: RunConfig
+
+
+def plan_run(
+    scene: SceneEntry, home: Path, *, recipe: str | Recipe | None = None, seed: int = 0, draw_seed: int = 0,
+    dataset_label: str = "manual",
+) -> SceneRun:
+    """Decide recipe and places: the recipe asked for, else the catalogue's, else the default.
+
+    Raises:
+        RecipeError: There is no preset of that name.
+    """
+    if not isinstance(recipe, Recipe):
+        recipe = Recipe.preset(recipe or scene.recipe or DEFAULT_RECIPE)
+    config = RunConfig(recipe=recipe, seed=seed, draw_seed=draw_seed, dataset_label=dataset_label)
+    return SceneRun(scene=scene, store=SceneStore(home=home.resolve(), scene=scene.name), config=config)
+
+
+def run_scene(
+    scene: str | SceneEntry, home: Path | str | None = None, *, recipe: str | Recipe | None = None,
+    seed: int = 0, draw_seed: int = 0, dataset_label: str = "manual", progress: Progress | None = None,
+    stages: Sequence[Stage] | None = None,
+) -> list[Outcome]:
+    """Run every stage on one scene, in order; what is up to date is skipped.
+
+    Args:
+        scene: A catalogue entry, or its name in the catalogue that NVSF_SCENES points to.
+        home: Folder of all outputs; default NVSF_HOME, else `.nvsf` here.
+        recipe: A preset's name or a recipe; default the catalogue's choice, else `quick`.
+        seed: Seed of training.
+        draw_seed: Seed of what is random in the data set.
+        dataset_label: First part of the data set's version.
+        progress: Takes lines for the person who waits; default standard error.
+        stages: Another list than the project's own.
+
+    Raises:
+        DataError: The catalogue has no such scene, or its drive is absent (NoDataError).
+        NvsfError: Whatever a stage raises.
+    """
+    entry = find_scene(scene) if isinstance(scene, str) else scene
+    say = progress or say_on_stderr
+    write_demo_where_absent(entry, say)
+    run = plan_run(
+        entry, Path(home) if home else home_from_environment(os.environ), recipe=recipe, seed=seed,
+        draw_seed=draw_seed, dataset_label=dataset_label,
+    )  # fmt: skip
+    chosen = _own_stages() if stages is None else tuple(stages)
+    return [run_named_stage(stage.name, run, say, stages=chosen) for stage in chosen]
+
+
+def run_named_stage(
+    name: str, run: SceneRun, progress: Progress, *, stages: Sequence[Stage] | None = None
+) -> Outcome:
+    """Run, or skip, one stage whose inputs lie published.
+
+    Raises:
+        StoreError: An input was never published.
+        NvsfError: Whatever the stage raises.
+    """
+    by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
+    stage = by_name[name]
+    inputs = {source: _fingerprint_of(by_name[source], run) for source in stage.inputs}
+    with _lease_for(stage, run, progress):
+        return run_stage(stage, run.scene, run.store, run.config, progress, inputs)
+
+
+def find_scene(name: str) -> SceneEntry:
+    """The catalogue's entry of that name.
+
+    Raises:
+        DataError: There is none.
+    """
+    catalogue = catalogue_from_environment(os.environ)
+    for entry in catalogue:
+        if entry.name == name:
+            return entry
+    known = ", ".join(entry.name for entry in catalogue)
+    raise DataError(f"no scene {name!r} in the catalogue; it has {known}. NVSF_SCENES names other catalogues")
+
+
+def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
+    """Write the embedded drive, if this is the scene it belongs to and it is not there yet."""
+    if scene.name != DEMO_SCENE or has_data(scene):
+        return
+    # The writer ray-casts with torch and numba: imported only where a drive is written.
+    from nvsf_core.kitti360.demo import write_demo
+
+    progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
+    started = time.perf_counter()
+    write_demo(scene.root)
+    progress(f"[{scene.name}] drive: written in {time.perf_counter() - started:.1f} s")
+
+
+def say_on_stderr(line: str, /) -> None:
+    """Progress for a terminal."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
+def _fingerprint_of(stage: Stage, run: SceneRun) -> str:
+    folder = run.store.require(stage.location(run.config))
+    record = read_record(folder)
+    if record is None:
+        raise StoreError(f"{folder}: expected the record of stage {stage.name}, found none; run that stage")
+    fingerprint: str = record["fingerprint"]
+    return fingerprint
+
+
+@contextlib.contextmanager
+def _lease_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[None]:
+    """Only what trains waits for the device; everything else may run beside it."""
+    if stage.group != "train":
+        yield
+        return
+    with device_lease(run.store.home / ".leases", progress):
+        yield
+
+
+def _own_stages() -> tuple[Stage, ...]:
+    from nvsf_core.stages import STAGES  # the package imports this module first
+
+    return STAGES

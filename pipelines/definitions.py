@@ -1,0 +1,23 @@
+"""The one code location: what Dagster loads."""
+
+import dagster as dg
+
+from assets.ingest import ingest_assets
+from assets.prepare import prepare_assets
+from assets.report import report_assets
+from assets.synthesis import synthesis_assets
+from assets.train import train_assets
+from pipelines.executors import executor_from_environment
+from pipelines.jobs import JOBS
+from pipelines.resources import RESOURCES
+from pipelines.schedules import weekly_regeneration
+from pipelines.terminal import terse_logger
+
+defs = dg.Definitions(
+    assets=[*ingest_assets, *prepare_assets, *train_assets, *synthesis_assets, *report_assets],
+    jobs=JOBS,
+    schedules=[weekly_regeneration],
+    resources=RESOURCES,
+    executor=executor_from_environment(),
+    loggers={"terse": terse_logger},
+)

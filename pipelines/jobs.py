@@ -1,0 +1,27 @@
+"""The jobs; `train_all_scenes` has a module of its own."""
+
+import dagster as dg
+
+from assets.factory import scene_partitions
+from pipelines.train_all import make_train_all_scenes
+
+train_all_scenes = make_train_all_scenes()
+
+_up_to_dataset = dg.AssetSelection.assets("dataset").upstream()
+
+train_scene = dg.define_asset_job(
+    "train_scene",
+    selection=_up_to_dataset,
+    partitions_def=scene_partitions,
+    description="One scene, from its recorded drive to its data set; what is up to date is skipped.",
+)
+
+regenerate_synthetic = dg.define_asset_job(
+    "regenerate_synthetic",
+    selection=_up_to_dataset,
+    partitions_def=scene_partitions,
+    description="A new version of a scene's synthetic data sets, drawn with a seed of its own; the scene is "
+    "trained again only where its drive, recipe or code changed.",
+)
+
+JOBS = [train_all_scenes, train_scene, regenerate_synthetic]

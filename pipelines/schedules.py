@@ -1,0 +1,48 @@
+"""When the flow runs by itself."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import dagster as dg
+
+from assets.workspace import Workspace, catalogue
+from nvsf_core.stages.stage import RECORD_NAME
+from pipelines.jobs import regenerate_synthetic
+
+
+@dg.schedule(
+    cron_schedule="0 3 * * 0",
+    job=regenerate_synthetic,
+    description="Sundays at 3: a new version of every trained scene's synthetic data sets.",
+)
+def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.RunRequest | dg.SkipReason]:
+    """One run a scene that has a field, drawn with the ISO week as its seed."""
+    year, week, _ = context.scheduled_execution_time.isocalendar()
+    label = f"{year}-W{week:02d}"
+    requested = 0
+    for entry in catalogue():
+        field = newest_field(Workspace().home() / entry.name)
+        if field is None:
+            continue
+        requested += 1
+        recipe, seed = field
+        choice = {"recipe": recipe, "seed": seed, "draw_seed": 100 * year + week, "dataset_label": label}
+        yield dg.RunRequest(
+            run_key=f"{entry.name}-{label}",
+            partition_key=entry.name,
+            run_config={"resources": {"workspace": {"config": choice}}},
+            tags={"nvsf/label": label},
+        )
+    if not requested:
+        yield dg.SkipReason("no scene has a trained field")
+
+
+def newest_field(scene_root: Path) -> tuple[str, int] | None:
+    """Recipe and seed of the scene's latest published field, or None where there is none."""
+    records = sorted(
+        scene_root.glob(f"field/*/*/{RECORD_NAME}"), key=lambda path: (path.stat().st_mtime, str(path))
+    )
+    if not records:
+        return None
+    folder = records[-1].parent
+    return folder.parent.name, int(folder.name)

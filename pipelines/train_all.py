@@ -1,0 +1,196 @@
+"""`train_all_scenes`: every scene through every stage, one report, and a failure that names who failed.
+
+A partitioned asset job would need a partition, which `dagster job execute` cannot name; so this is an op
+job, made from the same stages as the assets, that logs each scene's materialisations and checks.
+"""
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import dagster as dg
+from pydantic import Field
+
+from assets.factory import events_of
+from assets.report import METRICS_STAGE
+from assets.workspace import Workspace, catalogue
+from nvsf_core.errors import NvsfError
+from nvsf_core.kitti360.catalogue import has_data
+from nvsf_core.metrics.table import summary_table
+from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
+from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.flow import DEMO_SCENE, write_demo_where_absent
+from nvsf_core.stores.tables import read_rows
+from pipelines.resources import RESOURCES
+from pipelines.terminal import terse_logger
+
+SceneState = dict[str, Any]
+"""Goes from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
+
+# A killed child (out of memory) gets a second try, which resumes from the last checkpoint. Errors of a
+# scene never get here: they are caught and recorded.
+_RETRY_KILLED = dg.RetryPolicy(max_retries=1)
+
+
+class SceneChoice(dg.Config):
+    """Which scenes to train."""
+
+    scenes: list[str] = Field(default=[])
+    """Names; empty = SCENES (separated by blanks), else every scene of the catalogue that has data."""
+
+
+@dg.op(
+    out={"scene": dg.DynamicOut(dict), "absent": dg.Out(list)},
+    description="Name the scenes: those asked for, else every one that has data; the demo drive is written.",
+)
+def choose_scenes(context: dg.OpExecutionContext, config: SceneChoice) -> Iterator[Any]:
+    """Fan out over the scenes; one asked for by name without data goes on as failed, others are dropped."""
+    asked = config.scenes or os.environ.get("SCENES", "").split()
+    names = list(dict.fromkeys(asked)) or [entry.name for entry in catalogue()]
+    absent: list[str] = []
+    keys: set[str] = set()
+    for name in names:
+        failure = _prepare_drive(name, context)
+        if failure and not asked:
+            absent.append(name)
+            context.log.info(f"[{name}] no data, left out: {failure}")
+            continue
+        key = re.sub(r"\W", "_", name)
+        key = key if key not in keys else f"{key}_{len(keys)}"
+        keys.add(key)
+        state: SceneState = {"scene": name, "failed": failure, "stages": [], "exports": []}
+        yield dg.DynamicOutput(state, mapping_key=key, output_name="scene")
+    yield dg.Output(absent, output_name="absent")
+
+
+def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
+    """Why the scene's drive cannot be used; empty = it is there."""
+    try:
+        entry = find_scene(name)
+        if entry.name == DEMO_SCENE:
+            write_demo_where_absent(entry, context.log.info)
+    except NvsfError as error:
+        return f"drive: {error}"
+    if has_data(entry):
+        return ""
+    return f"drive: no data at {entry.root} for {entry.sequence}; set the scene's root or NVSF_KITTI360_ROOT"
+
+
+def _stage_op(stage: Stage, position: int) -> dg.OpDefinition:
+    # Later stages first: a scene is finished before the next one is begun, and a first result is early.
+    @dg.op(
+        name=f"{stage.name}_of_scene",
+        description=stage.description,
+        tags={"dagster/priority": str(position)},
+        retry_policy=_RETRY_KILLED,
+    )
+    def run(context: dg.OpExecutionContext, workspace: Workspace, state: dict) -> dict:
+        scene: str = state["scene"]
+        if state["failed"]:
+            context.log.warning(f"[{scene}] {stage.name}: not run, failed before ({state['failed']})")
+            return state
+        try:
+            outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info)
+        except NvsfError as error:
+            return _failed(context, state, stage, f"{stage.name}: {error}")
+        except Exception as error:
+            # A defect, not bad data; yet a failed step would keep the report of all scenes from being made.
+            context.log.exception(f"[{scene}] {stage.name}: unexpected error")
+            return _failed(context, state, stage, f"{stage.name}: {type(error).__name__}: {error}")
+        for event in events_of(outcome, scene):
+            context.log_event(event)
+        done = {"stage": stage.name, "seconds": outcome.seconds, "skipped": outcome.skipped}
+        exports = [*state["exports"], *_exports(outcome)]
+        return {**state, "stages": [*state["stages"], done], "exports": exports}
+
+    return run
+
+
+def _failed(context: dg.OpExecutionContext, state: SceneState, stage: Stage, reason: str) -> SceneState:
+    context.log.warning(f"[{state['scene']}] FAILED in {reason}")
+    context.log_event(
+        dg.AssetObservation(asset_key=stage.name, partition=state["scene"], metadata={"failed": reason})
+    )
+    return {**state, "failed": reason}
+
+
+def _exports(outcome: Outcome) -> list[str]:
+    """Folders of the data sets that a stage published beside its own output."""
+    scene_root = outcome.path
+    while scene_root.name != outcome.stage:
+        scene_root = scene_root.parent
+    return [
+        str(scene_root / key.removesuffix("_version") / str(value))
+        for key, value in outcome.metadata.items()
+        if outcome.stage == "dataset" and key.endswith("_version")
+    ]
+
+
+@dg.op(
+    tags={"dagster/priority": str(len(STAGES))},
+    description="One page over all scenes, and the table for the terminal.",
+)
+def report_all(
+    context: dg.OpExecutionContext, workspace: Workspace, states: list[dict], absent: list[str]
+) -> list[str]:
+    """Make the report whether or not scenes failed; returns what failed, one line a scene."""
+    failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
+    measured = [state["scene"] for state in states if not state["failed"]]
+    path = make_benchmark_report(workspace.home(), [state["scene"] for state in states], failures, absent)
+    metadata = {"path": dg.MetadataValue.path(str(path))}
+    context.log_event(dg.AssetMaterialization(asset_key="benchmark_report", metadata=metadata))
+    sys.stdout.write(_closing_words(workspace, measured, states, failures, absent, path))
+    sys.stdout.flush()
+    return [f"{scene}: {reason}" for scene, reason in failures.items()]
+
+
+def _closing_words(
+    workspace: Workspace, measured: list[str], states: list[SceneState], failures: dict[str, str],
+    absent: list[str], report: Path,
+) -> str:
+    rows = [row for scene in measured for row in read_rows(_metrics_path(workspace, scene))]
+    lines = ["", summary_table(rows) if rows else "no scene was measured", ""]
+    for state in states:
+        spent = ", ".join(
+            f"{one['stage']} {'up to date' if one['skipped'] else format(one['seconds'], '.1f') + ' s'}"
+            for one in state["stages"]
+        )
+        lines.append(f"[{state['scene']}] {spent or 'no stage ran'}")
+        lines += [f"  scans  {folder}" for folder in state["exports"]]
+    lines += [f"FAILED  {scene}: {reason}" for scene, reason in failures.items()]
+    if absent:
+        lines.append(f"no data: {', '.join(absent)}")
+    lines += [f"report  {report}", ""]
+    return "\n".join(lines)
+
+
+def _metrics_path(workspace: Workspace, scene: str) -> Path:
+    run = workspace.plan(scene)
+    stage = next(stage for stage in STAGES if stage.name == METRICS_STAGE)
+    return run.store.require(stage.location(run.config)) / "metrics.parquet"
+
+
+@dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
+def fail_if_any_failed(failures: list[str]) -> None:
+    """Turn recorded failures into the run's exit code."""
+    if failures:
+        raise dg.Failure(
+            description=f"{len(failures)} scene(s) failed: " + " | ".join(failures), allow_retries=False
+        )
+
+
+def make_train_all_scenes(stages: tuple[Stage, ...] = STAGES) -> dg.JobDefinition:
+    """The job over a list of stages."""
+    ops = [_stage_op(stage, position + 1) for position, stage in enumerate(stages)]
+
+    @dg.graph(description=str(__doc__))
+    def train_all_scenes() -> None:
+        scenes, absent = choose_scenes()
+        for op in ops:
+            scenes = scenes.map(op)
+        fail_if_any_failed(report_all(states=scenes.collect(), absent=absent))
+
+    return train_all_scenes.to_job(resource_defs=RESOURCES, logger_defs={"terse": terse_logger})
