@@ -40,7 +40,7 @@ def spherical_harmonics(directions: Tensor) -> Tensor:
         ShapeError: the last axis is not 3.
     """
     if directions.shape[-1] != 3:
-        raise ShapeError(f"spherical_harmonics: expected directions (..., 3), found {tuple(directions.shape)}")
+        raise ShapeError(f"spherical_harmonics: expected (..., 3), found {tuple(directions.shape)}")
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     return torch.stack(

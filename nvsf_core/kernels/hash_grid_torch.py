@@ -1,4 +1,4 @@
-"""The hash-grid encode in plain torch: slow, differentiable in everything, what the kernels are tested against."""
+"""The hash-grid encode in plain torch: slow, differentiable, what the kernels are tested against."""
 
 from __future__ import annotations
 

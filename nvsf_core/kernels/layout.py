@@ -71,7 +71,8 @@ class GridLayout:
     @cached_property
     def scales(self) -> tuple[float, ...]:
         """Cells along the unit box, per level (not whole in general)."""
-        return tuple(round(self.base_resolution * self.growth**level - 1.0, 6) for level in range(self.levels))
+        base, growth = self.base_resolution, self.growth
+        return tuple(round(base * growth**level - 1.0, 6) for level in range(self.levels))
 
     @cached_property
     def resolutions(self) -> tuple[int, ...]:

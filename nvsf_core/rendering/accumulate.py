@@ -51,7 +51,9 @@ def weighted_median_index(weights: Tensor) -> Tensor:
         DivergedError: a weight is NaN or infinite.
     """
     if weights.ndim != 2 or weights.shape[1] == 0:
-        raise ShapeError(f"weighted_median_index: expected (rays, samples >= 1), found {tuple(weights.shape)}")
+        raise ShapeError(
+            f"weighted_median_index: expected (rays, samples >= 1), found {tuple(weights.shape)}"
+        )
     cumulative = torch.cumsum(weights.detach(), dim=-1)
     half = 0.5 * require_finite("weighted_median_index: sum of the weights", cumulative[:, -1:])
     return (cumulative < half).sum(dim=-1)
