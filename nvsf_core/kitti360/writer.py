@@ -1,0 +1,225 @@
+"""Write a drive in KITTI-360's layout, file by file, so that whatever reads KITTI-360 reads it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from nvsf_core.errors import DataError, ShapeError
+from nvsf_core.geometry.fisheye import MeiFisheye
+
+__all__ = [
+    "RectifiedCamera",
+    "WrittenBox",
+    "write_boxes",
+    "write_cam_to_pose",
+    "write_fisheye",
+    "write_frame_poses",
+    "write_image",
+    "write_perspective",
+    "write_pose",
+    "write_scan",
+    "write_timestamps",
+]
+
+_CUBE = (
+    "0.5 0.5 0.5 0.5 0.5 -0.5 0.5 -0.5 0.5 0.5 -0.5 -0.5 "
+    "-0.5 0.5 -0.5 -0.5 0.5 0.5 -0.5 -0.5 -0.5 -0.5 -0.5 0.5"
+)
+_CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6 1 6 3"
+_SEMANTIC_IDS = {"car": 26, "rider": 25, "person": 24, "bicycle": 33}
+"""Of the Cityscapes labels that KITTI-360 uses."""
+
+
+@dataclass(frozen=True, slots=True)
+class RectifiedCamera:
+    """A perspective camera as `perspective.txt` describes it."""
+
+    width: int
+    """Columns of the rectified image."""
+    height: int
+    """Rows of the rectified image."""
+    focal_px: float
+    """Of the rectified image, both ways."""
+    cx: float
+    """Column of the principal point; pixel centres lie at integers."""
+    cy: float
+    """Row of the principal point."""
+    baseline_m: float
+    """To the right of camera 0, along the rectified x axis."""
+    rectification: np.ndarray
+    """R_rect (3, 3): unrectified to rectified camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenBox:
+    """One 3-D box of `data_3d_bboxes`."""
+
+    object_id: int
+    """Which object; an object that moves has one box a frame."""
+    label: str
+    """`car`, `rider`, `person` or `bicycle`."""
+    dynamic: bool
+    """Whether it moves."""
+    frame: int
+    """Frame of the box; -1 for what stands still."""
+    first_frame: int
+    """First frame that the object is seen in."""
+    last_frame: int
+    """Last frame that the object is seen in."""
+    box_to_world: np.ndarray
+    """(4, 4); the 3x3 holds the size as scale of a unit cube, +-0.5."""
+
+
+def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
+    """One LiDAR turn as float32 x, y, z, reflectance, in the order given.
+
+    Args:
+        path: File to write; its folder is made.
+        points_m: (N, 3) in the sensor's frame, each at its own time.
+        intensity: (N,) in 0..1.
+
+    Raises:
+        ShapeError: The shapes differ from these.
+        DataError: A value is not finite.
+    """
+    if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != (len(points_m),):
+        raise ShapeError(
+            "expected points (N, 3) and intensity (N,), found "
+            f"{points_m.shape} and {intensity.shape} for {path}; pass one row a return"
+        )
+    rows = np.column_stack([points_m, intensity]).astype("<f4")
+    if not np.isfinite(rows).all():
+        raise DataError(f"expected finite returns for {path}, found others; leave those returns out")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows.tofile(path)
+
+
+def write_image(path: Path, rgb: np.ndarray) -> None:
+    """One image (H, W, 3) uint8, red first, as PNG.
+
+    Raises:
+        ShapeError: It is no such image.
+        DataError: The disk refused it.
+    """
+    if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
+        raise ShapeError(
+            f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype} for {path}; convert it"
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Level 1: a demo's images are written once and read often, and smooth ones hardly shrink further.
+    if not cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+        raise DataError(f"expected to write {path}, found that the disk refuses it; check space and rights")
+
+
+def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows: int) -> None:
+    """`poses.txt` (rows = 3) or `cam0_to_world.txt` (rows = 4): a frame number and a matrix a line."""
+    lines = [f"{frame} {_numbers(pose[:rows])}" for frame, pose in zip(frames, poses, strict=True)]
+    _write_text(path, "\n".join(lines) + "\n")
+
+
+def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None:
+    """`calib_cam_to_pose.txt`: camera name and 3x4 mounting of the unrectified camera a line."""
+    _write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in cam_to_pose.items()))
+
+
+def write_pose(path: Path, pose: np.ndarray) -> None:
+    """`calib_cam_to_velo.txt`: one 3x4 matrix in one line."""
+    _write_text(path, _numbers(pose[:3]) + "\n")
+
+
+def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> None:
+    """`perspective.txt`: rectified and (nominal) raw intrinsics of `image_00` and `image_01`.
+
+    The raw images are not part of a drive, so K, D and S are those of the rectified ones.
+    """
+    lines = ["calib_time: 28-May-2013 08:00:00", "corner_dist: 0.100000"]
+    for name, camera in cameras.items():
+        tag = name[-2:]
+        k = np.array([[camera.focal_px, 0.0, camera.cx], [0.0, camera.focal_px, camera.cy], [0.0, 0.0, 1.0]])
+        p = np.column_stack([k, [-camera.focal_px * camera.baseline_m, 0.0, 0.0]])
+        size = f"{camera.width:.6f} {camera.height:.6f}"
+        lines += [
+            f"S_{tag}: {size}",
+            f"K_{tag}: {_numbers(k)}",
+            f"D_{tag}: {_numbers(np.zeros(5))}",
+            f"R_{tag}: {_numbers(np.eye(3))}",
+            f"T_{tag}: {_numbers(np.array([-camera.baseline_m, 0.0, 0.0]))}",
+            f"S_rect_{tag}: {size}",
+            f"R_rect_{tag}: {_numbers(camera.rectification)}",
+            f"P_rect_{tag}: {_numbers(p)}",
+        ]
+    _write_text(path, "\n".join(lines) + "\n")
+
+
+def write_fisheye(path: Path, name: str, camera: MeiFisheye) -> None:
+    """`image_02.yaml`: the MEI model of a fisheye camera, as OpenCV's storage reads it."""
+    groups = {
+        "mirror_parameters": ("xi",),
+        "distortion_parameters": ("k1", "k2", "p1", "p2"),
+        "projection_parameters": ("gamma1", "gamma2", "u0", "v0"),
+    }
+    lines = [
+        "%YAML:1.0",
+        "model_type: MEI",
+        f"camera_name: {name}",
+        f"image_width: {camera.width}",
+        f"image_height: {camera.height}",
+    ]
+    for group, keys in groups.items():
+        lines.append(f"{group}:")
+        lines += [f"   {key}: {getattr(camera, key):.16e}" for key in keys]
+    _write_text(path, "\n".join(lines) + "\n")
+
+
+def write_timestamps(path: Path, start: datetime, offsets_s: Iterable[float]) -> None:
+    """Timestamps, one line a frame, line index = frame number, nine digits of a second as KITTI's."""
+    times = [start + timedelta(seconds=offset) for offset in offsets_s]
+    _write_text(path, "".join(f"{time.isoformat(' ', 'microseconds')}000\n" for time in times))
+
+
+def write_boxes(path: Path, boxes: Sequence[WrittenBox]) -> None:
+    """`data_3d_bboxes/*/<sequence>.xml`: OpenCV storage, one element a box (and a frame, if it moves)."""
+    objects = "".join(_box_xml(index, box) for index, box in enumerate(boxes))
+    _write_text(path, f'<?xml version="1.0"?>\n<opencv_storage>\n{objects}</opencv_storage>\n')
+
+
+def _box_xml(index: int, box: WrittenBox) -> str:
+    fields = {
+        "index": index,
+        "label": box.label,
+        "category": "vehicle" if box.label in ("car", "bicycle") else "human",
+        "semanticId": _SEMANTIC_IDS[box.label],
+        "instanceId": box.object_id,
+        "timestamp": box.frame,
+        "dynamic": int(box.dynamic),
+        "dynamicSeq": box.object_id if box.dynamic else -1,
+        "start_frame": box.first_frame,
+        "end_frame": box.last_frame,
+    }
+    text = "".join(f"  <{key}>{value}</{key}>\n" for key, value in fields.items())
+    matrices = (
+        _matrix_xml("transform", 4, 4, "f", " ".join(f"{v:.8e}" for v in box.box_to_world.ravel()))
+        + _matrix_xml("vertices", 8, 3, "f", _CUBE)
+        + _matrix_xml("faces", 12, 3, "i", _CUBE_FACES)
+    )
+    return f"<object{index}>\n{text}{matrices}</object{index}>\n"
+
+
+def _matrix_xml(name: str, rows: int, columns: int, kind: str, data: str) -> str:
+    return (
+        f'  <{name} type_id="opencv-matrix">\n    <rows>{rows}</rows>\n    <cols>{columns}</cols>\n'
+        f"    <dt>{kind}</dt>\n    <data>\n      {data}</data></{name}>\n"
+    )
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{value:.10f}" for value in np.ravel(values))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
