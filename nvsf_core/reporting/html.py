@@ -36,12 +36,15 @@ tr.model td:first-child { font-weight:650; color:var(--accent); }
 figure { margin:14px 0; } figcaption { font-size:13.5px; margin:4px 0 0; max-width:860px; }
 img { max-width:100%; display:block; border-radius:4px; } img.wide { width:100%; image-rendering:auto; }
 .label { font-size:13px; font-weight:600; margin:10px 0 3px; }
-.row { display:grid; gap:14px; grid-template-columns:repeat(auto-fit,minmax(300px,1fr)); }
-.row img { width:100%; } .row.plots img { width:auto; }
-.scale { position:relative; width:300px; margin:6px 0 20px; display:inline-block; vertical-align:top; }
+.row { display:grid; gap:14px; } .row img { width:100%; }
+.row.above { grid-template-columns:repeat(4,minmax(0,1fr)); }
+.row.camera { grid-template-columns:repeat(2,minmax(0,1fr)); }
+.scale { position:relative; width:300px; margin:8px 56px 24px 14px; display:inline-block;
+  vertical-align:top; }
 .scale img { width:300px; height:12px; border-radius:3px; }
-.scale span { position:absolute; top:13px; font-size:11.5px; color:var(--soft); transform:translateX(-50%); }
-.key { display:inline-block; margin:4px 0 0 18px; font-size:13px; color:var(--soft); }
+.scale span { position:absolute; white-space:nowrap; top:13px; font-size:11.5px; color:var(--soft);
+  transform:translateX(-50%); }
+.key { display:inline-block; margin:4px 18px 0 0; font-size:13px; color:var(--soft); }
 .key i { display:inline-block; width:12px; height:12px; border-radius:3px; margin-right:5px;
   vertical-align:-1px; }
 .bar { display:inline-block; height:11px; background:var(--accent); opacity:.75; border-radius:3px; }
@@ -93,6 +96,12 @@ def image(png: bytes, alt: str, css: str = "") -> str:
     """A picture that travels inside the page."""
     data = base64.b64encode(png).decode()
     return f'<img class="{css}" alt="{escape(alt)}" src="data:image/png;base64,{data}">'
+
+
+def plot(png: bytes, alt: str) -> str:
+    """A plot of 144 dots an inch at its natural size."""
+    width = round(int.from_bytes(png[16:20], "big") * 96 / 144)
+    return image(png, alt).replace("<img ", f'<img style="width:{width}px" ', 1)
 
 
 def methods_table(methods: Sequence[tuple[str, str, bool]], columns: Sequence[Column]) -> str:

@@ -121,6 +121,9 @@ def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
         longest = max((p.seconds for p in finite), default=1.0)
         # Room on the right for the labels.
         axes.set_xlim(-0.3, max(10.0, longest * 20.0))
+        ticks = [tick for tick in (0, 1, 10, 100, 1_000, 10_000) if tick <= max(10.0, longest * 20.0)]
+        axes.set_xticks(ticks, [str(tick) for tick in ticks])
+        axes.minorticks_off()
         axes.margins(y=0.25)
         _tidy(axes)
     return _png(figure)

@@ -23,7 +23,7 @@ def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_rep
 
 def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> bytes:
     """A cloud (N, 3) in the sensor's frame seen from above, forward up, coloured by height (-2.5 to 4 m)."""
-    return indexed_png(top_view_levels(points_m, extent_m, pixels), "viridis")
+    return indexed_png(top_view_levels(points_m, extent_m, pixels), "viridis", darkest=0.2)
 
 
 def top_view_levels(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> np.ndarray:
@@ -65,10 +65,13 @@ def curve_preview(x: np.ndarray, y: np.ndarray, x_label: str, y_label: str) -> b
     return buffer.getvalue()
 
 
-def indexed_png(levels: np.ndarray, colours: str, row_repeat: int = 1) -> bytes:
-    """Levels 0..255 (H, W) as a palette PNG: 0 is black, 1..255 run through a matplotlib colour map."""
+def indexed_png(levels: np.ndarray, colours: str, row_repeat: int = 1, darkest: float = 0.0) -> bytes:
+    """Levels 0..255 (H, W) as a palette PNG: 0 is black, 1..255 run through a matplotlib colour map.
+
+    `darkest` is where in the map level 1 lies: above 0 it stands out from the black ground.
+    """
     palette = np.zeros((256, 3), np.uint8)
-    palette[1:] = np.rint(colormaps[colours](np.linspace(0.0, 1.0, 255))[:, :3] * 255)
+    palette[1:] = np.rint(colormaps[colours](np.linspace(darkest, 1.0, 255))[:, :3] * 255)
     return palette_png(levels, palette, row_repeat)
 
 

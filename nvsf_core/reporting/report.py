@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.reporting import plots
-from nvsf_core.reporting.html import escape, image, number, page, plain_table
+from nvsf_core.reporting.html import escape, image, number, page, plain_table, plot
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.reporting.scene_outputs import CameraPair, SceneOutputs, ViewPictures, mean_of, method_rows
 from nvsf_core.reporting.tables import (
@@ -174,7 +174,7 @@ def _scene(scene: SceneOutputs) -> str:
         parts.append("<h3>Training</h3>")
     for run in curves:
         caption = f"Loss of {run.recipe}, seed {run.seed}; thick: the sum that is minimised, thin: its terms."
-        parts.append(_figure([image(plots.curve_png(run.curve), "loss curve")], caption))
+        parts.append(_figure([plot(plots.curve_png(run.curve), "loss curve")], caption))
     parts.append(_profile(scene))
     parts.append(_stages(scene))
     tables = "".join(f'<div class="label">{escape(name)}</div>{table}' for name, table in full_tables(rows))
@@ -215,7 +215,7 @@ def _cost_plot(rows: Sequence[Row]) -> str:
             panels.append((title, points))
     if not panels:
         return ""
-    picture = image(plots.cost_error_png(panels), "error over training time")
+    picture = plot(plots.cost_error_png(panels), "error over training time")
     return _figure([picture], "What each method took to prepare, and how wrong it is afterwards.")
 
 
@@ -243,12 +243,14 @@ def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
         return f'<div class="label">{escape(label)}</div>{image(png, label, "wide")}'
 
     recorded = view.recorded_range_m
+    folded: list[str] = []
     pictures = [] if recorded is None else [strip("recorded range", plots.range_image_png(recorded))]
     for method in _METHOD_ORDER:
         if method not in view.rendered_range_m:
             continue
         name, range_m = names.get(method, method), view.rendered_range_m[method]
-        pictures.append(strip(f"{name}: range", plots.range_image_png(range_m)))
+        shown = strip(f"{name}: range", plots.range_image_png(range_m))
+        (pictures if method == "model" else folded).append(shown)
         if recorded is not None:
             pictures.append(strip(f"{name}: error", plots.error_image_png(recorded, range_m)))
     ticks = [(plots.range_tick_percent(tick), f"{tick} m") for tick in plots.RANGE_TICKS_M]
@@ -263,7 +265,8 @@ def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
         " middle, one row"
         " an elevation. Black: nothing came back."
     )
-    return _figure([*pictures, f"<div>{legend}</div>"], caption)
+    more = f"<details><summary>The baselines’ range images</summary>{''.join(folded)}</details>"
+    return _figure([*pictures, f"<div>{legend}</div>"], caption) + (more if folded else "")
 
 
 def _top_views(view: ViewPictures, names: Mapping[str, str]) -> str:
@@ -272,12 +275,12 @@ def _top_views(view: ViewPictures, names: Mapping[str, str]) -> str:
         (names.get(m, m), view.rendered_points_m[m]) for m in _METHOD_ORDER if m in view.rendered_points_m
     ]
     cells = [
-        f'<div><div class="label">{escape(name)}: {len(points_m):,} returns</div>'
+        f'<div><div class="label">{escape(name)}: {number(len(points_m), 0)} returns</div>'
         f"{image(scan_top_view(points_m), name + ' from above')}</div>"
         for name, points_m in clouds
     ]
-    caption = "The same scan from above, 80 m by 80 m, driving direction up; violet is low, yellow is high."
-    return _figure([f'<div class="row">{"".join(cells)}</div>'], caption)
+    caption = "The same scan from above, 80 m by 80 m, driving direction up; blue is low, yellow is high."
+    return _figure([f'<div class="row above">{"".join(cells)}</div>'], caption)
 
 
 def _camera_pair(pair: CameraPair, names: Mapping[str, str]) -> str:
@@ -289,7 +292,9 @@ def _camera_pair(pair: CameraPair, names: Mapping[str, str]) -> str:
         for name, rgb in pictures
         if rgb is not None
     ]
-    return _figure([f'<div class="row">{"".join(cells)}</div>'], f"Camera {pair.camera}, frame {pair.frame}.")
+    return _figure(
+        [f'<div class="row camera">{"".join(cells)}</div>'], f"Camera {pair.camera}, frame {pair.frame}."
+    )
 
 
 def _profile(scene: SceneOutputs) -> str:

@@ -19,7 +19,7 @@ _LIDAR = (
 _RAW = (
     "range_abs_error_median_m", "range_abs_error_p90_m", "range_missing", "intensity_rmse", "hit_accuracy",
 )  # fmt: skip
-_ERROR = {"quick": 0.03, "reproject": 0.06, "copy_nearest": 0.15}
+_ERROR = {"reproject": 0.06, "copy_nearest": 0.15}
 _TRAIN_S = {"quick": 118.0, "reproject": 4.1, "copy_nearest": 0.0}
 
 
@@ -102,7 +102,7 @@ def _picture(shift: float) -> np.ndarray:
 
 def _write_view(folder: Path, view: str, recipe: str, methods: tuple[str, ...]) -> None:
     for method in methods:
-        error_m = _ERROR[recipe if method == "model" else method]
+        error_m = _ERROR.get(method, 0.03)
         range_m = _street_range_m(4.0 * error_m)
         range_m[10:14, 100:140] = 0.0
         range_m[0, 300:330] = 40.0

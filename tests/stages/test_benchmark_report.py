@@ -1,0 +1,106 @@
+"""The report shows what was measured, says what was not, and needs nothing but itself."""
+
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from nvsf_core.errors import StoreError
+from nvsf_core.stages.benchmark_report import make_benchmark_report
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
+from street_store import write_street  # tests are no package
+
+
+class _Outline(HTMLParser):
+    """Text, and tags that are open without end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.text: list[str] = []
+        self.open: list[str] = []
+        self.wrong: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open.pop() != tag:
+            self.wrong.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def _read(path: Path) -> tuple[str, str]:
+    page = path.read_text(encoding="utf-8")
+    outline = _Outline()
+    outline.feed(page)
+    assert not outline.wrong
+    assert not outline.open
+    return page, " ".join(" ".join(outline.text).split())
+
+
+def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> None:
+    write_street(tmp_path, "street")
+    path = make_benchmark_report(tmp_path, ["street"], {}, [])
+    assert path == tmp_path / "benchmark_report" / "index.html"
+    page, text = _read(path)
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    assert "<script" not in page
+    assert "://" not in page
+    for words in ("quick is best in 9 of 9", "reproject", "copy_nearest", "lidar4d_scan", "118.0",
+                  "1 234 567", "Held-out frame 7", "View shift_1m", "Not measured on KITTI-360’s ten scenes",
+                  "defined on", "occupied voxels", "scans_look_recorded"):  # fmt: skip
+        assert words in text or words in page, words
+    assert page.count("data:image/png") >= 14
+
+
+def test_failures_and_absent_scenes_are_named_with_the_reason(tmp_path: Path) -> None:
+    write_street(tmp_path, "street")
+    path = make_benchmark_report(
+        tmp_path, ["street"], {"other": "poses.txt line 3: <nan>"}, ["kitti360_1908"]
+    )
+    page, text = _read(path)
+    assert "poses.txt line 3: &lt;nan&gt;" in page
+    assert "other failed:" in text
+    assert "No data on this machine for 1 scenes of the catalogue: kitti360_1908" in text
+
+
+def test_a_failed_scene_keeps_what_it_published_before(tmp_path: Path) -> None:
+    write_street(tmp_path, "street")
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {"street": "disk full"}, []))
+    assert "The last run failed." in text
+    assert "quick is best in" in text
+
+
+def test_an_empty_home_gives_a_page_that_says_so(tmp_path: Path) -> None:
+    _, text = _read(make_benchmark_report(tmp_path, [], {}, []))
+    assert "No scene has been measured yet." in text
+
+
+def test_recipes_and_seeds_stand_beside_each_other_and_baselines_once(tmp_path: Path) -> None:
+    write_street(tmp_path, "street", recipe="quick", seed=0)
+    write_street(tmp_path, "street", recipe="quick", seed=1)
+    write_street(tmp_path, "street", recipe="smoke", seed=0)
+    page, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    for label in ("quick, seed 0", "quick, seed 1", "smoke, seed 0"):
+        assert label in text
+    table = page[page.index("Error beside time") :].split("</table>")[0]
+    assert table.count(">copy_nearest</td>") == 1
+
+
+def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
+    store = write_street(tmp_path, "street")
+    before = make_benchmark_report(tmp_path, ["street"], {}, []).read_bytes()
+    (store.path("field/quick/0") / "curve.parquet").unlink()
+    for array in ("pano_range_m", "points_m"):
+        folder = store.path("novel_views/quick/0") / "test" / "model.zarr" / array
+        folder.rename(folder.with_name(f"lost_{array}"))
+    with pytest.raises(StoreError):
+        make_benchmark_report(tmp_path, ["street"], {}, [])
+    assert (tmp_path / "benchmark_report" / "index.html").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
