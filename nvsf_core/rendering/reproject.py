@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
-from nvsf_core.rendering.lidar import RayAnswers
+from nvsf_core.rendering.answers import RayAnswers
 
 NEAR_M = 0.9
 """Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.rendering.lidar import RayAnswers
+from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.lidar_rays import SweepRays
 
 HIT_THRESHOLD = 0.5

@@ -1,0 +1,34 @@
+"""Small networks, with weights drawn from an explicit generator."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+
+def network(sizes: tuple[int, ...], generator: torch.Generator, *, silent: int = 0) -> nn.Sequential:
+    """Linear layers with ReLU between them; the first `silent` outputs are exactly 0 before training.
+
+    A silent output is a correction: before anything is learned, the evidence stands as it is.
+    """
+    layers: list[nn.Module] = []
+    for fan_in, fan_out in zip(sizes[:-1], sizes[1:], strict=True):
+        layer = nn.Linear(fan_in, fan_out)
+        bound = math.sqrt(6.0 / fan_in)
+        with torch.no_grad():
+            layer.weight.uniform_(-bound, bound, generator=generator)
+            layer.bias.zero_()
+        layers += [layer, nn.ReLU()]
+    last = layers[-2]
+    assert isinstance(last, nn.Linear)
+    with torch.no_grad():
+        last.weight *= 0.3
+        last.weight[:silent] = 0.0
+    return nn.Sequential(*layers[:-1])
+
+
+def scatter_rows(values: Tensor, mask: Tensor) -> Tensor:
+    """Put rows (m, c) where `mask` (r, k) is true; 0 elsewhere: (r, k, c)."""
+    full = values.new_zeros(*mask.shape, values.shape[-1])
+    full[mask] = values
+    return full

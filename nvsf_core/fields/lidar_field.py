@@ -1,0 +1,50 @@
+"""The LiDAR's residual field: corrections of proven surfaces, and features decoded once a ray."""
+
+import torch
+from torch import Tensor, nn
+
+from nvsf_core.encodings.hash_grid import HashGrid
+from nvsf_core.fields.layers import network, scatter_rows
+from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch
+from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.kernels.layout import GridLayout
+from nvsf_core.recipe import FieldSpec
+
+
+def grid_layout(spec: FieldSpec, edge_m: float) -> GridLayout:
+    """The hash grid whose cells have the recipe's sizes in a cube of that edge."""
+    return GridLayout(
+        levels=spec.levels,
+        features=spec.features,
+        log2_table=spec.log2_table,
+        base_resolution=max(2, round(edge_m / spec.coarsest_cell_m)),
+        finest_resolution=max(4, round(edge_m / spec.finest_cell_m)),
+    )
+
+
+class LidarField(nn.Module):
+    """Density as a residual: a correction of each surface's opacity and place, right from iteration 0."""
+
+    def __init__(self, spec: FieldSpec, bounds: Bounds, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`."""
+        super().__init__()
+        self.spec = spec
+        self.bounds = bounds
+        layout = grid_layout(spec, bounds.edge_m)
+        self.grid = HashGrid(layout, generator)
+        self.density = network((layout.outputs + N_FACTS, spec.hidden, 2 + spec.decoded), generator, silent=2)
+        self.hit_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
+        self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
+
+    def surfaces(self, batch: SurfaceBatch) -> tuple[Tensor, Tensor, Tensor]:
+        """Corrected opacity logit (r, k), range in metres (r, k), features (r, k, d); 0 where no surface is."""
+        points = batch.origin_m[:, None] + batch.direction[:, None] * batch.range_m[..., None]
+        there = batch.is_there
+        encoded = self.grid(self.bounds.to_unit(points[there]).clamp(0.0, 1.0))
+        raw = scatter_rows(self.density(torch.cat([encoded, batch.facts[there]], dim=1)), there)
+        shift_m = self.spec.max_shift_m * torch.tanh(raw[..., 1])
+        return batch.logit + raw[..., 0], batch.range_m + shift_m, raw[..., 2:]
+
+    def decode(self, ray: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrections of a ray's hit logit and intensity logit, (r,) each, from (r, d + 8) composited facts."""
+        return self.hit_head(ray)[:, 0], self.intensity_head(ray)[:, 0]

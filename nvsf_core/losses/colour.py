@@ -1,0 +1,8 @@
+"""What a pixel shows."""
+
+from torch import Tensor
+
+
+def colour_loss(colour: Tensor, true_colour: Tensor) -> Tensor:
+    """Squared error (r,), mean over channels, of colours (r, 3) in 0..1."""
+    return ((colour - true_colour) ** 2).mean(dim=1)

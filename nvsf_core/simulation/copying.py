@@ -1,0 +1,41 @@
+"""The cheapest baseline: the nearest training scan or image, as it is, not moved."""
+
+import numpy as np
+
+_SAME_RAY_RAD = np.deg2rad(0.18)
+
+
+def nearest_earlier(time_s: np.ndarray, wanted_s: float) -> int:
+    """Index of the recording nearest in time to `wanted_s`, the earlier of two that are equally near."""
+    apart = np.abs(time_s - wanted_s)
+    return int(np.flatnonzero(apart <= apart.min() + 1e-6)[0])
+
+
+def copied_ranges(
+    copied_points_m: np.ndarray, copied_laser: np.ndarray, copied_range_m: np.ndarray,
+    copied_intensity: np.ndarray, points_m: np.ndarray, laser: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Range and intensity (r,) that the copied scan gives along recorded rays: the same laser's return within 0.18 degrees.
+
+    Infinite range and 0 intensity where there is none.
+    """
+    range_m = np.full(len(points_m), np.inf, np.float32)
+    intensity = np.zeros(len(points_m), np.float32)
+    copied_azimuth = np.arctan2(copied_points_m[:, 1], copied_points_m[:, 0])
+    azimuth = np.arctan2(points_m[:, 1], points_m[:, 0])
+    for row in np.unique(laser[laser >= 0]):
+        source = np.flatnonzero(copied_laser == row)
+        if len(source) == 0:
+            continue
+        source = source[np.argsort(copied_azimuth[source])]
+        angles = copied_azimuth[source]
+        around = np.concatenate([[angles[-1] - 2 * np.pi], angles, [angles[0] + 2 * np.pi]])
+        wanted = np.flatnonzero(laser == row)
+        right = np.clip(np.searchsorted(around, azimuth[wanted]), 1, len(around) - 1)
+        left_is_nearer = azimuth[wanted] - around[right - 1] < around[right] - azimuth[wanted]
+        chosen = right - left_is_nearer
+        near = np.abs(around[chosen] - azimuth[wanted]) <= _SAME_RAY_RAD
+        found = source[(chosen - 1) % len(source)]
+        range_m[wanted[near]] = copied_range_m[found[near]]
+        intensity[wanted[near]] = copied_intensity[found[near]]
+    return range_m, intensity

@@ -1,0 +1,136 @@
+"""One simulated sweep: every firing answered, the scan as a driver records it, and its range image."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.lidar import answer_rays
+from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
+from nvsf_core.simulation.scan import put_back_own_vehicle, recorded_scan
+from nvsf_core.simulation.view_plan import ViewPlan
+
+_CHUNK_RAYS = 65536
+
+Renderer = Callable[[np.ndarray, np.ndarray, np.ndarray], RayAnswers]
+"""Scene-local origins (r, 3), directions (r, 3) and votes (r,) to answers."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedSweep:
+    """What one sweep of a view gave."""
+
+    points_m: np.ndarray
+    """(m, 3) float32 in the sensor's frame at each firing; laser by laser, azimuth ascending."""
+    intensity: np.ndarray
+    """(m,) float32."""
+    laser: np.ndarray
+    """(m,) int16."""
+    pano_range_m: np.ndarray
+    """(66, 1030) float32, 0 = empty: the scan projected with the papers' quirks."""
+    pano_intensity: np.ndarray
+    """(66, 1030) float32."""
+    pano_hit: np.ndarray
+    """(66, 1030) float32: probability that any ray of the cell returned."""
+    grid: dict[str, np.ndarray]
+    """Range, hit probability, intensity, azimuth and elevation (l, f) as recorded, before anything is drawn."""
+
+
+def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: float) -> Renderer:
+    """Answers by the trained field."""
+
+    def answer(origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray) -> RayAnswers:
+        batch = surface_batch(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+        return answer_rays(field, batch, torch.from_numpy(vote))
+
+    return answer
+
+
+def evidence_renderer(surfels: Surfels, *, most: int, far_m: float) -> Renderer:
+    """Answers by evidence alone."""
+
+    def answer(origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray) -> RayAnswers:
+        return reproject_rays(surfels, origin_m, direction, vote, most=most, far_m=far_m)
+
+    return answer
+
+
+def answer_in_chunks(
+    render: Renderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray
+) -> RayAnswers:
+    """Answer any number of rays in bounded memory."""
+    parts = [
+        render(origin_m[i : i + _CHUNK_RAYS], direction[i : i + _CHUNK_RAYS], vote[i : i + _CHUNK_RAYS])
+        for i in range(0, max(1, len(vote)), _CHUNK_RAYS)
+    ]
+    return RayAnswers(
+        *(np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity"))
+    )
+
+
+def simulate_sweep(
+    plan: ViewPlan, time_s: float, evidence: SceneEvidence, render: Renderer, trajectory: Trajectory,
+    period_s: float, recorded_table: LaserTable, votes: int,
+) -> SimulatedSweep:
+    """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
+    near = evidence.prior.nearest_scans(time_s, votes)
+    if plan.is_recorded_sensor:
+        lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
+    else:
+        lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
+    rays = sweep_rays(plan.table, lasers, firings, trajectory, time_s, period_s, mount=plan.mount)
+    voter = rays.laser if plan.is_recorded_sensor else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
+    vote = evidence.prior.vote(voter, rays.fraction, near)
+    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote)
+    if plan.is_recorded_sensor:
+        answers = put_back_own_vehicle(answers, rays, evidence)
+    points, intensity, laser = recorded_scan(rays, answers)
+    pano = LinearPano(quirks=True)
+    pano_range, pano_intensity = pano.project(points, intensity)
+    return SimulatedSweep(
+        points, intensity, laser, pano_range, pano_intensity, _pano_hit(pano, rays, answers), _grid(rays, answers)
+    )
+
+
+def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:
+    """(l,) the recording sensor's laser that looks most nearly along each simulated one."""
+    seen = evidence.lasers.astype(np.int64)
+    apart = np.abs(table.elevation_rad[:, None] - recorded.elevation_rad[seen][None, :])
+    return seen[apart.argmin(axis=1)]
+
+
+def _grid(rays: SweepRays, answers: RayAnswers) -> dict[str, np.ndarray]:
+    """Points as recorded, by laser and firing, as range and angles from the sensor's centre; 0 = no answer."""
+    known = np.isfinite(answers.range_m)
+    distance = np.where(known, answers.range_m, 0.0)
+    points = rays.recorded_origin_m + rays.recorded_direction * distance[:, None]
+    horizontal = np.hypot(points[:, 0], points[:, 1])
+    columns = {
+        "grid_range_m": np.where(known, np.linalg.norm(points, axis=1), 0.0),
+        "grid_hit": np.where(known, answers.hit, 0.0),
+        "grid_intensity": np.clip(answers.intensity, 0.0, 1.0),
+        "grid_azimuth_rad": np.arctan2(points[:, 1], points[:, 0]),
+        "grid_elevation_rad": np.arctan2(points[:, 2], horizontal),
+    }
+    return {name: column.reshape(rays.shape).astype(np.float32) for name, column in columns.items()}
+
+
+def _pano_hit(pano: LinearPano, rays: SweepRays, answers: RayAnswers) -> np.ndarray:
+    """1 - prod(1 - p) over the rays that fall into each cell."""
+    known = np.isfinite(answers.range_m)
+    points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * answers.range_m[known, None]
+    row, column, _, kept = pano.cells(points)
+    missed = np.log1p(-np.clip(answers.hit[known][kept].astype(np.float64), 0.0, 1.0 - 1e-7))
+    cell = row[kept] * pano.width + column[kept]
+    total = np.bincount(cell, weights=missed, minlength=pano.height * pano.width)
+    return -np.expm1(total).reshape(pano.height, pano.width).astype(np.float32)

@@ -1,0 +1,79 @@
+"""From a view that is asked for to poses, times and sensors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.errors import MissingFrameError
+from nvsf_core.sensors.tables import LaserTable, sensor_table
+
+
+@dataclass(frozen=True, slots=True)
+class ViewPlan:
+    """The sweeps that one view consists of."""
+
+    name: str
+    frame: np.ndarray
+    """(n,) int64: the recorded frame at, or nearest to, each instant."""
+    time_s: np.ndarray
+    """(n,) float64: instants of the poses."""
+    table: LaserTable
+    """The sensor that is simulated."""
+    is_recorded_sensor: bool
+    """Whether that is the one that recorded the drive, with its own vehicle around it."""
+    mount: np.ndarray | None
+    """(4, 4) pose of the simulated sensor in the recording sensor's frame; None = the same place."""
+
+
+def mount_pose(shift_m: tuple[float, float, float], yaw_deg: float) -> np.ndarray | None:
+    """Pose (4, 4) of a sensor shifted forward, left, up and turned to the left; None where it is neither."""
+    if not any(shift_m) and yaw_deg == 0.0:
+        return None
+    angle = np.deg2rad(yaw_deg)
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose[:3, 3] = shift_m
+    return pose
+
+
+def plan_view(
+    name: str, *, recorded_frame: np.ndarray, recorded_time_s: np.ndarray, recorded_table: LaserTable,
+    frames: tuple[int, ...] | None, times_s: tuple[float, ...] | None, sensor: str | None,
+    shift_m: tuple[float, float, float], yaw_deg: float,
+) -> ViewPlan:
+    """Decide instants, sensor and mounting of a view.
+
+    Args:
+        name: The view.
+        recorded_frame: (m,) numbers of the frames with a pose, ascending.
+        recorded_time_s: (m,) their times.
+        recorded_table: The recording sensor.
+        frames: Frame numbers asked for; None = all.
+        times_s: Times asked for instead.
+        sensor: Name of a sensor table; None = the recorded one.
+        shift_m: Forward, left, up.
+        yaw_deg: To the left.
+
+    Raises:
+        MissingFrameError: A frame that is asked for has no pose.
+    """
+    if times_s is not None:
+        time_s = np.asarray(times_s, np.float64)
+    else:
+        wanted = recorded_frame if frames is None else np.asarray(frames, np.int64)
+        missing = sorted(set(wanted.tolist()) - set(recorded_frame.tolist()))
+        if missing:
+            raise MissingFrameError(
+                f"view {name!r}: expected frames with a pose, found none for {missing}; ask for others of "
+                f"{recorded_frame.min()}..{recorded_frame.max()}"
+            )
+        time_s = recorded_time_s[np.searchsorted(recorded_frame, wanted)]
+    nearest = np.abs(recorded_time_s[None, :] - time_s[:, None]).argmin(axis=1)
+    return ViewPlan(
+        name=name,
+        frame=recorded_frame[nearest].astype(np.int64),
+        time_s=time_s,
+        table=recorded_table if sensor is None else sensor_table(sensor),
+        is_recorded_sensor=sensor is None or sensor == recorded_table.name,
+        mount=mount_pose(shift_m, yaw_deg),
+    )

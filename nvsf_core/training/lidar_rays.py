@@ -1,0 +1,57 @@
+"""All LiDAR rays that are trained on: what returned, and what was fired and did not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.sensors.beam_table import corrected_rays
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import LaserTable
+
+
+@dataclass(frozen=True, slots=True)
+class LidarRays:
+    """n rays of the training frames, scene-local."""
+
+    origin_m: np.ndarray
+    """(n, 3) float32."""
+    direction: np.ndarray
+    """(n, 3) float32."""
+    range_m: np.ndarray
+    """(n,) float32; 0 where nothing returned."""
+    intensity: np.ndarray
+    """(n,) float32; 0 where nothing returned."""
+    vote: np.ndarray
+    """(n,) float32: share of the nearest other training scans that returned here."""
+
+    def __len__(self) -> int:
+        """Number of rays."""
+        return len(self.range_m)
+
+
+def join_rays(parts: list[LidarRays]) -> LidarRays:
+    """One after the other."""
+    names = ("origin_m", "direction", "range_m", "intensity", "vote")
+    return LidarRays(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def dropped_rays(
+    table: LaserTable, prior: DropPrior, scan: int, lasers: np.ndarray, trajectory: Trajectory, period_s: float,
+    vote_scans: np.ndarray,
+) -> LidarRays:
+    """Rays that a training scan fired without a return: the empty cells of its lasers and firings.
+
+    Their angles are the lasers' nominal ones at the firing's own time.
+    """
+    fraction = prior.fraction[scan]
+    count = int(np.isfinite(fraction).sum())
+    laser_row, firing = np.nonzero(~prior.is_hit[scan][lasers][:, :count])
+    laser = lasers[laser_row].astype(np.int64)
+    when = fraction[firing].astype(np.float64)
+    shift = (table.phase_steps - table.firing_shift_steps)[laser] * table.step_rad
+    origin, direction = corrected_rays(table, -2.0 * np.pi * when + shift, laser)
+    origin, direction = trajectory.move_rays(origin, direction, prior.time_s[scan] + when * period_s)
+    nothing = np.zeros(len(laser), np.float32)
+    vote = prior.vote(laser, when, vote_scans)
+    return LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, vote)

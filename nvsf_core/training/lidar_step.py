@@ -1,0 +1,40 @@
+"""One training step on LiDAR rays."""
+
+import torch
+
+from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.losses.depth import depth_loss
+from nvsf_core.losses.intensity import intensity_loss
+from nvsf_core.losses.raydrop import raydrop_loss
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.recipe import Recipe
+from nvsf_core.rendering.lidar import render_lidar
+from nvsf_core.rendering.reproject import NEAR_M
+from nvsf_core.training.lidar_rays import LidarRays
+
+
+def lidar_step(
+    field: LidarField, surfels: Surfels, rays: LidarRays, recipe: Recipe, far_m: float, generator: torch.Generator
+) -> LossBreakdown:
+    """Draw rays from all training frames, render them, and compare with what was recorded."""
+    spec = recipe.lidar_training
+    drawn = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
+    most = recipe.evidence.lidar_candidates
+    batch = surface_batch(
+        surfels, rays.origin_m[drawn], rays.direction[drawn], most=most, near_m=NEAR_M, far_m=far_m
+    )
+    rendered = render_lidar(field, batch, torch.from_numpy(rays.vote[drawn]))
+    true_range_m = torch.from_numpy(rays.range_m[drawn])
+    returned = (true_range_m > 0) & batch.is_there[:, 0]
+    seen = batch.is_there[:, 0]
+    terms = {
+        "depth": depth_loss(rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]),
+        "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
+        "intensity": intensity_loss(
+            rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[drawn])[returned]
+        ),
+    }
+    weights = recipe.losses
+    return total_loss(terms, {"depth": weights.depth, "hit": weights.hit, "intensity": weights.intensity})

@@ -1,0 +1,130 @@
+"""The resumable loop: the same bits whether or not it was killed in between."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from nvsf_core.errors import DivergedError
+from nvsf_core.losses.total import LossBreakdown
+from nvsf_core.recipe import TrainingSpec
+
+_SAY_EVERY_S = 4.0
+_RECORD_EVERY = 10
+
+Step = Callable[[torch.Generator], LossBreakdown]
+Save = Callable[[dict[str, Tensor], dict[str, object]], None]
+
+
+@dataclass(slots=True)
+class TrainingState:
+    """Everything that decides how training goes on."""
+
+    model: nn.Module
+    optimiser: torch.optim.Adam
+    generator: torch.Generator
+    step: int = 0
+    seconds: float = 0.0
+    curve: list[dict[str, float]] = field(default_factory=list)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Model, optimiser and generator as named tensors."""
+        named = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        for index, parameter in enumerate(self._parameters()):
+            for key, value in self.optimiser.state.get(parameter, {}).items():
+                named[f"adam.{index}.{key}"] = value
+        named["generator"] = self.generator.get_state()
+        return named
+
+    def facts(self) -> dict[str, object]:
+        """What is no tensor."""
+        return {"step": self.step, "seconds": self.seconds, "curve": self.curve}
+
+    def restore(self, tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
+        """Go back to where `tensors` and `facts` were taken."""
+        model = {name[6:]: value for name, value in tensors.items() if name.startswith("model.")}
+        self.model.load_state_dict(model)
+        for index, parameter in enumerate(self._parameters()):
+            prefix = f"adam.{index}."
+            found = {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
+            if found:
+                self.optimiser.state[parameter] = found
+        self.generator.set_state(tensors["generator"])
+        self.step = int(facts["step"])  # type: ignore[call-overload]
+        self.seconds = float(facts["seconds"])  # type: ignore[arg-type]
+        self.curve = list(facts["curve"])  # type: ignore[call-overload]
+
+    def _parameters(self) -> list[nn.Parameter]:
+        return [p for group in self.optimiser.param_groups for p in group["params"]]
+
+
+def make_optimiser(model: nn.Module, spec: TrainingSpec) -> torch.optim.Adam:
+    """Adam with one rate for hash tables and one for networks."""
+    tables = [p for name, p in model.named_parameters() if name.startswith("grid.")]
+    networks = [p for name, p in model.named_parameters() if not name.startswith("grid.")]
+    groups = [{"params": tables, "lr": spec.table_rate}, {"params": networks, "lr": spec.network_rate}]
+    for group in groups:
+        group["initial_lr"] = group["lr"]
+    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+
+def train(state: TrainingState, spec: TrainingSpec, step: Step, save: Save, say: Callable[[str], None]) -> None:
+    """Run the steps that are left; save every `checkpoint_s` seconds and at the end.
+
+    Raises:
+        DivergedError: A loss term or a parameter is not finite; names the step and the term or tensor.
+            The last checkpoint stays.
+    """
+    torch.set_num_threads(spec.threads)
+    began = time.perf_counter() - state.seconds
+    saved = said = time.perf_counter()
+    first = state.step
+    started = time.perf_counter()
+    while state.step < spec.steps:
+        _set_rates(state.optimiser, spec, state.step)
+        try:
+            loss = step(state.generator)
+        except DivergedError as error:
+            raise DivergedError(f"step {state.step}: {error}") from error
+        state.optimiser.zero_grad(set_to_none=True)
+        loss.total.backward()  # type: ignore[no-untyped-call]
+        state.optimiser.step()
+        state.step += 1
+        now = time.perf_counter()
+        state.seconds = now - began
+        rays_per_s = (state.step - first) * spec.rays / (now - started)
+        if state.step % _RECORD_EVERY == 0 or state.step == spec.steps:
+            state.curve.append(
+                {"step": state.step, "seconds": state.seconds, "loss": float(loss.total), "rays_per_s": rays_per_s}
+                | loss.terms
+            )
+        if now - said >= _SAY_EVERY_S:
+            said = now
+            left_s = (spec.steps - state.step) * spec.rays / rays_per_s
+            say(
+                f"step {state.step}/{spec.steps}, loss {float(loss.total):.4f}, {rays_per_s:,.0f} rays/s, "
+                f"{left_s:.0f} s left"
+            )
+        if now - saved >= spec.checkpoint_s or state.step == spec.steps:
+            require_finite_parameters(state.model, state.step)
+            save(state.tensors(), state.facts())
+            saved = time.perf_counter()
+
+
+def require_finite_parameters(model: nn.Module, step: int) -> None:
+    """Refuse to save weights that are not finite.
+
+    Raises:
+        DivergedError: Names the first such tensor.
+    """
+    for name, parameter in model.named_parameters():
+        if not torch.isfinite(parameter).all():
+            raise DivergedError(f"step {step}: weights {name!r} are not finite; lower the step size")
+
+
+def _set_rates(optimiser: torch.optim.Adam, spec: TrainingSpec, step: int) -> None:
+    share = spec.final_share ** (step / max(1, spec.steps))
+    for group in optimiser.param_groups:
+        group["lr"] = group["initial_lr"] * share
