@@ -108,7 +108,7 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
     if no_data:
         names = ", ".join(f"<code>{escape(name)}</code>" for name in no_data)
         parts.append(
-            f'<div class="note"><b>No data on this machine</b> for {len(no_data)} scenes of the catalogue:'
+            f'<div class="note"><b>No data on this machine</b> for these scenes of the catalogue:'
             f" {names}."
             " They were not run, and nothing is claimed about them.</div>"
         )
@@ -301,7 +301,9 @@ def _profile(scene: SceneOutputs) -> str:
     rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
     if not rows:
         return ""
-    table = plain_table(["", ""], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,))
+    table = plain_table(
+        ["what", "value"], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,)
+    )
     return f"<h3>Profile: what the laser’s own returns say of this scene</h3>{table}"
 
 
@@ -331,6 +333,8 @@ def _words(key: str) -> str:
 def _value(value: object) -> str:
     if isinstance(value, float):
         return number(value, 3)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return number(value, 0)
     return escape(value)
 
 

@@ -67,7 +67,7 @@ def test_failures_and_absent_scenes_are_named_with_the_reason(tmp_path: Path) ->
     page, text = _read(path)
     assert "poses.txt line 3: &lt;nan&gt;" in page
     assert "other failed:" in text
-    assert "No data on this machine for 1 scenes of the catalogue: kitti360_1908" in text
+    assert "No data on this machine for these scenes of the catalogue: kitti360_1908" in text
 
 
 def test_a_failed_scene_keeps_what_it_published_before(tmp_path: Path) -> None:
