@@ -7,10 +7,13 @@ from pathlib import Path
 import dagster as dg
 
 from assets.workspace import Workspace, catalogue
+from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, Outcome, Stage, run_named_stage
 
 CHECK_NAME = "output_is_sound"
 """Every asset's blocking check: all that the stage itself checked, each listed in the metadata."""
+_PUBLISHED = dg.AssetCheckSeverity.WARN
+"""What was published broke no blocking law: a law that it breaks warns, and what reads it still runs."""
 _PREVIEW_LIMIT_BYTES = 100_000
 _KINDS = {
     "frames": ("parquet",),
@@ -50,12 +53,20 @@ def asset_of(stage: Stage) -> dg.AssetsDefinition:
     )
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> dg.MaterializeResult:
         scene_run = workspace.plan(context.partition_key)
-        outcome = run_named_stage(stage.name, scene_run, context.log.info)
+        try:
+            outcome = run_named_stage(stage.name, scene_run, context.log.info)
+        except NvsfError as error:
+            context.log_event(failed_check(stage.name, context.partition_key, str(error)))
+            raise
         return dg.MaterializeResult(
             metadata=outcome_metadata(outcome),
             check_results=[
                 dg.AssetCheckResult(
-                    check_name=CHECK_NAME, passed=is_sound(outcome), metadata=check_metadata(outcome)
+                    check_name=CHECK_NAME,
+                    passed=is_sound(outcome),
+                    severity=_PUBLISHED,
+                    description=f"scene {context.partition_key}",
+                    metadata=check_metadata(outcome),
                 )
             ],
         )
@@ -125,6 +136,19 @@ def events_of(outcome: Outcome, scene: str) -> Iterable[dg.AssetMaterialization 
         asset_key=dg.AssetKey(outcome.stage),
         check_name=CHECK_NAME,
         passed=is_sound(outcome),
+        severity=_PUBLISHED,
+        description=f"scene {scene}",
         metadata=check_metadata(outcome),
+        blocking=True,
+    )
+
+
+def failed_check(stage_name: str, scene: str, reason: str) -> dg.AssetCheckEvaluation:
+    """The failed check of a stage that published nothing."""
+    return dg.AssetCheckEvaluation(
+        asset_key=dg.AssetKey(stage_name),
+        check_name=CHECK_NAME,
+        passed=False,
+        description=f"scene {scene}: {reason}",
         blocking=True,
     )

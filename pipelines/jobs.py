@@ -3,6 +3,7 @@
 import dagster as dg
 
 from assets.factory import scene_partitions
+from pipelines.terminal import TERSE_LOGGING
 from pipelines.train_all import make_train_all_scenes
 
 train_all_scenes = make_train_all_scenes()
@@ -13,6 +14,7 @@ train_scene = dg.define_asset_job(
     "train_scene",
     selection=_up_to_dataset,
     partitions_def=scene_partitions,
+    config=TERSE_LOGGING,
     description="One scene, from its recorded drive to its data set; what is up to date is skipped.",
 )
 
@@ -20,6 +22,7 @@ regenerate_synthetic = dg.define_asset_job(
     "regenerate_synthetic",
     selection=_up_to_dataset,
     partitions_def=scene_partitions,
+    config=TERSE_LOGGING,
     description="A new version of a scene's synthetic data sets, drawn with a seed of its own; the scene is "
     "trained again only where its drive, recipe or code changed.",
 )

@@ -6,16 +6,26 @@ import time
 
 import dagster as dg
 
+TERSE_LOGGING = {"loggers": {"terse": {"config": {}}}}
+"""Run configuration that chooses this logger; Dagster falls back to its own where a job names none."""
+
 
 class _TerseFormatter(logging.Formatter):
-    """`HH:MM:SS message`; an error keeps Dagster's full text, stack trace included."""
+    """`HH:MM:SS message`; an unexpected error keeps its stack trace, a failure that was foreseen does not."""
 
     def format(self, record: logging.LogRecord) -> str:
         clock = time.strftime("%H:%M:%S", time.localtime(record.created))
         meta = getattr(record, "dagster_meta", None) or {}
-        if record.levelno >= logging.ERROR or not meta.get("orig_message"):
-            return f"{clock} {record.levelname} {record.getMessage()}"
-        return f"{clock} {meta['orig_message']}"
+        message = meta.get("orig_message") or record.getMessage()
+        if record.exc_info:
+            message = f"{message}\n{self.formatException(record.exc_info)}"
+        event = meta.get("dagster_event")
+        error = getattr(getattr(event, "event_specific_data", None), "error", None)
+        if error is not None:
+            # RUN_FAILURE repeats what STEP_FAILURE said before it.
+            told = event.is_run_failure or error.cls_name == "Failure"
+            message = f"{message}\n{error.message if told else error.to_string()}".rstrip()
+        return f"{clock} {message}" if record.levelno < logging.ERROR else f"{clock} ERROR {message}"
 
 
 @dg.logger(

@@ -14,7 +14,7 @@ from typing import Any
 import dagster as dg
 from pydantic import Field
 
-from assets.factory import events_of
+from assets.factory import events_of, failed_check
 from assets.report import METRICS_STAGE
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
@@ -25,7 +25,7 @@ from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.flow import DEMO_SCENE, write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
 from pipelines.resources import RESOURCES
-from pipelines.terminal import terse_logger
+from pipelines.terminal import TERSE_LOGGING, terse_logger
 
 SceneState = dict[str, Any]
 """Goes from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
@@ -111,9 +111,7 @@ def _stage_op(stage: Stage, position: int) -> dg.OpDefinition:
 
 def _failed(context: dg.OpExecutionContext, state: SceneState, stage: Stage, reason: str) -> SceneState:
     context.log.warning(f"[{state['scene']}] FAILED in {reason}")
-    context.log_event(
-        dg.AssetObservation(asset_key=stage.name, partition=state["scene"], metadata={"failed": reason})
-    )
+    context.log_event(failed_check(stage.name, state["scene"], reason))
     return {**state, "failed": reason}
 
 
@@ -193,4 +191,6 @@ def make_train_all_scenes(stages: tuple[Stage, ...] = STAGES) -> dg.JobDefinitio
             scenes = scenes.map(op)
         fail_if_any_failed(report_all(states=scenes.collect(), absent=absent))
 
-    return train_all_scenes.to_job(resource_defs=RESOURCES, logger_defs={"terse": terse_logger})
+    return train_all_scenes.to_job(
+        resource_defs=RESOURCES, logger_defs={"terse": terse_logger}, config=TERSE_LOGGING
+    )

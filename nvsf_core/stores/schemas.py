@@ -1,0 +1,296 @@
+"""The data contract: every array and column that a stage publishes, with type, shape and unit.
+
+`python -m nvsf_core.stores.schemas` prints it as markdown (docs/data_contract.md); `violations` holds
+published arrays against it.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+CAMERA = "<camera>"
+"""Stands for a camera's name (`image_00`) in a field's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One array of a Zarr group, or one column of a table."""
+
+    name: str
+    """May begin with `<camera>`: one field a camera."""
+    dtype: str
+    """numpy's short name (`f4`, `i8`, `u1`, `bool`), or `string`, `list<f8>` in a table."""
+    shape: tuple[str | int, ...]
+    """A number is exact; the same word means the same length in the whole group; () in a table."""
+    unit: str
+    """`1` is a bare number."""
+    meaning: str
+    """What it is, in words."""
+    optional: bool = False
+    """Absent where the drive cannot give it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileSpec:
+    """One file or group that a stage publishes."""
+
+    stage: str
+    path: str
+    """Under `<NVSF_HOME>/<scene>/`."""
+    kind: Literal["zarr", "parquet"]
+    meaning: str
+    fields: tuple[Entry, ...]
+    attributes: str = ""
+    """Attributes of the group, in words."""
+
+
+def _columns(*rows: tuple[str, str, str, str]) -> tuple[Entry, ...]:
+    return tuple(Entry(name, dtype, (), unit, meaning) for name, dtype, unit, meaning in rows)
+
+
+_POSE = "4x4, row by row; an empty list where there is none"
+
+CONTRACT: tuple[FileSpec, ...] = (
+    FileSpec(
+        "frames", "frames/frames.parquet", "parquet", "One row a frame of the section.",
+        _columns(
+            ("frame", "i8", "1", "frame number of the recording"),
+            ("time_s", "f8", "s", "since the first frame"),
+            ("split", "string", "", "`train` or `test` (held out)"),
+            ("lidar_to_world", "list<f8>", "m", _POSE),
+            ("pose_valid", "bool", "", "whether the recording has a pose for this frame"),
+            ("scan_valid", "bool", "", "whether the scan can be used"),
+            ("reason", "string", "", "why not; empty where it can"),
+            ("checksum", "string", "", "SHA-256 of the scan file; empty where there is none"),
+        ),
+    ),
+    FileSpec(
+        "frames", "frames/cameras.parquet", "parquet", "One row a frame and camera.",
+        _columns(
+            ("frame", "i8", "1", "frame number"),
+            ("camera", "string", "", "`image_00` to `image_03`"),
+            ("camera_to_world", "list<f8>", "m", f"rectified camera (raw for a fisheye); {_POSE}"),
+            ("image_valid", "bool", "", "whether the image can be used"),
+            ("reason", "string", "", "why not"),
+            ("checksum", "string", "", "SHA-256 of the image file"),
+        ),
+    ),
+    FileSpec(
+        "frames", "frames/boxes.parquet", "parquet", "One row a frame and annotated object; may be empty.",
+        _columns(
+            ("frame", "i8", "1", "frame number"),
+            ("object_id", "i8", "1", "the same object keeps it"),
+            ("label", "string", "", "annotated class"),
+            ("dynamic", "bool", "", "whether it moves"),
+            ("box_to_world", "list<f8>", "m", "4x4; its 3x3 holds the size: unit cube, +-0.5"),
+        ),
+    ),
+    FileSpec(
+        "sweeps", "sweeps/returns.zarr", "zarr", "Every return of every valid scan as a ray at its own time.",
+        (
+            Entry("frame", "i8", ("scans",), "1", "frame number"),
+            Entry("time_s", "f8", ("scans",), "s", "the pose's instant, since the first frame"),
+            Entry("lidar_to_world", "f8", ("scans", 4, 4), "m", "true world, origin not subtracted"),
+            Entry("firings", "i4", ("scans",), "1", "firings a turn; 0 = unknown"),
+            Entry("offsets", "i8", ("scans+1",), "1", "returns of scan k: offsets[k] to offsets[k+1]"),
+            Entry("points_m", "f4", ("returns", 3), "m", "as recorded: sensor frame, file order"),
+            Entry("intensity", "f4", ("returns",), "1", "0 to 1"),
+            Entry("laser", "i2", ("returns",), "1", "0 = top; -1 = unknown"),
+            Entry("firing", "i2", ("returns",), "1", "index within the turn, by time; -1 = unknown"),
+            Entry("sweep_fraction", "f4", ("returns",), "turn", "after the pose's instant, -0.5 to 0.5"),
+            Entry("origin_m", "f4", ("returns", 3), "m", "of the ray, scene-local"),
+            Entry("direction", "f4", ("returns", 3), "1", "of the ray, unit length, scene-local axes"),
+            Entry("range_m", "f4", ("returns",), "m", "along that ray"),
+            Entry("is_own_vehicle", "bool", ("returns",), "", "whether the recording car itself was hit"),
+        ),
+        "scene_origin_m, sweep_period_s, elevation_correction_deg, laser_source, laser_evidence, "
+        "compensated, sensor",
+    ),
+    FileSpec(
+        "pano", "pano/pano.zarr", "zarr", "Range images; 0 = no return.",
+        (
+            Entry("frame", "i8", ("scans",), "1", "frame number"),
+            Entry("linear_range_m", "f4", ("scans", 66, 1030), "m", "the paper's grid"),
+            Entry("linear_intensity", "f4", ("scans", 66, 1030), "1", "the paper's grid"),
+            Entry("beam_range_m", "f4", ("scans", "lasers", 1030), "m", "one row a laser", optional=True),
+            Entry("beam_intensity", "f4", ("scans", "lasers", 1030), "1", "one row a laser", optional=True),
+        ),
+        "the grids and the sensor table",
+    ),
+    FileSpec(
+        "undistorted", "undistorted/images.zarr", "zarr", "Perspective images, one group of arrays a camera.",
+        (
+            Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
+            Entry(f"{CAMERA}_valid", "bool", ("height", "width"), "", "the lens sees it", optional=True),
+            Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "frame number", optional=True),
+            Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
+        ),
+        "cameras: name to fx, fy, cx, cy, width, height (pixels), kind",
+    ),
+    FileSpec(
+        "field", "field/<recipe>/<seed>/curve.parquet", "parquet",
+        "Training curve; beside it `weights.safetensors` and `recipe.json`.",
+        _columns(
+            ("sensor", "string", "", "`lidar` or `camera`"),
+            ("step", "i8", "1", "optimiser step"),
+            ("seconds", "f8", "s", "spent training so far"),
+            ("loss", "f8", "1", "total, weighted"),
+            ("rays_per_s", "f8", "1/s", "speed of training"),
+        ),
+    ),
+    FileSpec(
+        "novel_views", "novel_views/<recipe>/<seed>/<view>/<method>.zarr", "zarr",
+        "What a method renders of a view: `model`; for the view `test` also `reproject`, `copy_nearest`.",
+        (
+            Entry("frame", "i8", ("scans",), "1", "nearest recorded frame"),
+            Entry("time_s", "f8", ("scans",), "s", "since the first frame"),
+            Entry("lidar_to_world", "f8", ("scans", 4, 4), "m", "true world"),
+            Entry("offsets", "i8", ("scans+1",), "1", "returns of scan k", optional=True),
+            Entry("points_m", "f4", ("returns", 3), "m", "sensor frame at firing time", optional=True),
+            Entry("intensity", "f4", ("returns",), "1", "0 to 1", optional=True),
+            Entry("laser", "i2", ("returns",), "1", "0 = top", optional=True),
+            Entry("pano_range_m", "f4", ("scans", 66, 1030), "m", "0 = no return", optional=True),
+            Entry("pano_intensity", "f4", ("scans", 66, 1030), "1", "0 to 1", optional=True),
+            Entry("pano_hit", "f4", ("scans", 66, 1030), "1", "probability of a return", optional=True),
+            Entry("ray_offsets", "i8", ("scans+1",), "1", "recorded rays of scan k", optional=True),
+            Entry("ray_range_m", "f4", ("rays",), "m", "along recorded rays; inf = no answer", optional=True),
+            Entry("ray_intensity", "f4", ("rays",), "1", "along recorded rays", optional=True),
+            Entry("grid_range_m", "f4", ("scans", "lasers", "firings"), "m", "free of noise", optional=True),
+            Entry("grid_hit", "f4", ("scans", "lasers", "firings"), "1", "probability", optional=True),
+            Entry("grid_intensity", "f4", ("scans", "lasers", "firings"), "1", "0 to 1", optional=True),
+            Entry("grid_azimuth_rad", "f4", ("scans", "lasers", "firings"), "rad", "sensor's", optional=True),
+            Entry("grid_elevation_rad", "f4", ("scans", "lasers", "firings"), "rad", "sensor's", optional=True),
+            Entry("lidar_render_seconds", "f8", ("scans",), "s", "a scan", optional=True),
+            Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
+            Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
+            Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),
+        ),
+        "split, sensor, method, recipe, seed, cameras, parameters, model_mb, train_seconds, peak_memory_mb, "
+        "scene_origin_m",
+    ),
+    FileSpec(
+        "scene_metrics", "scene_metrics/<recipe>/<seed>/metrics.parquet", "parquet",
+        "One row a frame and metric; means are made by the reader.",
+        _columns(
+            ("scene", "string", "", "name"),
+            ("split", "string", "", "`train`, `val`, `test`, or a view's name"),
+            ("frame", "i8", "1", "frame number"),
+            ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`"),
+            ("region", "string", "", "`all`, `foreground`, `background`"),
+            ("sensor", "string", "", "`lidar` or a camera's name"),
+            ("metric", "string", "", "name with its unit"),
+            ("value", "f8", "see unit", "NaN = undefined, never 0"),
+            ("unit", "string", "", "`1` = a bare number"),
+            ("n_valid", "i8", "1", "what the value was made from"),
+            ("recipe", "string", "", "preset, or a baseline's name"),
+            ("seed", "i8", "1", "of training"),
+            ("train_seconds", "f8", "s", "evidence, training and refinement together"),
+            ("render_seconds", "f8", "s", "of that frame and sensor"),
+            ("parameters", "i8", "1", "numbers in the safetensors"),
+            ("model_mb", "f8", "MB", "all that rendering needs, evidence included"),
+            ("peak_memory_mb", "f8", "MB", "of the training process"),
+            ("commit", "string", "", "of this project"),
+        ),
+    ),
+)  # fmt: skip
+
+
+def spec_of(path: str) -> FileSpec:
+    """The contract of a file, by the path that CONTRACT writes.
+
+    Raises:
+        KeyError: The contract has no such file.
+    """
+    return {spec.path: spec for spec in CONTRACT}[path]
+
+
+def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray]) -> list[str]:
+    """What the arrays of a Zarr group break of their contract, one sentence each; [] = nothing.
+
+    Fields beyond the contract are allowed: a stage may say more than it promises.
+    """
+    found: list[str] = []
+    for field in spec.fields:
+        named = dict(_matching(field.name, arrays))
+        if not named and not field.optional:
+            found.append(f"{field.name}: expected {field.dtype} {field.shape}, found nothing")
+        for name, array in named.items():
+            lengths = _lengths(spec, arrays, name.split(field.name.removeprefix(CAMERA))[0])
+            found += _field_violations(field, name, array, lengths)
+    return found
+
+
+def _field_violations(
+    field: Entry, name: str, array: np.ndarray, lengths: Mapping[str, int]
+) -> Iterator[str]:
+    if array.dtype != np.dtype(field.dtype):
+        yield f"{name}: expected type {field.dtype}, found {array.dtype.str[1:]}"
+    if array.ndim != len(field.shape):
+        yield f"{name}: expected {len(field.shape)} axes {field.shape}, found shape {array.shape}"
+        return
+    for axis, (word, length) in enumerate(zip(field.shape, array.shape, strict=True)):
+        expected = word if isinstance(word, int) else lengths.get(word, length)
+        if length != expected:
+            yield f"{name}: axis {axis} ({word}): expected {expected}, found {length}"
+
+
+def _lengths(spec: FileSpec, arrays: Mapping[str, np.ndarray], camera: str) -> dict[str, int]:
+    """Length of each named axis: of the first array that has it; `images` and the like are a camera's own."""
+    lengths: dict[str, int] = {}
+    for field in spec.fields:
+        array = arrays.get(field.name.replace(CAMERA, camera))
+        if array is None or array.ndim != len(field.shape):
+            continue
+        for word, length in zip(field.shape, array.shape, strict=True):
+            if isinstance(word, str):
+                lengths.setdefault(word, length)
+    if "scans" in lengths:
+        lengths["scans+1"] = lengths["scans"] + 1
+    return lengths
+
+
+def _matching(name: str, arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    if not name.startswith(CAMERA):
+        if name in arrays:
+            yield name, arrays[name]
+        return
+    # Only `image_NN`: other arrays of a group may end in the same word.
+    for stored, array in arrays.items():
+        if stored.startswith("image_") and stored.removeprefix(stored[:8]) == name.removeprefix(CAMERA):
+            yield stored, array
+
+
+def as_markdown() -> str:
+    """The contract as a document."""
+    lines = [
+        "# Data contract",
+        "",
+        "Generated by `make contract` from `nvsf_core/stores/schemas.py`; a test compares the two.",
+        "Everything lies under `<NVSF_HOME>/<scene>/` and is published whole: a folder is complete or",
+        "absent. Frames, axes and units: [conventions.md](conventions.md). Next to each output,",
+        "`stage.json` holds its fingerprint, seconds, numbers and checks.",
+        "",
+        "A data set lies in `dataset/<view>/<version>/`: scans as KITTI's `velodyne_points/data/*.bin`",
+        "(float32 x, y, z, intensity, laser by laser), `.ply`, images as PNG, and `manifest.json`.",
+    ]
+    for spec in CONTRACT:
+        lines += ["", f"## `{spec.path}`", "", f"Stage `{spec.stage}`, {spec.kind}. {spec.meaning}"]
+        if spec.attributes:
+            lines.append(f"Attributes: {spec.attributes}.")
+        head = ["name", "type", "shape", "unit", "meaning"]
+        if spec.kind == "parquet":
+            head.remove("shape")
+        lines += ["", f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
+        for field in spec.fields:
+            shape = [" x ".join(str(word) for word in field.shape)] if spec.kind == "zarr" else []
+            meaning = f"{field.meaning} (where there is one)" if field.optional else field.meaning
+            cells = [f"`{field.name}`", field.dtype, *shape, field.unit, meaning]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(as_markdown())
