@@ -3,7 +3,8 @@
 A ray of laser l at encoder angle theta starts at o = (0, 0, v_l / cos e_l) + h_l (-sin theta, cos theta, 0)
 and runs along d = (cos e_l cos theta, cos e_l sin theta, sin e_l); the file records o + r d. In the
 world the same ray is turned up by the sensor's elevation correction, in the plane of theta, about the
-sensor's centre: files are as recorded, without it.
+sensor's centre: files are as recorded, without it. These rays are written out here rather than taken
+from `sensors.beam_table`, so that the demo can tell whether those are right.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,6 @@ import numpy as np
 
 from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S, ego_pose
 from nvsf_core.kitti360.demo_shapes import (
-    TILE_RAYS,
     Kind,
     ShapeList,
     Shapes,
@@ -79,34 +79,17 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
         firings: Firings a turn, at most the 4000 steps of the encoder.
     """
     rng = np.random.default_rng([world.seed, 1 + frame])
-    theta = _encoder_angles(HDL_64E, lasers, firings, rng)
+    theta, fraction = _firings(HDL_64E, lasers, firings, rng)
     origin, direction = _recorded_rays(HDL_64E, lasers, theta)
-    azimuth = theta.ravel()
-    time_s = _clock_s(frame, direction)
+    time_s = (frame + fraction.ravel()) * FRAME_PERIOD_S
     tiles = tile_index(len(lasers), firings, 8)
-    hit = _cast(world, origin, direction, azimuth, time_s, tiles)
-
-    # A return's own azimuth is its clock. At the seam behind the car the laser's offset can put a
-    # point on the other side than its firing, a whole turn away: those fire again at the right time.
-    points = origin + np.where(np.isfinite(hit[0]), hit[0], 1.0)[:, None] * direction
-    by_point = _clock_s(frame, points)
-    seam = np.flatnonzero(np.abs(by_point - time_s) > 0.5 * FRAME_PERIOD_S)
-    if len(seam):
-        time_s[seam] = by_point[seam]
-        alone = np.pad(np.arange(len(seam)), (0, -len(seam) % TILE_RAYS), mode="edge").reshape(-1, TILE_RAYS)
-        again = _cast(world, origin[seam], direction[seam], azimuth[seam], time_s[seam], alone)
-        for values, new in zip(hit, again, strict=True):
-            values[seam] = new
-
+    hit = _cast(world, origin, direction, theta.ravel(), time_s, tiles)
     range_m, material, instance, cosine = hit
     measured, intensity, returned = _measure(
         rng, range_m.reshape(theta.shape), material.reshape(theta.shape), cosine.reshape(theta.shape)
     )
     kept = np.flatnonzero(returned)
     points = (origin[kept] + measured.ravel()[kept, None] * direction[kept]).astype(np.float32)
-    # The noise may carry a point over the seam once more: such a return, one in 100,000, is dropped.
-    agree = np.abs(_clock_s(frame, points) - time_s[kept]) < 0.5 * FRAME_PERIOD_S
-    kept, points = kept[agree], points[agree]
     laser = kept // firings
     # float64: float32 would round a small negative angle up to the whole turn itself.
     recorded = np.arctan2(points[:, 1].astype(np.float64), points[:, 0].astype(np.float64))
@@ -122,20 +105,24 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
     )
 
 
-def _encoder_angles(
+def _firings(
     table: LaserTable, lasers: np.ndarray, firings: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Angles theta (L, F) in [0, 2 pi), ascending within a laser.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Encoder angles theta in [0, 2 pi), ascending within a laser, and their sweep fractions, (L, F).
 
-    The lasers share their firing columns: one or two steps of the encoder apart (evenly, if there are
-    fewer), starting anywhere, each laser's own column shifted by its constant.
+    All lasers fire together, in firing columns one or two steps of the encoder apart (evenly, if there
+    are fewer), starting anywhere; each laser's own column is the firing's, shifted by its constant. A
+    firing at azimuth a in (-pi, pi] comes s = -a / 2 pi of a sweep after the pose's instant.
     """
     steps = np.diff(np.arange(firings + 1) * table.lattice_steps // firings)
-    columns = np.cumsum(rng.permutation(steps)) + rng.integers(table.lattice_steps)
-    own = np.mod(columns[None] - table.firing_shift_steps[lasers][:, None], table.lattice_steps)
-    angle = np.mod((own + table.phase_steps[lasers][:, None]) * table.step_rad, 2.0 * np.pi)
-    ascending: np.ndarray = np.sort(angle, axis=1)
-    return ascending
+    start = rng.integers(table.lattice_steps)
+    column = np.mod(start + np.cumsum(rng.permutation(steps)), table.lattice_steps)
+    half = table.lattice_steps // 2
+    fraction = (np.mod(half - column, table.lattice_steps) - half) / table.lattice_steps
+    own = np.mod(column[None] - table.firing_shift_steps[lasers][:, None], table.lattice_steps)
+    theta = np.mod((own + table.phase_steps[lasers][:, None]) * table.step_rad, 2.0 * np.pi)
+    order = np.argsort(theta, axis=1)
+    return np.take_along_axis(theta, order, axis=1), fraction[order]
 
 
 def _recorded_rays(table: LaserTable, lasers: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,13 +145,6 @@ def _turned_up(vectors: np.ndarray, theta: np.ndarray, angle_rad: float) -> np.n
     turned: np.ndarray = vectors + (cosine * along - sine * up - along)[:, None] * ahead
     turned[:, 2] = sine * along + cosine * up
     return turned
-
-
-def _clock_s(frame: int, points: np.ndarray) -> np.ndarray:
-    """When points (N, 3) of a frame's turn are measured: clockwise, forward at the pose's instant."""
-    azimuth = np.arctan2(points[:, 1].astype(np.float64), points[:, 0].astype(np.float64))
-    clock: np.ndarray = (frame - azimuth / (2.0 * np.pi)) * FRAME_PERIOD_S
-    return clock
 
 
 def _cast(

@@ -15,6 +15,9 @@ from nvsf_core.kitti360.demo_street import KERB_HEIGHT_M, ROAD_HALF_WIDTH_M, Mat
 from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.kitti360.poses import compare_poses, read_cam0_to_world, read_poses
+from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up
+from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
+from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 
 
@@ -233,8 +236,9 @@ def recorded_to_world(world, points_m, time_s):
 
 def test_recorded_ground_returns_land_on_the_road_by_the_ingest_rules(world):
     scan = simulate_scan(world, 5, np.arange(64), 525)
-    azimuth = np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]).astype(float)
-    time_s = 0.5 - azimuth / (2 * np.pi) * 0.1
+    fraction = recover_timing(scan.points_m, HDL_64E).sweep_fraction
+    time_s = 0.5 + fraction * 0.1
+    assert np.abs(time_s - scan.time_s).max() < 1e-6
     street = in_street(world, recorded_to_world(world, scan.points_m.astype(float), time_s))
     radius = np.hypot(street[:, 0], street[:, 1])
     road = (
@@ -245,6 +249,25 @@ def test_recorded_ground_returns_land_on_the_road_by_the_ingest_rules(world):
     assert road.sum() > 2000
     assert abs(np.median(street[road, 2])) < 1e-3
     assert np.abs(street[road, 2]).mean() < RANGE_NOISE_M
+
+
+def test_recorded_ranges_are_the_worlds_along_the_ingested_rays(world):
+    # Through the project's own ingest: lasers and times from the file alone, motion from the frames' poses.
+    frame, times_s = 5, np.arange(12) * 0.1
+    scan = simulate_scan(world, frame, np.arange(64), 1050)
+    timing = recover_timing(scan.points_m, HDL_64E)
+    assert timing.source == FILE_ORDER and np.array_equal(timing.laser, scan.laser)
+    origin, direction, range_m = recorded_ray_of_points(HDL_64E, scan.points_m, timing.laser)
+    theta = encoder_angle(HDL_64E, scan.points_m, timing.laser)
+    origin, direction = turn_up(origin, direction, theta, HDL_64E.elevation_correction_rad)
+    path = Trajectory(times_s, world.lidar_to_world(times_s), np.zeros(3))
+    time_s = times_s[frame] + timing.sweep_fraction * 0.1
+    origin, direction = path.move_rays(origin, direction, time_s)
+    truth = world.cast(origin, direction, time_s).range_m
+    error = np.where(np.isfinite(truth), range_m - truth, np.inf)[scan.instance != OWN_VEHICLE]
+    assert abs(np.median(error)) < 2e-3
+    assert np.median(np.abs(error)) < RANGE_NOISE_M
+    assert (np.abs(error) < 5 * RANGE_NOISE_M).mean() > 0.9
 
 
 def test_scan_is_laser_by_laser_with_ascending_azimuth(world):
