@@ -96,16 +96,16 @@ def write_demo(
     The sequence is `DEMO_SEQUENCE`. The same seed and size give the same bytes.
 
     Args:
-        root: KITTI-360 root to make; it must not exist.
+        root: KITTI-360 root to make; it must not exist, or be an empty folder.
         size: How much; None = `DemoSize.full()`.
         seed: Of the street and of all noise.
         progress: Told (frames done, frames) after each frame.
 
     Raises:
-        DataError: `root` exists already.
+        DataError: `root` holds something already, or the disk refuses.
     """
     size = DemoSize.full() if size is None else size
-    if root.exists():
+    if _is_taken(root):
         raise DataError(f"expected no {root}, found one; remove it to write the demo drive again")
     part = root.with_name(f".{root.name}.{os.getpid()}.part")
     shutil.rmtree(part, ignore_errors=True)
@@ -120,10 +120,14 @@ def write_demo(
         _write_frames(layout, world, cameras, size, progress)
         part.rename(root)
     except OSError as error:
-        remedy = "another process wrote it meanwhile: use that" if root.exists() else "check space and rights"
+        remedy = "another process wrote it meanwhile: use that" if _is_taken(root) else "check space and rights"
         raise DataError(f"expected to write the demo drive to {root}, found {error}; {remedy}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _is_taken(root: Path) -> bool:
+    return root.exists() and not (root.is_dir() and not any(root.iterdir()))
 
 
 def _cameras(size: DemoSize) -> list[DemoCamera]:

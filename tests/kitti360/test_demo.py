@@ -78,6 +78,7 @@ def test_calibration_and_both_pose_files_agree(drive, world):
 
 
 def test_same_seed_same_bytes_another_seed_another_street(drive, tmp_path):
+    (tmp_path / "same").mkdir()  # an empty folder is no drive
     write_demo(tmp_path / "same", size=DemoSize.tiny(), seed=0)
     write_demo(tmp_path / "other", size=DemoSize.tiny(), seed=1)
     assert digest(tmp_path / "same") == digest(drive.root)
