@@ -120,7 +120,7 @@ def write_demo(
         _write_frames(layout, world, cameras, size, progress)
         part.rename(root)
     except OSError as error:
-        remedy = "another process wrote it meanwhile: use that" if _is_taken(root) else "check space and rights"
+        remedy = "another process wrote it: use that" if _is_taken(root) else "check space and rights"
         raise DataError(f"expected to write the demo drive to {root}, found {error}; {remedy}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
