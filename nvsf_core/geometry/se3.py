@@ -126,7 +126,7 @@ def is_rigid(pose: np.ndarray, tolerance: float = 1e-4) -> bool:
 
 
 def _rodrigues_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3, each exact near a = 0."""
+    """The terms sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3, each exact near a = 0."""
     small = angle < _SMALL_RAD
     safe = np.where(small, 1.0, angle)
     square = angle**2

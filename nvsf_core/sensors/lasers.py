@@ -13,7 +13,15 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.beam_table import encoder_angle, wrap_angle
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = ["BEAM_TABLE", "FILE_ORDER", "UNKNOWN", "ScanTiming", "recover_firings", "recover_lasers", "recover_timing"]
+__all__ = [
+    "BEAM_TABLE",
+    "FILE_ORDER",
+    "UNKNOWN",
+    "ScanTiming",
+    "recover_firings",
+    "recover_lasers",
+    "recover_timing",
+]
 
 FILE_ORDER = "file_order"
 BEAM_TABLE = "beam_table"
@@ -22,6 +30,8 @@ _AGREEMENT = 0.9
 """Share of returns that must agree with the beam table before it is believed."""
 _RESIDUAL_RAD = np.deg2rad(0.1)
 """Real returns lie within 0.02 degrees of their laser; lasers stand at least 0.25 degrees apart."""
+_LOST_GAP = 2.5
+"""Gaps above so many usual ones are lost firings; at the turn's seam a gap of 1.6 is ordinary."""
 _LATTICE_RESIDUAL_STEPS = 0.15
 """Mean distance from the lattice: 0.02 on real scans, 0.25 where there is no lattice."""
 
@@ -87,7 +97,8 @@ def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray,
         agreeing = votes[np.arange(turns), laser_of_turn].sum() / len(points_m)
         if agreeing >= _AGREEMENT and fitting >= _AGREEMENT and (np.diff(laser_of_turn) > 0).all():
             words = f"{turns} turns of the azimuth in file order are {turns} of {table.laser_count} lasers"
-            return laser_of_turn[turn].astype(np.int16), FILE_ORDER, f"{words}, {agreeing:.2%} agree; {fit}"
+            laser = _mend_seam(points_m, laser_of_turn[turn], nearest, residual_rad, table)
+            return laser.astype(np.int16), FILE_ORDER, f"{words}, {agreeing:.2%} agree; {fit}"
     found = f"{turns} turns of the azimuth, not one a laser; {fit}"
     if fitting >= _AGREEMENT:
         laser = np.where(residual_rad < _RESIDUAL_RAD, nearest, -1).astype(np.int16)
@@ -118,29 +129,44 @@ def recover_firings(
     column = np.rint(theta_steps)
     residual_steps = float(np.abs(theta_steps - column).mean())
     shifted = (theta_steps + table.firing_shift_steps[ids]) * table.step_rad
-    # On the lattice, the first column that is still "gone by" is the one at +180 degrees.
     if residual_steps <= _LATTICE_RESIDUAL_STEPS:
-        elapsed = np.mod(table.lattice_steps // 2 - column.astype(np.int64) - table.firing_shift_steps[ids],
-                         table.lattice_steps)
-        columns = _common_columns(elapsed, ids, table.lattice_steps)
-        azimuth_rad = np.pi - columns * table.step_rad
+        gone_by = table.lattice_steps // 2 - column.astype(np.int64) - table.firing_shift_steps[ids]
+        elapsed = np.mod(gone_by, table.lattice_steps)
+        seen = _common_columns(elapsed, ids, table.lattice_steps)
+        columns = _fill_gaps(seen)
+        azimuth_rad: np.ndarray = np.pi - columns * table.step_rad
         firing[known] = _nearest_firing(elapsed, columns, table.lattice_steps)
-        said = f"{len(columns)} firings on the encoder's lattice, {residual_steps:.3f} steps off it on average"
-        return firing, azimuth_rad, said
+        said = f"{len(columns)} firings on the encoder's lattice ({residual_steps:.3f} steps off it)"
+        silent = len(columns) - len(seen)
+        return firing, azimuth_rad, f"{said}, {silent} of them lost" if silent else said
     count = _firings_by_spacing(theta_steps * table.step_rad, ids)
-    index = np.floor((np.pi - wrap_angle(shifted)) / (2.0 * np.pi) * count).astype(np.int64) % count
-    firing[known] = index
+    gone_by_turns = (np.pi - wrap_angle(shifted)) / (2.0 * np.pi)
+    firing[known] = np.floor(gone_by_turns * count).astype(np.int64) % count
     azimuth_rad = np.pi - (np.arange(count) + 0.5) * (2.0 * np.pi / count)
     return firing, azimuth_rad, f"no encoder lattice; {count} firings by the returns' spacing"
 
 
-def _nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, np.ndarray]:
-    """Laser with the nearest elevation for each point, and the distance from it in radians."""
+def _mend_seam(
+    points_m: np.ndarray, laser: np.ndarray, nearest: np.ndarray, nearest_rad: np.ndarray, table: LaserTable
+) -> np.ndarray:
+    """A return that noise moved across azimuth 0 seems to be in the next turn: its elevation knows better."""
+    elevation, range_m = _elevation(points_m)
+    own_rad = np.abs(elevation - table.vertical_offset_m[laser] / range_m - table.elevation_rad[laser])
+    return np.where((own_rad > _RESIDUAL_RAD) & (nearest_rad < _RESIDUAL_RAD), nearest, laser)
+
+
+def _elevation(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Elevation in radians and range in metres of each point."""
     x, y, z = points_m.astype(np.float64).T
     range_m = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6)
-    elevation = np.arcsin(np.clip(z / range_m, -1.0, 1.0))
+    return np.arcsin(np.clip(z / range_m, -1.0, 1.0)), range_m
+
+
+def _nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, np.ndarray]:
+    """Laser with the nearest elevation for each point, and the distance from it in radians."""
+    elevation, range_m = _elevation(points_m)
     best = np.zeros(len(points_m), np.int64)
-    best_rad = np.full(len(points_m), np.inf)
+    best_rad: np.ndarray = np.full(len(points_m), np.inf)
     # One laser at a time: an (N, L) table of distances would take 60 MB a scan.
     for index in range(table.laser_count):
         residual = np.abs(elevation - table.vertical_offset_m[index] / range_m - table.elevation_rad[index])
@@ -162,6 +188,23 @@ def _common_columns(elapsed: np.ndarray, laser: np.ndarray, lattice_steps: int) 
     return np.flatnonzero(share >= max(1, len(np.unique(laser)) // 8))
 
 
+def _fill_gaps(columns: np.ndarray) -> np.ndarray:
+    """Put back evenly what is missing inside the turn: a lost packet takes six firings of all lasers with it.
+
+    Without them, firings after the gap would be numbered against those of other scans by six too few.
+    """
+    if len(columns) < 3:
+        return columns
+    gap = np.diff(columns)
+    usual = float(np.mean(gap[gap <= 2 * np.median(gap)]))
+    missing = np.where(gap > _LOST_GAP * usual, np.rint(gap / usual) - 1, 0).astype(np.int64)
+    filled = [
+        np.rint(np.linspace(columns[k], columns[k + 1], missing[k] + 2)[1:-1]).astype(np.int64)
+        for k in np.flatnonzero(missing)
+    ]
+    return np.sort(np.concatenate([columns, *filled]))
+
+
 def _nearest_firing(elapsed: np.ndarray, columns: np.ndarray, lattice_steps: int) -> np.ndarray:
     after = np.searchsorted(columns, elapsed) % len(columns)
     before = (after - 1) % len(columns)
@@ -177,9 +220,10 @@ def _firings_by_spacing(theta_rad: np.ndarray, laser: np.ndarray) -> int:
     step = step[step > 1e-6]
     if len(step) == 0:
         return 1
-    return max(1, round(2.0 * np.pi / float(np.median(step))))
+    # The mean of the single steps: a median would keep the encoder's rounding.
+    return max(1, round(2.0 * np.pi / float(np.mean(step[step < 1.5 * np.median(step)]))))
 
 
 def _fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """s = -a / 2 pi for a in (-pi, pi]; in [-0.5, 0.5)."""
+    """Share s = -a / 2 pi for a in (-pi, pi]; in [-0.5, 0.5)."""
     return -wrap_angle(azimuth_rad) / (2.0 * np.pi)

@@ -56,7 +56,7 @@ class LinearPano:
         range_m = np.sqrt(x * x + y * y + z * z)
         if not np.isfinite(range_m).all():
             count = int((~np.isfinite(range_m)).sum())
-            raise DataError(f"expected finite points, found {count} of {len(x)} that are not; drop them first")
+            raise DataError(f"expected finite points, found {count} of {len(x)} not finite; drop them first")
         fov_rad = np.deg2rad(self.fov_deg)
         fov_down_rad = np.deg2rad(self.fov_deg - self.fov_up_deg)
         beta = np.pi - np.arctan2(y, x)

@@ -22,7 +22,7 @@ def nearest_in_cells(cell: np.ndarray, range_m: np.ndarray, cell_count: int) -> 
         ShapeError: The two arrays differ in length.
     """
     if cell.shape != range_m.shape or cell.ndim != 1:
-        raise ShapeError(f"expected cell and range_m of one shape (N,), found {cell.shape} and {range_m.shape}")
+        raise ShapeError(f"expected cell and range_m (N,) alike, found {cell.shape} and {range_m.shape}")
     nearest_m = np.full(cell_count, np.inf)
     np.minimum.at(nearest_m, cell, range_m.astype(np.float64))
     winner = np.flatnonzero(nearest_m[cell] == range_m)

@@ -77,12 +77,13 @@ class Trajectory:
         """
         time_s = np.asarray(time_s, np.float64)
         if len(self.times_s) == 1:
-            count = len(time_s)
-            return np.repeat(self._local[:, :3, :3], count, axis=0), np.repeat(self._local[:, :3, 3], count, axis=0)
+            pose = np.repeat(self._local, len(time_s), axis=0)
+            return pose[:, :3, :3], pose[:, :3, 3]
         self._check_within(time_s)
         # All lasers fire together: a scan has 120,000 returns but some 2,000 times.
         moments_s, inverse = np.unique(time_s, return_inverse=True)
-        interval = np.clip(np.searchsorted(self.times_s, moments_s, side="right") - 1, 0, len(self.times_s) - 2)
+        before = np.searchsorted(self.times_s, moments_s, side="right") - 1
+        interval = np.clip(before, 0, len(self.times_s) - 2)
         length_s = self.times_s[interval + 1] - self.times_s[interval]
         share = (moments_s - self.times_s[interval]) / length_s
         pose = self._local[interval] @ exp_se3(share[:, None] * self._twists[interval])
@@ -94,8 +95,8 @@ class Trajectory:
         outside = ~((time_s >= first_s) & (time_s <= last_s))
         if outside.any():
             raise DataError(
-                f"expected times within {first_s:.4f} .. {last_s:.4f} s, found {time_s[outside][0]} s; ask for "
-                "times at most one frame outside the recorded poses"
+                f"expected times within {first_s:.4f} .. {last_s:.4f} s, found {time_s[outside][0]} s; "
+                "ask for times at most one frame outside the recorded poses"
             )
 
     def move_rays(
@@ -165,9 +166,11 @@ def compensate(
     Returns:
         origin_m (N, 3), unit direction (N, 3), range_m (N,): scene-local, float64.
     """
-    angle_rad = table.elevation_correction_rad if elevation_correction_rad is None else elevation_correction_rad
+    angle_rad = elevation_correction_rad
+    if angle_rad is None:
+        angle_rad = table.elevation_correction_rad
     origin_s, direction_s, range_m = recorded_ray_of_points(table, points_m, laser)
     origin_s, direction_s = turn_up(origin_s, direction_s, encoder_angle(table, points_m, laser), angle_rad)
-    time_s = instant_s + (np.asarray(fraction, np.float64) * period_s if compensated else np.zeros(len(fraction)))
-    origin_m, direction = trajectory.move_rays(origin_s, direction_s, time_s)
+    lag_s = np.asarray(fraction, np.float64) * (period_s if compensated else 0.0)
+    origin_m, direction = trajectory.move_rays(origin_s, direction_s, instant_s + lag_s)
     return origin_m, direction, range_m

@@ -93,7 +93,7 @@ _VLP_16_VERTICAL_OFFSET_MM = (
 
 
 def _frozen(values: object, dtype: type = np.float64) -> np.ndarray:
-    array = np.array(values, dtype)
+    array: np.ndarray = np.array(values, dtype)
     array.flags.writeable = False
     return array
 
@@ -151,5 +151,6 @@ def sensor_table(name: str) -> LaserTable:
         DataError: No such sensor is known.
     """
     if name not in SENSOR_TABLES:
-        raise DataError(f"expected a sensor among {sorted(SENSOR_TABLES)}, found {name!r}; correct the catalogue")
+        known = ", ".join(sorted(SENSOR_TABLES))
+        raise DataError(f"expected a sensor among {known}, found {name!r}; correct the catalogue")
     return SENSOR_TABLES[name]

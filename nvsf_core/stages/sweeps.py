@@ -25,7 +25,8 @@ SENSOR = HDL_64E
 
 _OWN_VEHICLE_CELLS = 2000
 _SAY_EVERY_S = 4.0
-_MAP_RANGE_M = 25.0
+_MAP_RANGE_M = 40.0
+_MAP_RETURNS = 600_000
 _MAP_VOXEL_M = 0.4
 
 
@@ -45,7 +46,7 @@ def _run(task: Task) -> StageOutput:
 
 
 def make_sweeps(task: Task, *, compensated: bool) -> StageOutput:
-    """Fill the task's folder with `returns.zarr`; False puts each scan at its pose's instant, as papers do."""
+    """Fill the task's folder with `returns.zarr`; False puts each scan at its pose's instant, as papers."""
     frames_dir = task.store.require("frames")
     rows = read_rows(frames_dir / "frames.parquet")
     drive: dict[str, Any] = json.loads((frames_dir / "drive.json").read_text())
@@ -144,7 +145,7 @@ def _arrays(
 
 
 def _joined(parts: list[np.ndarray], dtype: type, columns: int = 0) -> np.ndarray:
-    empty = np.zeros((0, columns) if columns else (0,), dtype)
+    empty: np.ndarray = np.zeros((0, columns) if columns else (0,), dtype)
     return np.concatenate([empty, *[part.astype(dtype) for part in parts]])
 
 
@@ -182,11 +183,9 @@ def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> floa
     return float(np.sqrt(np.median(np.maximum(flat, 0.0)))) if len(flat) else float("nan")
 
 
-def _thickness(arrays: dict[str, np.ndarray], frames: int = 8) -> float:
-    """Thickness of the map of up to `frames` consecutive scans in the drive's middle, own vehicle left out."""
-    middle = len(arrays["frame"]) // 2
-    first = max(0, middle - frames // 2)
-    part = slice(arrays["offsets"][first], arrays["offsets"][min(first + frames, len(arrays["frame"]))])
+def _thickness(arrays: dict[str, np.ndarray]) -> float:
+    """Thickness of the map of all scans, thinned evenly, own vehicle left out."""
+    part = slice(None, None, max(1, len(arrays["range_m"]) // _MAP_RETURNS))
     kept = (arrays["range_m"][part] < _MAP_RANGE_M) & ~arrays["is_own_vehicle"][part]
     range_m = arrays["range_m"][part][kept, None].astype(np.float64)
     points_m = arrays["origin_m"][part][kept] + range_m * arrays["direction"][part][kept]
@@ -194,7 +193,8 @@ def _thickness(arrays: dict[str, np.ndarray], frames: int = 8) -> float:
 
 
 def _output(
-    task: Task, scans: list[_Scan], arrays: dict[str, np.ndarray], attrs: dict[str, Any], drive: dict[str, Any]
+    task: Task, scans: list[_Scan], arrays: dict[str, np.ndarray], attrs: dict[str, Any],
+    drive: dict[str, Any],
 ) -> StageOutput:
     if not scans:
         check = Check(name="drive_has_scans", passed=True, detail="camera-only drive: no valid scan")
@@ -261,8 +261,8 @@ STAGE = Stage(
     name="sweeps",
     group="ingest",
     inputs=("frames",),
-    description="Every LiDAR return with its laser, firing and time, as the ray in the world that measured it.",
-    version="1",
+    description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
+    version="2",
     run=_run,
     reads_drive=True,
 )

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+
+from nvsf_core.sensors.beam_table import wrap_angle
+from nvsf_core.sensors.lasers import BEAM_TABLE, FILE_ORDER, UNKNOWN, recover_lasers, recover_timing
+from nvsf_core.sensors.sweep import sweep_fraction
+from nvsf_core.sensors.tables import HDL_64E, VLP_16
+
+
+@pytest.mark.parametrize(
+    ("scene", "least", "most"), [("k360_street", 2171, 2174), ("kitti0005_van_cyclist", 2150, 2152)]
+)
+def test_a_real_scan_is_64_lasers_in_file_order_that_share_their_firings(scene, least, most, real_scans):
+    for scan in real_scans(scene, 13):
+        timing = recover_timing(scan[:, :3], HDL_64E)
+        assert timing.source == FILE_ORDER
+        assert "64 turns" in timing.evidence
+        assert least <= timing.firings <= most
+        assert np.unique(timing.laser).tolist() == list(range(64))
+        cell = timing.firing.astype(int) * 64 + timing.laser
+        assert len(cell) - len(np.unique(cell)) <= 2
+        filled = len(cell) / (64 * timing.firings)
+        assert 0.85 < filled < 0.92
+        own_fraction = sweep_fraction(np.arctan2(scan[:, 1], scan[:, 0]))
+        apart = wrap_angle(2 * np.pi * (timing.sweep_fraction - own_fraction))
+        assert np.abs(apart).max() < np.deg2rad(12)  # 115 steps, and the lever arm nearby
+
+
+def test_a_shuffled_scan_is_assigned_by_the_beam_table(real_scans):
+    scan = real_scans("k360_street", 40)[0]
+    in_order, _, _ = recover_lasers(scan[:, :3], HDL_64E)
+    order = np.random.default_rng(0).permutation(len(scan))
+    laser, source, evidence = recover_lasers(scan[order, :3], HDL_64E)
+    assert source == BEAM_TABLE
+    assert "not one a laser" in evidence
+    assert (laser == in_order[order]).mean() > 0.9999
+
+
+@pytest.mark.parametrize("firings", [64, 500, 2172])
+@pytest.mark.parametrize("lasers", [range(64), range(0, 64, 8)])
+def test_lasers_and_firings_of_a_simulated_scan_are_found_again(firings, lasers, simulated_scan):
+    points, laser, firing = simulated_scan(HDL_64E, np.array(lasers), firings)
+    timing = recover_timing(points, HDL_64E)
+    assert timing.source == FILE_ORDER
+    np.testing.assert_array_equal(timing.laser, laser)
+    assert timing.firings == firings
+    np.testing.assert_array_equal(timing.firing, firing)
+
+
+def test_time_grows_with_the_firing_and_is_shared_by_all_lasers(simulated_scan):
+    points, _, _ = simulated_scan(HDL_64E, np.arange(64), 500)
+    timing = recover_timing(points, HDL_64E)
+    by_firing = [np.unique(timing.sweep_fraction[timing.firing == k]) for k in range(500)]
+    assert all(len(times) == 1 for times in by_firing)
+    times = np.concatenate(by_firing)
+    assert (np.diff(times) > 0).all()
+    assert times[0] >= -0.5
+    assert times[-1] < 0.5
+
+
+def test_a_lost_packet_leaves_the_later_firings_where_they_were(simulated_scan):
+    points, _, firing = simulated_scan(HDL_64E, np.arange(64), 2172)
+    kept = (firing < 1000) | (firing >= 1006)
+    timing = recover_timing(points[kept], HDL_64E)
+    assert timing.firings == 2172
+    assert "6 of them lost" in timing.evidence
+    np.testing.assert_array_equal(timing.firing, firing[kept])
+
+
+def test_off_the_lattice_firings_come_from_the_spacing(simulated_scan):
+    points, laser, firing = simulated_scan(HDL_64E, np.arange(64), 500, keep=1.0)
+    angle = 0.5 * HDL_64E.step_rad * np.random.default_rng(0).uniform(-1, 1, 500)[firing]
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, z = points.T
+    timing = recover_timing(np.stack([cos * x - sin * y, sin * x + cos * y, z], 1), HDL_64E)
+    assert "no encoder lattice" in timing.evidence
+    assert timing.firings == 500
+    apart = np.abs((timing.firing - firing + 250) % 500 - 250)
+    assert apart.max() <= 1
+    np.testing.assert_array_equal(timing.laser, laser)  # returns turned across azimuth 0 included
+
+
+def test_a_sensor_that_is_not_the_tables_stays_unknown(simulated_scan):
+    points, _, _ = simulated_scan(VLP_16, np.arange(16), 500)
+    timing = recover_timing(points, HDL_64E)
+    assert timing.source == UNKNOWN
+    assert (timing.laser == -1).all()
+    assert (timing.firing == -1).all()
+    assert timing.firings == 0
+    own = sweep_fraction(np.arctan2(points[:, 1], points[:, 0]))
+    np.testing.assert_allclose(timing.sweep_fraction, own, atol=1e-6)
+    assert recover_timing(points, VLP_16).source == FILE_ORDER
+
+
+def test_an_empty_scan_is_unknown():
+    timing = recover_timing(np.zeros((0, 3), np.float32), HDL_64E)
+    assert timing.source == UNKNOWN
+    assert len(timing.sweep_fraction) == 0

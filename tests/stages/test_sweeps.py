@@ -1,0 +1,199 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.geometry.se3 import exp_se3
+from nvsf_core.kitti360.catalogue import SceneEntry
+from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.recipe import Recipe
+from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.stages import frames, pano, sweeps
+from nvsf_core.stages.flow import run_scene
+from nvsf_core.stages.stage import RunConfig, Task
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import write_rows
+
+ORIGIN_M = (1000.0, 3700.0, 115.0)
+PERIOD_S, FRAMES, LASERS, FIRINGS = 0.1, 6, 64, 400
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def _walls_ahead(origin_m, direction):
+    """Distance to the nearest of four walls 8 m aside and 60 m along the street, and the ground."""
+    distance = np.full(len(origin_m), np.inf)
+    for axis, wall_m in ((1, 8.0), (1, -8.0), (0, 60.0), (0, -60.0), (2, -1.73)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (wall_m - origin_m[:, axis]) / direction[:, axis]
+        distance = np.minimum(distance, np.where(t > 0, t, np.inf))
+    return distance
+
+
+def _record(poses, times_s, k):
+    """One scan of the walls as a driver records it, each return at its own time; no correction in it."""
+    trajectory = Trajectory(times_s, poses, np.array(ORIGIN_M))
+    azimuth, fraction = firing_grid(HDL_64E, FIRINGS)
+    steps = np.rint(azimuth / HDL_64E.step_rad - HDL_64E.phase_steps[:, None])
+    azimuth = (steps + HDL_64E.phase_steps[:, None]) * HDL_64E.step_rad
+    laser = np.repeat(np.arange(LASERS), FIRINGS)
+    origin_s, direction_s = sensor_rays(HDL_64E, azimuth.ravel(), laser)
+    origin_m, direction = trajectory.move_rays(
+        origin_s, direction_s, times_s[k] + PERIOD_S * np.tile(fraction, LASERS)
+    )
+    range_m = _walls_ahead(origin_m, direction)
+    points = origin_s + range_m[:, None] * direction_s
+    turn = np.mod(np.arctan2(points[:, 1], points[:, 0]), 2 * np.pi)
+    order = np.lexsort((turn, laser))
+    order = order[range_m[order] < 75.0]
+    return np.column_stack([points[order], np.full(len(order), 0.3)]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """A drive between walls on disk with its published `frames`; frame 3 is held out, frame 4 has no scan."""
+    base = tmp_path_factory.mktemp("drive")
+    entry = SceneEntry(
+        name="walls", root=base / "root", sequence="s", first_frame=0, last_frame=FRAMES - 1, test_frames=(3,)
+    )
+    start = np.eye(4)
+    start[:3, 3] = ORIGIN_M
+    poses = start @ exp_se3(np.arange(FRAMES)[:, None] * np.array([1.0, 0, 0, 0, 0, 0.03]))
+    times_s = np.arange(FRAMES) * PERIOD_S
+    layout = DriveLayout(entry.root, entry.sequence)
+    layout.scan_path(0).parent.mkdir(parents=True)
+    rows = []
+    for k in range(FRAMES):
+        _record(poses, times_s, k).tofile(layout.scan_path(k))
+        rows.append(
+            {
+                "frame": k, "time_s": float(times_s[k]), "split": "test" if k == 3 else "train",
+                "lidar_to_world": poses[k].ravel().tolist(), "pose_valid": True, "scan_valid": k != 4,
+                "reason": "", "checksum": "",
+            }
+        )  # fmt: skip
+    store = SceneStore(home=base / "home", scene="walls")
+    facts = {"scene_origin_m": ORIGIN_M, "sweep_period_s": PERIOD_S, "period_assumed": True}
+    with store.publish("frames") as folder:
+        write_rows(folder / "frames.parquet", rows, frames.FRAME_COLUMNS)
+        (folder / "drive.json").write_text(json.dumps(facts))
+    return entry, store
+
+
+def _task(drive, folder):
+    entry, store = drive
+    folder.mkdir()
+    config = RunConfig(recipe=Recipe.preset("smoke"))
+    return Task(scene=entry, store=store, config=config, folder=folder, progress=lambda line: None)
+
+
+def test_every_return_is_a_ray_onto_the_walls(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
+    output = sweeps.make_sweeps(_task(drive, tmp_path / "out"), compensated=True)
+    assert all(check.passed for check in output.checks), output.checks
+    a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
+    assert a["frame"].tolist() == [0, 1, 2, 3, 5]
+    assert (a["firings"] == FIRINGS).all()
+    assert a["offsets"][-1] == len(a["points_m"]) == len(a["laser"])
+    hit_m = a["origin_m"] + a["range_m"][:, None] * a["direction"]
+    walls = np.stack([8.0 - np.abs(hit_m[:, 1]), 60.0 - np.abs(hit_m[:, 0]), hit_m[:, 2] + 1.73])
+    assert np.abs(walls).min(axis=0).max() < 2e-4
+    dtypes = {name: array.dtype.str for name, array in a.items()}
+    assert dtypes["lidar_to_world"] == "<f8"
+    assert {dtypes[name] for name in ("points_m", "origin_m", "direction", "range_m")} == {"<f4"}
+    assert {dtypes[name] for name in ("laser", "firing")} == {"<i2"}
+    assert dtypes["is_own_vehicle"] == "|b1"
+
+
+def test_without_compensation_the_walls_smear(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
+    output = sweeps.make_sweeps(_task(drive, tmp_path / "out"), compensated=False)
+    assert output.metadata["compensated"] is False
+    assert read_attrs(tmp_path / "out" / sweeps.ARRAYS_NAME)["compensated"] is False
+    a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
+    hit_m = a["origin_m"] + a["range_m"][:, None] * a["direction"]
+    walls = np.stack([8.0 - np.abs(hit_m[:, 1]), 60.0 - np.abs(hit_m[:, 0]), hit_m[:, 2] + 1.73])
+    assert np.quantile(np.abs(walls).min(axis=0), 0.95) > 0.02
+
+
+def test_the_published_facts_say_how_lasers_were_found(drive, tmp_path):
+    output = sweeps.STAGE.run(_task(drive, tmp_path / "out"))
+    attrs = read_attrs(tmp_path / "out" / sweeps.ARRAYS_NAME)
+    assert attrs["laser_source"] == "file_order"
+    assert "64 turns" in attrs["laser_evidence"]
+    assert attrs["sensor"] == "HDL-64E"
+    assert attrs["lasers"] == list(range(64))
+    assert attrs["elevation_correction_deg"] == pytest.approx(0.205)
+    assert output.metadata["sweep_period_assumed"] is True
+    assert (tmp_path / "out" / output.previews["scan"]).stat().st_size < 100_000
+
+
+def test_both_range_images_are_published_with_their_round_trip(drive, tmp_path):
+    _, store = drive
+    with store.publish("sweeps") as folder:
+        sweeps.STAGE.run(_task(drive, tmp_path / "made"))
+        (tmp_path / "made" / sweeps.ARRAYS_NAME).rename(folder / sweeps.ARRAYS_NAME)
+    output = pano.STAGE.run(_task(drive, tmp_path / "out"))
+    a = read_arrays(tmp_path / "out" / pano.ARRAYS_NAME)
+    assert a["linear_range_m"].shape == a["linear_intensity"].shape == (5, 66, 1030)
+    assert a["beam_range_m"].shape == a["beam_intensity"].shape == (5, 64, 1030)
+    assert set(np.unique(a["linear_intensity"])) == {np.float32(0), np.float32(0.3)}
+    assert output.metadata["beam_round_trip_chamfer_m2"] < output.metadata["linear_round_trip_chamfer_m2"]
+    assert [check.name for check in output.checks] == ["beam_grid_beats_linear_grid"]
+    assert output.checks[0].passed
+    assert not output.checks[0].blocking
+
+
+def test_a_camera_only_drive_has_no_returns_and_no_range_images(drive, tmp_path):
+    entry, _ = drive
+    store = SceneStore(home=tmp_path / "home", scene="walls")
+    rows = [
+        {"frame": 0, "time_s": 0.0, "split": "train", "lidar_to_world": np.eye(4).ravel().tolist(),
+         "pose_valid": True, "scan_valid": False, "reason": "no scan", "checksum": ""}
+    ]  # fmt: skip
+    facts = {"scene_origin_m": ORIGIN_M, "sweep_period_s": PERIOD_S, "period_assumed": True}
+    with store.publish("frames") as folder:
+        write_rows(folder / "frames.parquet", rows, frames.FRAME_COLUMNS)
+        (folder / "drive.json").write_text(json.dumps(facts))
+    with store.publish("sweeps") as folder:
+        task = Task(scene=entry, store=store, config=RunConfig(recipe=Recipe.preset("smoke")), folder=folder,
+                    progress=lambda line: None)  # fmt: skip
+        assert sweeps.STAGE.run(task).metadata["returns"] == 0
+    a = read_arrays(store.require("sweeps") / sweeps.ARRAYS_NAME)
+    assert a["points_m"].shape == (0, 3)
+    assert a["offsets"].tolist() == [0]
+    (tmp_path / "out").mkdir()
+    task = Task(scene=entry, store=store, config=RunConfig(recipe=Recipe.preset("smoke")),
+                folder=tmp_path / "out", progress=lambda line: None)  # fmt: skip
+    assert pano.STAGE.run(task).metadata["scans"] == 0
+    assert read_arrays(tmp_path / "out" / pano.ARRAYS_NAME)["linear_range_m"].shape == (0, 66, 1030)
+
+
+def test_a_real_map_is_thin_with_the_correction_and_thick_without(tmp_path, monkeypatch):
+    if not (DATA / "k360_street").is_dir():
+        pytest.skip(f"{DATA / 'k360_street'} is not on this machine")
+    entry = SceneEntry(
+        name="part", root=DATA / "k360_street", sequence="2013_05_28_drive_9001_sync", first_frame=3020,
+        last_frame=3027, test_frames=(3026,), sweep_period_s=0.1046, cameras=(),
+    )  # fmt: skip
+    outcomes = run_scene(
+        entry, tmp_path, recipe="smoke", stages=[frames.STAGE, sweeps.STAGE], progress=lambda line: None
+    )
+    found = outcomes[1].metadata
+    assert found["laser_source"] == "file_order"
+    assert 2171 <= found["firings_min"] <= found["firings_max"] <= 2174
+    assert found["map_thickness_m"] < 0.014
+    assert 100 < found["own_vehicle_returns_per_scan"] < 165
+    monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
+    store = SceneStore(home=tmp_path, scene="part")
+    plain = sweeps.make_sweeps(_task((entry, store), tmp_path / "plain"), compensated=True)
+    assert plain.metadata["map_thickness_m"] > 1.05 * found["map_thickness_m"]
+
+
+def _uncorrected():
+    """The sensor without the elevation correction: the walls were recorded without the error it mends."""
+    return replace(HDL_64E, elevation_correction_rad=0.0)
