@@ -103,6 +103,10 @@ class Stage:
         """Where its output lies under the scene's folder."""
         if not self.per_recipe:
             return self.name
+        if self.per_draw:
+            # Its versions lie beside each other under its name; the record of a draw must not mix with them.
+            draw = f"{config.seed}-{config.draw_seed}-{config.dataset_label}"
+            return f"{self.name}/.index/{config.recipe.name}/{draw}"
         return f"{self.name}/{config.recipe.name}/{config.seed}"
 
 
@@ -204,8 +208,9 @@ def _drive_listing(scene: SceneEntry) -> str:
     folders = [scene.root / "calibration"] + [
         scene.root / kind / scene.sequence for kind in ("data_3d_raw", "data_2d_raw", "data_poses")
     ]
-    for folder in folders:
-        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-            stat = path.stat()
-            digest.update(f"{path.relative_to(scene.root)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+    files = [path for folder in folders for path in sorted(folder.rglob("*")) if path.is_file()]
+    files += sorted((scene.root / "data_3d_bboxes").glob(f"*/{scene.sequence}.xml"))
+    for path in files:
+        stat = path.stat()
+        digest.update(f"{path.relative_to(scene.root)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
     return digest.hexdigest()
