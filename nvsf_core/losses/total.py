@@ -29,4 +29,4 @@ def total_loss(terms: dict[str, Tensor], weights: dict[str, float]) -> LossBreak
         if not torch.isfinite(value):
             raise DivergedError(f"loss term {name!r} is {value.item()}; lower the step size or look at its input")
     total = torch.stack([weights[name] * value for name, value in means.items()]).sum()
-    return LossBreakdown(total, {name: float(value) for name, value in means.items()})
+    return LossBreakdown(total, {name: float(value.detach()) for name, value in means.items()})

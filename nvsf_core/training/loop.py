@@ -97,14 +97,14 @@ def train(state: TrainingState, spec: TrainingSpec, step: Step, save: Save, say:
         rays_per_s = (state.step - first) * spec.rays / (now - started)
         if state.step % _RECORD_EVERY == 0 or state.step == spec.steps:
             state.curve.append(
-                {"step": state.step, "seconds": state.seconds, "loss": float(loss.total), "rays_per_s": rays_per_s}
+                {"step": state.step, "seconds": state.seconds, "loss": float(loss.total.detach()), "rays_per_s": rays_per_s}
                 | loss.terms
             )
         if now - said >= _SAY_EVERY_S:
             said = now
             left_s = (spec.steps - state.step) * spec.rays / rays_per_s
             say(
-                f"step {state.step}/{spec.steps}, loss {float(loss.total):.4f}, {rays_per_s:,.0f} rays/s, "
+                f"step {state.step}/{spec.steps}, loss {float(loss.total.detach()):.4f}, {rays_per_s:,.0f} rays/s, "
                 f"{left_s:.0f} s left"
             )
         if now - saved >= spec.checkpoint_s or state.step == spec.steps:
