@@ -1,7 +1,7 @@
 """From a stage of the flow to an asset of the lineage."""
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import dagster as dg
@@ -30,7 +30,7 @@ def assets_of_group(group: str) -> list[dg.AssetsDefinition]:
     return [asset_of(stage) for stage in STAGES if stage.group == group]
 
 
-def asset_of(stage: Stage) -> dg.AssetsDefinition:
+def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinition:
     """An asset, partitioned by scene, that runs the stage or skips what is up to date."""
 
     @dg.asset(
@@ -54,7 +54,7 @@ def asset_of(stage: Stage) -> dg.AssetsDefinition:
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> dg.MaterializeResult:
         scene_run = workspace.plan(context.partition_key)
         try:
-            outcome = run_named_stage(stage.name, scene_run, context.log.info)
+            outcome = run_named_stage(stage.name, scene_run, context.log.info, stages=stages)
         except NvsfError as error:
             context.log_event(failed_check(stage.name, context.partition_key, str(error)))
             raise

@@ -2,7 +2,6 @@
 
 import dagster as dg
 
-from assets.factory import scene_partitions
 from pipelines.terminal import TERSE_LOGGING
 from pipelines.train_all import make_train_all_scenes
 
@@ -13,7 +12,6 @@ _up_to_dataset = dg.AssetSelection.assets("dataset").upstream()
 train_scene = dg.define_asset_job(
     "train_scene",
     selection=_up_to_dataset,
-    partitions_def=scene_partitions,
     config=TERSE_LOGGING,
     description="One scene, from its recorded drive to its data set; what is up to date is skipped.",
 )
@@ -21,7 +19,6 @@ train_scene = dg.define_asset_job(
 regenerate_synthetic = dg.define_asset_job(
     "regenerate_synthetic",
     selection=_up_to_dataset,
-    partitions_def=scene_partitions,
     config=TERSE_LOGGING,
     description="A new version of a scene's synthetic data sets, drawn with a seed of its own; the scene is "
     "trained again only where its drive, recipe or code changed.",

@@ -7,7 +7,7 @@ job, made from the same stages as the assets, that logs each scene's materialisa
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +79,7 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
     return f"drive: no data at {entry.root} for {entry.sequence}; set the scene's root or NVSF_KITTI360_ROOT"
 
 
-def _stage_op(stage: Stage, position: int) -> dg.OpDefinition:
+def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefinition:
     # Later stages first: a scene is finished before the next one is begun, and a first result is early.
     @dg.op(
         name=f"{stage.name}_of_scene",
@@ -93,7 +93,7 @@ def _stage_op(stage: Stage, position: int) -> dg.OpDefinition:
             context.log.warning(f"[{scene}] {stage.name}: not run, failed before ({state['failed']})")
             return state
         try:
-            outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info)
+            outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
         except NvsfError as error:
             return _failed(context, state, stage, f"{stage.name}: {error}")
         except Exception as error:
@@ -180,9 +180,9 @@ def fail_if_any_failed(failures: list[str]) -> None:
         )
 
 
-def make_train_all_scenes(stages: tuple[Stage, ...] = STAGES) -> dg.JobDefinition:
+def make_train_all_scenes(stages: Sequence[Stage] = STAGES) -> dg.JobDefinition:
     """The job over a list of stages."""
-    ops = [_stage_op(stage, position + 1) for position, stage in enumerate(stages)]
+    ops = [_stage_op(stage, position + 1, stages) for position, stage in enumerate(stages)]
 
     @dg.graph(description=str(__doc__))
     def train_all_scenes() -> None:

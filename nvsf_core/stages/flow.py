@@ -24,6 +24,7 @@ DEMO_SCENE = "demo"
 """The scene whose drive is written here where it is absent."""
 DEFAULT_RECIPE = "quick"
 """Used where neither the user nor the catalogue names one."""
+_SAY_EVERY_S = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,8 +121,15 @@ def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
     from nvsf_core.kitti360.demo import write_demo
 
     progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
-    started = time.perf_counter()
-    write_demo(scene.root)
+    started = said = time.perf_counter()
+
+    def frame_done(done: int, frames: int) -> None:
+        nonlocal said
+        if time.perf_counter() - said > _SAY_EVERY_S:
+            said = time.perf_counter()
+            progress(f"[{scene.name}] drive: {done} of {frames} frames")
+
+    write_demo(scene.root, progress=frame_done)
     progress(f"[{scene.name}] drive: written in {time.perf_counter() - started:.1f} s")
 
 

@@ -1,0 +1,101 @@
+"""The house keeps its own rules."""
+
+import importlib
+import itertools
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+PACKAGES = ("nvsf_core", "assets", "pipelines")
+
+
+def _sources(repo: Path, *folders: str) -> list[Path]:
+    return [path for folder in folders for path in sorted((repo / folder).rglob("*.py"))]
+
+
+def test_import_contracts_hold(run_process):
+    done = run_process("lint-imports", "--no-cache")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("module", ["nvsf_core", "nvsf_core.stages", "nvsf_core.geometry"])
+def test_importing_the_core_loads_no_heavy_library(run_process, module):
+    heavy = "{'torch', 'dagster', 'open3d', 'cv2', 'zarr', 'pyarrow', 'matplotlib', 'numba'}"
+    code = f"import sys, {module}; print(sorted({heavy} & set(sys.modules)))"
+    done = run_process(sys.executable, "-c", code)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_no_core_module_mentions_dagster_in_an_import(repo):
+    pattern = re.compile(r"^\s*(from|import) dagster", re.MULTILINE)
+    assert [path for path in _sources(repo, "nvsf_core") if pattern.search(path.read_text())] == []
+
+
+def test_no_postponed_annotations_where_dagster_reads_them(repo):
+    # Dagster resolves `config: Choice` at definition time and fails on a string.
+    sources = _sources(repo, "assets", "pipelines")
+    assert [path for path in sources if "from __future__ import annotations" in path.read_text()] == []
+
+
+def test_no_source_file_is_longer_than_400_lines(repo):
+    sources = _sources(repo, *PACKAGES, "tests", "benchmarks")
+    assert [path for path in sources if len(path.read_text().splitlines()) > 400] == []
+
+
+def test_readme_is_at_most_150_lines(repo):
+    assert len((repo / "README.md").read_text().splitlines()) <= 150
+
+
+def test_readme_tree_equals_the_disk(repo):
+    readme = (repo / "README.md").read_text()
+    block = re.search(r"<!-- tree -->\n```\n(.*?)```", readme, re.DOTALL)
+    assert block, "README.md: expected a tree between `<!-- tree -->` and the end of its code block"
+    named = {line.split()[0] for line in block.group(1).splitlines()}
+    tops = {"assets", "benchmarks", "deploy", "docs", "nvsf_core", "pipelines", "tests"}
+    core = {f"nvsf_core/{path.name}" for path in (repo / "nvsf_core").iterdir() if _is_shown(path)}
+    assert named == {f"{name}/" for name in tops} | {f"{name}/" if "." not in name else name for name in core}
+    missing = sorted(name for name in tops if not (repo / name).is_dir())
+    assert missing == []
+
+
+def _is_shown(path: Path) -> bool:
+    return path.name != "__init__.py" and not path.name.startswith((".", "__pycache__"))
+
+
+def test_every_dependency_says_why(repo):
+    text = (repo / "pyproject.toml").read_text()
+    listed = text.split("dependencies = [", 1)[1].split("\n]\n", 1)[0].splitlines()
+    for above, line in itertools.pairwise(listed):
+        if line.strip().startswith('"'):
+            assert "#" in line or above.strip().startswith("#"), f"no reason for {line.strip()}"
+
+
+def test_every_dependency_beyond_the_users_list_has_a_decision(repo):
+    titles = [path.read_text().splitlines()[0] for path in (repo / "docs/decisions").glob("*.md")]
+    for name in ("jaxtyping", "numba", "defusedxml", "safetensors", "matplotlib", "libusb-package"):
+        assert any(name in title for title in titles), name
+
+
+def test_project_and_workspace_name_the_same_location(repo):
+    project = tomllib.loads((repo / "pyproject.toml").read_text())["tool"]["dg"]["project"]
+    workspace = (repo / "workspace.yaml").read_text()
+    assert f"module_name: {project['code_location_target_module']}" in workspace
+    assert f"location_name: {project['code_location_name']}" in workspace
+
+
+@pytest.mark.parametrize("module", ["nvsf_core.stages", "nvsf_core.errors"])
+def test_public_names_exist_and_are_sorted(module):
+    loaded = importlib.import_module(module)
+    assert [name for name in loaded.__all__ if not hasattr(loaded, name)] == []
+    # Constants, then classes, then functions, each by name: the order that ruff keeps.
+    order = sorted(loaded.__all__, key=lambda name: (not name.isupper(), name[0].islower(), name))
+    assert loaded.__all__ == order
+
+
+def test_ci_runs_check_and_test(repo):
+    script = repo / ".ci/run"
+    assert script.stat().st_mode & 0o111
+    assert script.read_text().index("make check") < script.read_text().index("make test")

@@ -1,0 +1,71 @@
+"""From stage to asset: nothing is lost, nothing unsound is published."""
+
+import dagster as dg
+import pytest
+
+from assets.factory import CHECK_NAME, asset_of, picture, scalar_metadata
+from assets.workspace import Workspace
+from nvsf_core.stages.stage import Check, Stage, StageOutput
+
+
+def _stage(run):
+    return Stage(name="frames", group="ingest", inputs=(), description="rows", version="7", run=run)
+
+
+@pytest.fixture
+def materialize(tmp_path, monkeypatch):
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path))
+
+    def make(run):
+        stage = _stage(run)
+        return dg.materialize(
+            [asset_of(stage, [stage])], partition_key="demo", resources={"workspace": Workspace()},
+            instance=dg.DagsterInstance.ephemeral(), raise_on_error=False,
+        )  # fmt: skip
+
+    return make
+
+
+def _output(*checks):
+    def run(task):
+        (task.folder / "top.png").write_bytes(b"png")
+        return StageOutput(metadata={"rows": 3}, checks=list(checks), previews={"top": "top.png"})
+
+    return run
+
+
+def test_an_output_has_numbers_a_picture_and_a_check(materialize, tmp_path):
+    result = materialize(_output(Check(name="law", passed=True, detail="3 of 3", blocking=True)))
+    (event,) = result.get_asset_materialization_events()
+    metadata = event.materialization.metadata
+    assert event.partition == "demo"
+    assert metadata["rows"].value == 3 and metadata["path"].value == str(tmp_path / "demo/frames")
+    assert metadata["preview_top"].value.startswith("![top](data:image/png;base64,")
+    (check,) = result.get_asset_check_evaluations()
+    assert check.check_name == CHECK_NAME and check.passed and check.metadata["law"].value == "holds: 3 of 3"
+
+
+def test_a_failed_blocking_law_publishes_nothing(materialize, tmp_path):
+    result = materialize(_output(Check(name="law", passed=False, detail="2 of 3", blocking=True)))
+    assert not result.success and not (tmp_path / "demo/frames").exists()
+    (check,) = result.get_asset_check_evaluations()
+    assert not check.passed and "law: 2 of 3" in check.description
+
+
+def test_a_failed_law_that_does_not_block_warns(materialize, tmp_path):
+    result = materialize(_output(Check(name="law", passed=False, detail="2 of 3")))
+    assert result.success and (tmp_path / "demo/frames").is_dir()
+    (check,) = result.get_asset_check_evaluations()
+    assert not check.passed and check.severity is dg.AssetCheckSeverity.WARN
+
+
+def test_a_large_picture_is_named_instead_of_stored(tmp_path):
+    path = tmp_path / "large.png"
+    path.write_bytes(bytes(100_001))
+    assert picture(path) == dg.MetadataValue.path(str(path))
+
+
+def test_values_keep_their_type():
+    typed = scalar_metadata({"a": True, "b": 2, "c": 0.5, "d": "word"})
+    assert [value.value for value in typed.values()] == [True, 2, 0.5, "word"]
+    assert isinstance(typed["a"], dg.BoolMetadataValue) and isinstance(typed["b"], dg.IntMetadataValue)

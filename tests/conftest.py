@@ -1,0 +1,80 @@
+"""What many tests need: a clean environment, the tiny drive, a process of its own."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+REPO = Path(__file__).resolve().parents[1]
+OURS = ("NVSF_", "DAGSTER_")
+RUN_CHOICES = ("SCENES", "RECIPE", "SEED")
+TINY_CATALOGUE = """
+[[scene]]
+name = "tiny"
+root = "drive"
+sequence = "2013_05_28_drive_9900_sync"
+first_frame = 0
+last_frame = 3
+test_frames = [2]
+recipe = "smoke"
+
+[[scene]]
+name = "absent"
+root = "nowhere"
+sequence = "2013_05_28_drive_0000_sync"
+first_frame = 0
+last_frame = 3
+test_frames = [2]
+
+[[view]]
+name = "shift_1m"
+scenes = ["tiny"]
+shift_m = [0.0, 1.0, 0.0]
+frames = [1]
+"""
+
+
+def clean_environment() -> dict[str, str]:
+    """The environment without what the user's shell says of this project."""
+    return {k: v for k, v in os.environ.items() if not k.startswith(OURS) and k not in RUN_CHOICES}
+
+
+@pytest.fixture(autouse=True)
+def _no_choices_of_the_shell(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in set(os.environ) - set(clean_environment()):
+        if name != "DAGSTER_DISABLE_TELEMETRY":
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("DAGSTER_DISABLE_TELEMETRY", "1")
+
+
+@pytest.fixture(scope="session")
+def repo() -> Path:
+    return REPO
+
+
+@pytest.fixture(scope="session")
+def tiny_catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue with the scene `tiny` (4 frames, 8 lasers, one small camera) and one without data."""
+    from nvsf_core.kitti360.demo import DemoSize, write_demo
+
+    folder = tmp_path_factory.mktemp("tiny")
+    write_demo(folder / "drive", size=DemoSize.tiny())
+    (folder / "scenes.toml").write_text(TINY_CATALOGUE)
+    return folder / "scenes.toml"
+
+
+@pytest.fixture(scope="session")
+def run_process() -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
+    """Run a command in the repository, with the given variables and none of the user's shell."""
+
+    def run(*command: str, timeout_s: float = 200.0, **variables: str) -> subprocess.CompletedProcess[str]:
+        environment = clean_environment() | {"DAGSTER_DISABLE_TELEMETRY": "1", **variables}
+        environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
+        return subprocess.run(
+            command, cwd=REPO, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+
+    yield run

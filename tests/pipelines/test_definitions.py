@@ -1,0 +1,68 @@
+"""What Dagster loads is the flow, and both ways of loading agree."""
+
+import datetime
+
+import dagster as dg
+import pytest
+
+from nvsf_core.errors import RecipeError
+from nvsf_core.stages import STAGE_NAMES, STAGES
+from pipelines.definitions import defs
+from pipelines.executors import executor_from_environment
+from pipelines.schedules import weekly_regeneration
+
+
+def test_definitions_are_loadable():
+    dg.Definitions.validate_loadable(defs)
+
+
+def test_stages_are_in_an_order_that_has_every_input_first():
+    for position, stage in enumerate(STAGES):
+        assert stage.name == STAGE_NAMES[position]
+        assert set(stage.inputs) <= set(STAGE_NAMES[:position])
+
+
+def test_every_stage_is_an_asset_with_group_description_partitions_and_a_blocking_check():
+    graph = defs.resolve_asset_graph()
+    assert {key.to_user_string() for key in graph.get_all_asset_keys()} == {*STAGE_NAMES, "benchmark_report"}
+    for stage in STAGES:
+        node = graph.get(dg.AssetKey(stage.name))
+        assert {key.to_user_string() for key in node.parent_keys} == set(stage.inputs)
+        assert node.group_name == stage.group and node.description and node.is_partitioned
+        (check,) = graph.get_check_keys_for_assets({node.key})
+        assert graph.get_check_spec(check).blocking
+
+
+def test_workspace_file_and_project_load_the_same_location(run_process, tmp_path):
+    command = ("dagster", "schedule", "list", "--name")
+    by_file = run_process(*command, "-w", "workspace.yaml", DAGSTER_HOME=str(tmp_path))
+    by_project = run_process(*command, DAGSTER_HOME=str(tmp_path))
+    assert by_file.returncode == by_project.returncode == 0, by_file.stderr + by_project.stderr
+    assert "weekly_regeneration" in by_file.stdout
+    assert by_file.stdout == by_project.stdout
+
+
+def test_the_jobs_that_the_readme_names_exist():
+    names = {job.name for job in defs.resolve_all_job_defs()}
+    assert {"train_all_scenes", "train_scene", "regenerate_synthetic"} <= names
+
+
+def test_the_schedule_skips_where_nothing_is_trained(tmp_path, monkeypatch):
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path))
+    context = dg.build_schedule_context(
+        scheduled_execution_time=datetime.datetime(2026, 11, 22, 3, tzinfo=datetime.UTC)
+    )
+    tick = weekly_regeneration.evaluate_tick(context)
+    assert tick.run_requests == [] and tick.skip_message == "no scene has a trained field"
+
+
+@pytest.mark.parametrize("name", ["in_process", "multiprocess", ""])
+def test_the_executor_is_chosen_by_the_environment(monkeypatch, name):
+    monkeypatch.setenv("NVSF_EXECUTOR", name)
+    assert executor_from_environment().name == (name or "multiprocess")
+
+
+def test_an_unknown_executor_is_refused_by_name(monkeypatch):
+    monkeypatch.setenv("NVSF_EXECUTOR", "dask")
+    with pytest.raises(RecipeError, match="dask"):
+        executor_from_environment()

@@ -1,0 +1,127 @@
+"""One scene's failure is its own: on a tiny flow of two stages."""
+
+import dagster as dg
+import pytest
+
+from nvsf_core.errors import DataError
+from nvsf_core.metrics.table import COLUMNS
+from nvsf_core.stages.stage import Check, Stage, StageOutput
+from nvsf_core.stores.tables import write_rows
+from pipelines.train_all import make_train_all_scenes
+
+CATALOGUE = """
+[[scene]]
+name = "good"
+root = "drive"
+sequence = "2013_05_28_drive_9900_sync"
+first_frame = 0
+last_frame = 3
+test_frames = [2]
+
+[[scene]]
+name = "bad"
+root = "drive"
+sequence = "2013_05_28_drive_9900_sync"
+first_frame = 0
+last_frame = 2
+test_frames = [1]
+
+[[scene]]
+name = "gone"
+root = "nowhere"
+sequence = "2013_05_28_drive_9900_sync"
+first_frame = 0
+last_frame = 1
+test_frames = [1]
+"""
+
+
+def _ingest(task):
+    if task.scene.name == "bad":
+        raise DataError("the scan is torn")
+    (task.folder / "rows").write_text("1")
+    law = Check(name="rows_are_whole", passed=True, detail="1 row", blocking=True)
+    return StageOutput(metadata={"rows": 1}, checks=[law])
+
+
+def _measure(task):
+    write_rows(task.folder / "metrics.parquet", [], COLUMNS)
+    return StageOutput()
+
+
+FLOW = (
+    Stage(name="frames", group="ingest", inputs=(), description="rows", version="1", run=_ingest),
+    Stage(
+        name="scene_metrics", group="report", inputs=("frames",), description="no metrics", version="1",
+        run=_measure, per_recipe=True,
+    ),
+)  # fmt: skip
+
+
+@pytest.fixture
+def run_job(tiny_catalogue, tmp_path, monkeypatch, capsys):
+    catalogue = tmp_path / "scenes.toml"
+    catalogue.write_text(CATALOGUE.replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"'))
+    monkeypatch.setenv("NVSF_SCENES", str(catalogue))
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
+
+    def run(*scenes):
+        job = make_train_all_scenes(FLOW)
+        result = job.execute_in_process(
+            run_config={"ops": {"choose_scenes": {"config": {"scenes": list(scenes)}}}},
+            instance=dg.DagsterInstance.ephemeral(), raise_on_error=False,
+        )  # fmt: skip
+        return result, capsys.readouterr().out
+
+    return run
+
+
+def _events(result, kind):
+    return [event for event in result.all_events if event.event_type_value == kind]
+
+
+def test_a_failing_scene_leaves_the_others_and_fails_the_run(run_job, tmp_path):
+    result, said = run_job()
+    assert not result.success
+    events = _events(result, "ASSET_MATERIALIZATION")
+    made = {(event.asset_key.to_user_string(), event.partition) for event in events}
+    assert made == {("frames", "good"), ("scene_metrics", "good"), ("benchmark_report", None)}
+    assert "FAILED  bad: frames: the scan is torn" in said
+    assert (tmp_path / "home/benchmark_report/index.html").is_file()
+    assert result.failure_data_for_node("fail_if_any_failed").error.message.count("bad") == 1
+
+
+def test_a_failed_scene_has_a_failed_check(run_job):
+    result, _ = run_job()
+    verdicts = [event.asset_check_evaluation_data for event in _events(result, "ASSET_CHECK_EVALUATION")]
+    assert [one.description for one in verdicts if not one.passed] == ["scene bad: frames: the scan is torn"]
+
+
+def test_a_scene_without_data_is_named_and_no_failure(run_job):
+    result, said = run_job("good")
+    assert result.success and "gone" not in said
+    result, said = run_job()
+    assert "no data: gone" in said and "FAILED  gone" not in said
+
+
+def test_a_scene_asked_for_by_name_without_data_fails(run_job):
+    result, said = run_job("good", "gone")
+    assert not result.success
+    assert "FAILED  gone: drive: no data at" in said and "[good] frames" in said
+
+
+def test_an_unknown_scene_fails_by_name(run_job):
+    result, said = run_job("nowhere_street")
+    assert not result.success and "no scene 'nowhere_street'" in said
+
+
+def test_the_second_run_skips_and_says_so(run_job):
+    run_job("good")
+    result, said = run_job("good")
+    assert result.success and "[good] frames up to date, scene_metrics up to date" in said
+
+
+def test_scenes_may_come_from_the_environment(run_job, monkeypatch):
+    monkeypatch.setenv("SCENES", "good")
+    result, said = run_job()
+    assert result.success and "[bad]" not in said

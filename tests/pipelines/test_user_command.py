@@ -1,0 +1,123 @@
+"""The user's own command on the tiny drive, and what may follow it."""
+
+import json
+import shutil
+import sys
+
+import dagster as dg
+import pytest
+
+from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.schemas import CONTRACT, violations
+from pipelines.definitions import defs
+
+pytestmark = pytest.mark.cli
+COMMAND = ("dagster", "job", "execute", "-j", "train_all_scenes")
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def first_run(run_process, tiny_catalogue, home):
+    return run_process(
+        *COMMAND, DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_SCENES=str(tiny_catalogue),
+        NVSF_HOME=str(home),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def trained(first_run, tiny_catalogue, home, monkeypatch):
+    assert first_run.returncode == 0, first_run.stdout + first_run.stderr
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    monkeypatch.setenv("NVSF_HOME", str(home))
+    return home
+
+
+def test_the_bare_command_trains_and_prints_table_report_and_scans(first_run, home):
+    assert first_run.returncode == 0, first_run.stdout + first_run.stderr
+    for method in ("smoke", "reproject", "copy_nearest"):
+        assert method in first_run.stdout
+    assert f"report  {home / 'benchmark_report/index.html'}" in first_run.stdout
+    assert "no data: absent" in first_run.stdout
+    for view in ("test", "shift_1m"):
+        (version,) = (home / "tiny/dataset" / view).iterdir()
+        assert f"scans  {version}" in first_run.stdout
+        assert list((version / "velodyne_points/data").glob("*.bin"))
+
+
+def test_without_the_variable_the_command_says_what_is_missing(run_process, tiny_catalogue):
+    done = run_process(*COMMAND, NVSF_SCENES=str(tiny_catalogue))
+    assert done.returncode == 2 and "Invalid set of CLI arguments" in done.stderr
+
+
+def test_what_was_published_keeps_the_data_contract(trained):
+    for spec in CONTRACT:
+        if spec.kind == "zarr":
+            path = spec.path.replace("<recipe>", "smoke").replace("<seed>", "0")
+            path = path.replace("<view>", "test").replace("<method>", "model")
+            assert violations(spec, read_arrays(trained / "tiny" / path)) == [], path
+
+
+def test_a_second_run_skips_every_stage(run_process, trained, tiny_catalogue):
+    done = run_process(
+        *COMMAND, DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_SCENES=str(tiny_catalogue),
+        NVSF_HOME=str(trained), NVSF_EXECUTOR="in_process",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr.count("up to date, skipped") == 9
+
+
+WEEKLY_TICK = """
+import datetime, json
+import dagster as dg
+from pipelines.definitions import defs
+from pipelines.schedules import weekly_regeneration
+
+moment = datetime.datetime(2026, 11, 22, 3, tzinfo=datetime.UTC)
+repository = defs.get_repository_def()
+context = dg.build_schedule_context(scheduled_execution_time=moment, repository_def=repository)
+(request,) = weekly_regeneration.evaluate_tick(context).run_requests
+result = defs.resolve_job_def("regenerate_synthetic").execute_in_process(
+    partition_key=request.partition_key, run_config=request.run_config,
+    instance=dg.DagsterInstance.ephemeral(),
+)
+print(json.dumps([request.partition_key, request.run_key, request.run_config["resources"], result.success]))
+"""
+
+
+def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(run_process, trained, tiny_catalogue):
+    versions = trained / "tiny/dataset/shift_1m"
+    before = {path.name for path in versions.iterdir()}
+    done = run_process(
+        sys.executable, "-c", WEEKLY_TICK, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained)
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    partition, key, resources, success = json.loads(done.stdout.splitlines()[-1])
+    assert (partition, key, success) == ("tiny", "tiny-2026-W47", True)
+    choice = {"recipe": "smoke", "seed": 0, "draw_seed": 202647, "dataset_label": "2026-W47"}
+    assert resources == {"workspace": {"config": choice}}
+    after = {path.name for path in versions.iterdir()}
+    assert before < after and [name.startswith("2026-W47-") for name in after - before] == [True]
+    assert "field: up to date, skipped" in done.stderr
+
+
+def test_dg_launch_works_bare(run_process, trained, tiny_catalogue):
+    done = run_process(
+        "dg", "launch", "--job", "train_all_scenes", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained),
+        NVSF_EXECUTOR="in_process", DAGSTER_HOME=str(_dagster_home(trained)),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def _dagster_home(home):
+    folder = home.parent / "dagster_home"
+    folder.mkdir(exist_ok=True)
+    shutil.copy("dagster.yaml", folder)
+    return folder
+
+
+def test_definitions_have_the_scenes_of_the_catalogue():
+    assert "demo" in defs.resolve_asset_graph().get(dg.AssetKey("field")).partitions_def.get_partition_keys()

@@ -1,0 +1,135 @@
+"""The flow without Dagster: in order, skipped when unchanged, one training a device."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from nvsf_core.errors import DataError, RecipeError, StoreError
+from nvsf_core.kitti360.catalogue import load_catalogue
+from nvsf_core.recipe import Recipe
+from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
+from nvsf_core.stages.lease import device_lease
+from nvsf_core.stages.stage import Stage, StageOutput
+
+WITHOUT_DAGSTER = """
+import json, sys
+sys.modules["dagster"] = None
+from nvsf_core.stages import run_scene
+outcomes = run_scene("tiny", progress=lambda line: None)
+print(json.dumps([[outcome.stage, outcome.skipped, outcome.path.is_dir()] for outcome in outcomes]))
+"""
+
+LEASE_HOLDER = """
+import sys, time
+from pathlib import Path
+from nvsf_core.stages.lease import device_lease
+with device_lease(Path(sys.argv[1]), print):
+    Path(sys.argv[1], "held").write_text("")
+    time.sleep(60)
+"""
+
+
+def _make(name, inputs, made, group="ingest", **facts):
+    def run(task):
+        made.append(name)
+        for source in inputs:
+            task.store.require(source)
+        (task.folder / "content").write_text(name)
+        return StageOutput(metadata={"n": 1})
+
+    return Stage(name=name, group=group, inputs=inputs, description=name, version="1", run=run, **facts)
+
+
+@pytest.fixture
+def entry(tiny_catalogue):
+    return next(one for one in load_catalogue([tiny_catalogue], None) if one.name == "tiny")
+
+
+def test_the_whole_flow_runs_where_dagster_cannot_be_imported(run_process, tiny_catalogue, tmp_path):
+    done = run_process(
+        sys.executable, "-c", WITHOUT_DAGSTER, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(tmp_path)
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [[name, False, True] for name in STAGE_NAMES]
+
+
+def test_stages_run_in_order_and_once(entry, tmp_path):
+    made = []
+    flow = [_make("a", (), made), _make("b", ("a",), made)]
+    said = []
+    run_scene(entry, tmp_path, progress=said.append, stages=flow)
+    second = run_scene(entry, tmp_path, progress=said.append, stages=flow)
+    assert made == ["a", "b"] and [outcome.skipped for outcome in second] == [True, True]
+    assert "[tiny] b: up to date, skipped" in said
+
+
+def test_a_new_version_of_a_stage_runs_what_reads_it_again(entry, tmp_path):
+    made = []
+    flow = [_make("a", (), made), _make("b", ("a",), made)]
+    run_scene(entry, tmp_path, progress=made.append, stages=flow)
+    made.clear()
+    flow[0] = replace(flow[0], version="2")
+    assert [one.skipped for one in run_scene(entry, tmp_path, progress=str, stages=flow)] == [False, False]
+    assert made == ["a", "b"]
+
+
+def test_a_stage_alone_needs_its_inputs(entry, tmp_path):
+    flow = [_make("a", (), []), _make("b", ("a",), [])]
+    with pytest.raises(StoreError, match="no output 'a'"):
+        run_named_stage("b", plan_run(entry, tmp_path), str, stages=flow)
+
+
+def test_two_recipes_lie_side_by_side(entry, tmp_path):
+    flow = [_make("field", (), [], per_recipe=True)]
+    places = [
+        run_scene(entry, tmp_path, recipe=recipe, seed=3, progress=str, stages=flow)[0].path
+        for recipe in ("quick", "smoke")
+    ]
+    assert places == [tmp_path / "tiny/field/quick/3", tmp_path / "tiny/field/smoke/3"]
+
+
+def test_the_recipe_asked_for_goes_before_the_catalogues(entry, tmp_path):
+    assert plan_run(entry, tmp_path, recipe="quick").config.recipe == Recipe.preset("quick")
+    assert plan_run(entry, tmp_path).config.recipe == Recipe.preset("smoke")
+    assert plan_run(replace(entry, recipe=None), tmp_path).config.recipe == Recipe.preset("quick")
+    with pytest.raises(RecipeError, match="splendid"):
+        plan_run(entry, tmp_path, recipe="splendid")
+
+
+def test_an_unknown_scene_is_refused_with_the_known_ones(tiny_catalogue, monkeypatch):
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    with pytest.raises(DataError, match=r"no scene 'tinny'.*tiny"):
+        run_scene("tinny")
+
+
+def test_a_second_training_waits_until_the_first_is_killed(tmp_path):
+    holder = subprocess.Popen([sys.executable, "-c", LEASE_HOLDER, str(tmp_path)])
+    try:
+        while not (tmp_path / "held").exists():
+            assert holder.poll() is None
+            time.sleep(0.02)
+        said = []
+
+        def on_wait(line):
+            said.append(line)
+            os.kill(holder.pid, signal.SIGKILL)
+
+        with device_lease(tmp_path, on_wait) as device:
+            assert device and len(said) == 1 and "another training holds it" in said[0]
+    finally:
+        holder.kill()
+        holder.wait()
+
+
+def test_only_what_trains_takes_the_device(entry, tmp_path):
+    flow = [_make("a", (), []), _make("field", ("a",), [], group="train")]
+    run_scene(entry, tmp_path, progress=str, stages=flow[:1])
+    assert not (tmp_path / ".leases").exists()
+    run_scene(entry, tmp_path, progress=str, stages=flow)
+    assert len(list((tmp_path / ".leases").iterdir())) == 1
