@@ -1,7 +1,7 @@
 """From a stage of the flow to an asset of the lineage."""
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import dagster as dg
@@ -15,6 +15,7 @@ CHECK_NAME = "output_is_sound"
 _PUBLISHED = dg.AssetCheckSeverity.WARN
 """What was published broke no blocking law: a law that it breaks warns, and what reads it still runs."""
 _PREVIEW_LIMIT_BYTES = 100_000
+_AssetEvent = dg.AssetCheckResult | dg.MaterializeResult
 _KINDS = {
     "frames": ("parquet",),
     "field": ("torch",),
@@ -51,14 +52,17 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
         ],
         op_tags={"stage": stage.name},
     )
-    def run(context: dg.AssetExecutionContext, workspace: Workspace) -> dg.MaterializeResult:
+    def run(context: dg.AssetExecutionContext, workspace: Workspace) -> Iterator[_AssetEvent]:
         scene_run = workspace.plan(context.partition_key)
         try:
             outcome = run_named_stage(stage.name, scene_run, context.log.info, stages=stages)
         except NvsfError as error:
-            context.log_event(failed_check(stage.name, context.partition_key, str(error)))
+            # Yielded, not logged: what is logged is lost when the step then fails.
+            yield dg.AssetCheckResult(
+                check_name=CHECK_NAME, passed=False, description=f"scene {context.partition_key}: {error}"
+            )
             raise
-        return dg.MaterializeResult(
+        yield dg.MaterializeResult(
             metadata=outcome_metadata(outcome),
             check_results=[
                 dg.AssetCheckResult(
