@@ -41,7 +41,7 @@ class DropPrior:
         return order[:count]
 
     def vote(self, laser: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
-        """Share of `scans` whose firing nearest to each ray's returned: (r,) float32 for lasers, fractions (r,)."""
+        """Share (r,) float32 of `scans` whose firing nearest to each ray (laser, fraction: (r,)) returned."""
         total = np.zeros(len(laser), np.float32)
         for scan in scans:
             firings = self.fraction[scan]
@@ -53,8 +53,15 @@ class DropPrior:
 
 
 def build_drop_prior(
-    laser: np.ndarray, firing: np.ndarray, sweep_fraction: np.ndarray, offsets: np.ndarray, firings: np.ndarray,
-    time_s: np.ndarray, *, lasers: int, nominal_firings: int,
+    laser: np.ndarray,
+    firing: np.ndarray,
+    sweep_fraction: np.ndarray,
+    offsets: np.ndarray,
+    firings: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    lasers: int,
+    nominal_firings: int,
 ) -> DropPrior:
     """Fill the grid from flat returns (N,) of n scans with `offsets` (n + 1).
 
@@ -70,7 +77,9 @@ def build_drop_prior(
         column = firing[part].astype(np.int64)
         known = (laser[part] >= 0) & np.isfinite(sweep_fraction[part])
         if firings[scan] == 0:
-            column = np.clip(((sweep_fraction[part] + 0.5) * counts[scan]).astype(np.int64), 0, counts[scan] - 1)
+            column = np.clip(
+                ((sweep_fraction[part] + 0.5) * counts[scan]).astype(np.int64), 0, counts[scan] - 1
+            )
         else:
             known &= column >= 0
             even[column[known]] = sweep_fraction[part][known]

@@ -57,8 +57,13 @@ class Candidates:
 
 
 def build_surfels(
-    origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, intensity: np.ndarray, *,
-    voxel_m: float, threads: int,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    intensity: np.ndarray,
+    *,
+    voxel_m: float,
+    threads: int,
 ) -> Surfels:
     """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
 
@@ -71,9 +76,15 @@ def build_surfels(
     mean, covariance = _moments(points, voxel, hits)
     normal, thickness = _planes(covariance, hits)
     passes = count_passes(
-        np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
-        np.maximum(range_m - voxel_m, 0).astype(np.float32), index.origin_m, voxel_m, index.bricks, index.cells,
-        count, threads,
+        np.ascontiguousarray(origin_m, np.float32),
+        np.ascontiguousarray(direction, np.float32),
+        np.maximum(range_m - voxel_m, 0).astype(np.float32),
+        index.origin_m,
+        voxel_m,
+        index.bricks,
+        index.cells,
+        count,
+        threads,
     )
     return Surfels(
         index=index,
@@ -92,9 +103,20 @@ def candidates_of(
     """Surfaces that rays (n, 3), scene-local, may end on between near and far."""
     index = surfels.index
     range_m, voxel, opacity, cosine, _ = find_candidates(
-        np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32), near_m, far_m,
-        index.origin_m, index.voxel_m, index.bricks, index.cells, surfels.mean_m, surfels.normal, surfels.opacity,
-        MISSED_PLANE_SHARE, STOP_TRANSMITTANCE, most,
+        np.ascontiguousarray(origin_m, np.float32),
+        np.ascontiguousarray(direction, np.float32),
+        near_m,
+        far_m,
+        index.origin_m,
+        index.voxel_m,
+        index.bricks,
+        index.cells,
+        surfels.mean_m,
+        surfels.normal,
+        surfels.opacity,
+        MISSED_PLANE_SHARE,
+        STOP_TRANSMITTANCE,
+        most,
     )
     return Candidates(range_m, voxel, opacity, cosine)
 
@@ -102,7 +124,10 @@ def candidates_of(
 def _moments(points: np.ndarray, voxel: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean (v, 3) and covariance (v, 3, 3) of each voxel's points, in float64 about the voxel's mean."""
     count = len(hits)
-    mean = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1) / hits[:, None]
+    mean = (
+        np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1)
+        / hits[:, None]
+    )
     centred = points - mean[voxel]
     covariance = np.empty((count, 3, 3))
     for a in range(3):

@@ -43,13 +43,17 @@ def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.n
     ijk = np.floor((points_m - low) / voxel_m).astype(np.int32)
     shape = ijk.max(axis=0) // BRICK + 1
     if np.prod(shape.astype(np.int64)) > 250_000_000:
-        raise DataError(f"evidence: the returns span {shape * BRICK * voxel_m} m, too much for {voxel_m} m voxels")
+        raise DataError(
+            f"evidence: the returns span {shape * BRICK * voxel_m} m, too much for {voxel_m} m voxels"
+        )
     brick_linear = np.ravel_multi_index((ijk // BRICK).T, shape)
     brick_ids, brick_of_point = np.unique(brick_linear, return_inverse=True)
     bricks = np.full(shape, -1, np.int32)
     bricks.reshape(-1)[brick_ids] = np.arange(len(brick_ids), dtype=np.int32)
     within = ijk % BRICK
-    cell_of_point = brick_of_point.astype(np.int64) * BRICK**3 + (within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2])
+    cell_of_point = brick_of_point.astype(np.int64) * BRICK**3 + (
+        within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]
+    )
     cell_ids, voxel_of_point = np.unique(cell_of_point, return_inverse=True)
     cells = np.full((len(brick_ids), BRICK**3), -1, np.int32)
     cells.reshape(-1)[cell_ids] = np.arange(len(cell_ids), dtype=np.int32)

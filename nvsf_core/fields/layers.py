@@ -1,6 +1,8 @@
 """Small networks, with weights drawn from an explicit generator."""
 
+import itertools
 import math
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -12,15 +14,14 @@ def network(sizes: tuple[int, ...], generator: torch.Generator, *, silent: int =
     A silent output is a correction: before anything is learned, the evidence stands as it is.
     """
     layers: list[nn.Module] = []
-    for fan_in, fan_out in zip(sizes[:-1], sizes[1:], strict=True):
+    for fan_in, fan_out in itertools.pairwise(sizes):
         layer = nn.Linear(fan_in, fan_out)
         bound = math.sqrt(6.0 / fan_in)
         with torch.no_grad():
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.zero_()
         layers += [layer, nn.ReLU()]
-    last = layers[-2]
-    assert isinstance(last, nn.Linear)
+    last = cast(nn.Linear, layers[-2])
     with torch.no_grad():
         last.weight *= 0.3
         last.weight[:silent] = 0.0

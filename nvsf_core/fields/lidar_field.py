@@ -37,7 +37,7 @@ class LidarField(nn.Module):
         self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
 
     def surfaces(self, batch: SurfaceBatch) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected opacity logit (r, k), range in metres (r, k), features (r, k, d); 0 where no surface is."""
+        """Corrected opacity logit (r, k), range_m (r, k), features (r, k, d); 0 where no surface is."""
         points = batch.origin_m[:, None] + batch.direction[:, None] * batch.range_m[..., None]
         there = batch.is_there
         encoded = self.grid(self.bounds.to_unit(points[there]).clamp(0.0, 1.0))
@@ -46,5 +46,5 @@ class LidarField(nn.Module):
         return batch.logit + raw[..., 0], batch.range_m + shift_m, raw[..., 2:]
 
     def decode(self, ray: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrections of a ray's hit logit and intensity logit, (r,) each, from (r, d + 8) composited facts."""
+        """Corrections of hit logit and intensity logit, (r,) each, from composited facts (r, d + 8)."""
         return self.hit_head(ray)[:, 0], self.intensity_head(ray)[:, 0]

@@ -27,7 +27,7 @@ class SurfaceBatch:
     is_there: Tensor
     """(r, k) bool."""
     facts: Tensor
-    """(r, k, 6): opacity logit, cosine of incidence, is planar, log hits, intensity, range; each about 0..1."""
+    """(r, k, 6): opacity logit, cosine of incidence, planar?, log hits, intensity, range; about 0..1."""
 
     @property
     def intensity(self) -> Tensor:

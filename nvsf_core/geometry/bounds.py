@@ -32,7 +32,7 @@ class Bounds:
         return (points_m - torch.tensor(self.centre_m)) / self.edge_m + 0.5
 
     def to_contracted_unit(self, points_m: Tensor) -> Tensor:
-        """(n, 3) metres to (n, 3) in (0, 1): the cube fills the middle half of each axis, all of space the rest.
+        """(n, 3) metres to (n, 3) in (0, 1): the cube fills the middle half of each axis, the rest all space.
 
         u = (p - c) / half; u stays where its largest coordinate m is at most 1, else becomes (2 - 1/m) u / m.
         Source: Barron et al., mip-NeRF 360, eq. 10, with the maximum norm.

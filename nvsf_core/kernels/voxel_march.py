@@ -33,7 +33,7 @@ def _start(origin, direction, t, grid_origin, voxel_m, shape, index, step, t_nex
     """Set up the walk at distance t."""
     for axis in range(3):
         position = (origin[axis] + t * direction[axis] - grid_origin[axis]) / voxel_m
-        index[axis] = min(max(int(math.floor(position)), 0), shape[axis] - 1)
+        index[axis] = min(max(math.floor(position), 0), shape[axis] - 1)
         if direction[axis] > 0.0:
             step[axis] = 1
             border = grid_origin[axis] + (index[axis] + 1) * voxel_m

@@ -60,6 +60,7 @@ class SceneEntry:
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
+
 UNSET_ROOT = Path("$NVSF_KITTI360_ROOT")
 """Root of an entry that names none while the variable is not set: it exists nowhere, and says why."""
 

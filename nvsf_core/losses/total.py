@@ -27,6 +27,8 @@ def total_loss(terms: dict[str, Tensor], weights: dict[str, float]) -> LossBreak
     means = {name: term.mean() for name, term in terms.items() if term.numel()}
     for name, value in means.items():
         if not torch.isfinite(value):
-            raise DivergedError(f"loss term {name!r} is {value.item()}; lower the step size or look at its input")
+            raise DivergedError(
+                f"loss term {name!r} is {value.item()}; lower the step size or look at its input"
+            )
     total = torch.stack([weights[name] * value for name, value in means.items()]).sum()
     return LossBreakdown(total, {name: float(value.detach()) for name, value in means.items()})

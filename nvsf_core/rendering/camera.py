@@ -27,7 +27,9 @@ def render_colour(field: CameraField, batch: SurfaceBatch, spec: BackgroundSpec)
     # Weights go back to where their features are: gathering (r, k, d) features would copy them all.
     unsorted = torch.zeros_like(weights).scatter(1, order, weights)
     k = surfaces.shape[1]
-    composited = (unsorted[:, :k, None] * features).sum(dim=1) + (unsorted[:, k:, None] * air_features).sum(dim=1)
+    composited = (unsorted[:, :k, None] * features).sum(dim=1) + (unsorted[:, k:, None] * air_features).sum(
+        dim=1
+    )
     return field.colour(composited, left, batch.direction)
 
 

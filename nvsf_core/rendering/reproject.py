@@ -23,7 +23,13 @@ def median_index(weights: np.ndarray) -> np.ndarray:
 
 
 def reproject_rays(
-    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, *, most: int, far_m: float
+    surfels: Surfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    vote: np.ndarray,
+    *,
+    most: int,
+    far_m: float,
 ) -> RayAnswers:
     """Answer rays (r, 3), scene-local, from evidence alone.
 

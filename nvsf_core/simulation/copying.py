@@ -12,12 +12,16 @@ def nearest_earlier(time_s: np.ndarray, wanted_s: float) -> int:
 
 
 def copied_ranges(
-    copied_points_m: np.ndarray, copied_laser: np.ndarray, copied_range_m: np.ndarray,
-    copied_intensity: np.ndarray, points_m: np.ndarray, laser: np.ndarray,
+    copied_points_m: np.ndarray,
+    copied_laser: np.ndarray,
+    copied_range_m: np.ndarray,
+    copied_intensity: np.ndarray,
+    points_m: np.ndarray,
+    laser: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Range and intensity (r,) that the copied scan gives along recorded rays: the same laser's return within 0.18 degrees.
+    """Range and intensity (r,) that the copied scan gives along recorded rays.
 
-    Infinite range and 0 intensity where there is none.
+    It answers with the same laser's return within 0.18 degrees. Infinite range and 0 intensity where there is none.
     """
     range_m = np.full(len(points_m), np.inf, np.float32)
     intensity = np.zeros(len(points_m), np.float32)

@@ -32,8 +32,14 @@ class SweepRays:
 
 
 def sweep_rays(
-    table: LaserTable, lasers: np.ndarray, firings: int, trajectory: Trajectory, time_s: float, period_s: float,
-    *, mount: np.ndarray | None = None,
+    table: LaserTable,
+    lasers: np.ndarray,
+    firings: int,
+    trajectory: Trajectory,
+    time_s: float,
+    period_s: float,
+    *,
+    mount: np.ndarray | None = None,
 ) -> SweepRays:
     """Rays of the sweep whose pose belongs to `time_s`.
 

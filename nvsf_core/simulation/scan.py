@@ -29,7 +29,9 @@ def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEv
     return RayAnswers(
         range_m=np.where(is_own, range_m, answers.range_m).astype(np.float32),
         hit=np.where(is_own, 1.0, answers.hit).astype(np.float32),
-        intensity=np.where(is_own, evidence.own_intensity[rays.laser, cell], answers.intensity).astype(np.float32),
+        intensity=np.where(is_own, evidence.own_intensity[rays.laser, cell], answers.intensity).astype(
+            np.float32
+        ),
     )
 
 
@@ -39,7 +41,9 @@ def recorded_scan(rays: SweepRays, answers: RayAnswers) -> tuple[np.ndarray, np.
     Laser by laser from the top, azimuth ascending in [0, 360) degrees within it.
     """
     returned = np.flatnonzero((answers.hit >= HIT_THRESHOLD) & np.isfinite(answers.range_m))
-    points = rays.recorded_origin_m[returned] + rays.recorded_direction[returned] * answers.range_m[returned, None]
+    points = (
+        rays.recorded_origin_m[returned] + rays.recorded_direction[returned] * answers.range_m[returned, None]
+    )
     azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
     order = np.lexsort((azimuth, rays.laser[returned]))
     return (

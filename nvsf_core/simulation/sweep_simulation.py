@@ -43,7 +43,7 @@ class SimulatedSweep:
     pano_hit: np.ndarray
     """(66, 1030) float32: probability that any ray of the cell returned."""
     grid: dict[str, np.ndarray]
-    """Range, hit probability, intensity, azimuth and elevation (l, f) as recorded, before anything is drawn."""
+    """Range, hit probability, intensity, azimuth, elevation (l, f) as recorded, before anything is drawn."""
 
 
 def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: float) -> Renderer:
@@ -79,8 +79,14 @@ def answer_in_chunks(
 
 
 def simulate_sweep(
-    plan: ViewPlan, time_s: float, evidence: SceneEvidence, render: Renderer, trajectory: Trajectory,
-    period_s: float, recorded_table: LaserTable, votes: int,
+    plan: ViewPlan,
+    time_s: float,
+    evidence: SceneEvidence,
+    render: Renderer,
+    trajectory: Trajectory,
+    period_s: float,
+    recorded_table: LaserTable,
+    votes: int,
 ) -> SimulatedSweep:
     """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
     near = evidence.prior.nearest_scans(time_s, votes)
@@ -89,7 +95,11 @@ def simulate_sweep(
     else:
         lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
     rays = sweep_rays(plan.table, lasers, firings, trajectory, time_s, period_s, mount=plan.mount)
-    voter = rays.laser if plan.is_recorded_sensor else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
+    voter = (
+        rays.laser
+        if plan.is_recorded_sensor
+        else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
+    )
     vote = evidence.prior.vote(voter, rays.fraction, near)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote)
     if plan.is_recorded_sensor:
@@ -98,7 +108,13 @@ def simulate_sweep(
     pano = LinearPano(quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
     return SimulatedSweep(
-        points, intensity, laser, pano_range, pano_intensity, _pano_hit(pano, rays, answers), _grid(rays, answers)
+        points,
+        intensity,
+        laser,
+        pano_range,
+        pano_intensity,
+        _pano_hit(pano, rays, answers),
+        _grid(rays, answers),
     )
 
 
@@ -110,7 +126,7 @@ def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvid
 
 
 def _grid(rays: SweepRays, answers: RayAnswers) -> dict[str, np.ndarray]:
-    """Points as recorded, by laser and firing, as range and angles from the sensor's centre; 0 = no answer."""
+    """Points as recorded, by laser and firing: range and angles from the sensor's centre; 0 = no answer."""
     known = np.isfinite(answers.range_m)
     distance = np.where(known, answers.range_m, 0.0)
     points = rays.recorded_origin_m + rays.recorded_direction * distance[:, None]

@@ -37,9 +37,16 @@ def mount_pose(shift_m: tuple[float, float, float], yaw_deg: float) -> np.ndarra
 
 
 def plan_view(
-    name: str, *, recorded_frame: np.ndarray, recorded_time_s: np.ndarray, recorded_table: LaserTable,
-    frames: tuple[int, ...] | None, times_s: tuple[float, ...] | None, sensor: str | None,
-    shift_m: tuple[float, float, float], yaw_deg: float,
+    name: str,
+    *,
+    recorded_frame: np.ndarray,
+    recorded_time_s: np.ndarray,
+    recorded_table: LaserTable,
+    frames: tuple[int, ...] | None,
+    times_s: tuple[float, ...] | None,
+    sensor: str | None,
+    shift_m: tuple[float, float, float],
+    yaw_deg: float,
 ) -> ViewPlan:
     """Decide instants, sensor and mounting of a view.
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nvsf_core.errors import DataError
 from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.errors import DataError
 from nvsf_core.sensors.own_vehicle import learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
@@ -126,7 +126,7 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
         np.concatenate([[0], np.cumsum(lengths[training])]), a["firings"][training], a["time_s"][training],
         lasers=sweeps.table.laser_count, nominal_firings=sweeps.table.firings_per_turn,
     )  # fmt: skip
-    parts = [sweeps.returns_of(scan) for scan in training]
+    parts = [sweeps.returns_of(int(scan)) for scan in training]
     firings = np.where(a["firings"][training] > 0, a["firings"][training], sweeps.table.firings_per_turn)
     cells = min(2000, int(firings.min()))
     scans = [(a["points_m"][part], a["intensity"][part], a["laser"][part]) for part in parts]
@@ -165,8 +165,8 @@ STAGE = Stage(
     name="evidence",
     group="prepare",
     inputs=("frames", "sweeps"),
-    description="What the training sweeps prove without learning: surfels in voxels, see-throughs, drop votes, "
-    "the own vehicle, and what the scene needs.",
+    description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
+    "drop votes, the own vehicle, and what the scene needs.",
     version="1",
     run=_run,
 )

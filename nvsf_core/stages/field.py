@@ -76,7 +76,9 @@ def read_images(
     folder = store.require("undistorted") / "images.zarr"
     found = {}
     for name, facts in read_attrs(folder)["cameras"].items():
-        arrays = read_arrays(folder, f"{name}_rgb", f"{name}_valid", f"{name}_frame", f"{name}_camera_to_world")
+        arrays = read_arrays(
+            folder, f"{name}_rgb", f"{name}_valid", f"{name}_frame", f"{name}_camera_to_world"
+        )
         frame = arrays[f"{name}_frame"]
         used = np.isin(frame, list(training_frames))
         pose = arrays[f"{name}_camera_to_world"][used].copy()
@@ -100,8 +102,8 @@ def _run(task: Task) -> StageOutput:
     sweeps, evidence = read_sweeps(task.store), read_evidence(task.store)
     if sweeps is None or evidence is None:
         raise DataError(
-            f"scene {task.scene.name}: recipe {recipe.name} starts from LiDAR evidence and this drive has no scan; "
-            "a recipe that learns from images alone comes with a later version"
+            f"scene {task.scene.name}: recipe {recipe.name} starts from LiDAR evidence and this drive has "
+            "no scan; a recipe that learns from images alone comes with a later version"
         )
     torch.set_num_threads(recipe.lidar_training.threads)
     rays = _training_rays(sweeps, evidence, recipe)
@@ -118,7 +120,9 @@ def _run(task: Task) -> StageOutput:
     if images:
         cameras = [camera for camera, _ in images.values()]
         camera = make_camera_field(recipe, evidence, seed + 1)
-        state = _fit(task, "camera", camera, lambda g: camera_step(camera, evidence.surfels, cameras, recipe, g))
+        state = _fit(
+            task, "camera", camera, lambda g: camera_step(camera, evidence.surfels, cameras, recipe, g)
+        )
         curve += [{"sensor": "camera", **row} for row in state.curve]
         tensors |= {f"camera.{name}": value for name, value in camera.state_dict().items()}
         camera_s = state.seconds
@@ -160,14 +164,20 @@ def _training_rays(sweeps: Sweeps, evidence: SceneEvidence, recipe: Recipe) -> L
         scans = evidence.prior.nearest_scans(
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
         )
-        part = sweeps.returns_of(scan)
+        part = sweeps.returns_of(int(scan))
         kept = ~a["is_own_vehicle"][part] & (a["laser"][part] >= 0) & (a["range_m"][part] < far_m(sweeps))
         vote = evidence.prior.vote(a["laser"][part][kept], a["sweep_fraction"][part][kept], scans)
-        columns = (a[name][part][kept] for name in ("origin_m", "direction", "range_m", "intensity"))
-        parts.append(LidarRays(*columns, vote))
+        origin, direction = a["origin_m"][part][kept], a["direction"][part][kept]
+        parts.append(LidarRays(origin, direction, a["range_m"][part][kept], a["intensity"][part][kept], vote))
         parts.append(
             dropped_rays(
-                sweeps.table, evidence.prior, number, evidence.lasers, sweeps.trajectory, sweeps.period_s, scans
+                sweeps.table,
+                evidence.prior,
+                number,
+                evidence.lasers,
+                sweeps.trajectory,
+                sweeps.period_s,
+                scans,
             )
         )
     return join_rays(parts)
@@ -211,7 +221,12 @@ def _teller(task: Task, sensor: str) -> Callable[[str], None]:
 
 
 def _write(
-    folder: Path, tensors: dict[str, Tensor], recipe: Recipe, curve: list[dict[str, object]], *, has_camera: bool
+    folder: Path,
+    tensors: dict[str, Tensor],
+    recipe: Recipe,
+    curve: list[dict[str, object]],
+    *,
+    has_camera: bool,
 ) -> None:
     save_tensors(folder / "weights.safetensors", tensors, {"has_camera": has_camera})
     (folder / "recipe.json").write_text(json.dumps(recipe.to_json(), indent=1, sort_keys=True))

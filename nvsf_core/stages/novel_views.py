@@ -2,22 +2,17 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from nvsf_core.cameras.images import write_image
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.fields.camera_field import CameraField
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kitti360.catalogue import ViewEntry
-from nvsf_core.kitti360.writer import write_scan
 from nvsf_core.rendering.reproject_camera import render_by_warping
-from nvsf_core.reporting.previews import image_preview, range_preview
+from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.camera_view import render_image
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
 from nvsf_core.simulation.sweep_simulation import (
@@ -30,10 +25,10 @@ from nvsf_core.simulation.sweep_simulation import (
 )
 from nvsf_core.simulation.view_plan import ViewPlan, plan_view
 from nvsf_core.stages.evidence import Sweeps, read_evidence, read_sweeps
-from nvsf_core.stages.field import far_m, load_fields, read_images, training_frames
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
-from nvsf_core.stages.stage import Check, Stage, StageOutput, Task, read_record
-from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stages.field import far_m, load_fields, read_images, training_frames
+from nvsf_core.stages.stage import Stage, StageOutput, Task
+from nvsf_core.stages.view_files import describe_view, export_files, write_method
 from nvsf_core.stores.tables import read_rows
 from nvsf_core.training.pixels import CameraImages
 
@@ -82,13 +77,31 @@ def _render_test(task: Task, scene: _Scene, frames: tuple[int, ...], output: Sta
     evidence = evidence_renderer(scene.evidence.surfels, most=most, far_m=limit)
     folder = task.folder / TEST
     for method, render in (("model", model), ("reproject", evidence)):
-        arrays = _lidar_arrays(task, scene, plan, render, method) | _along_recorded_rays(task, scene, plan, render)
+        arrays = _lidar_arrays(task, scene, plan, render, method) | _along_recorded_rays(
+            task, scene, plan, render
+        )
         cameras = _camera_arrays(task, scene, plan, method)
-        _write(folder, method, task, scene, plan, arrays | cameras)
+        write_method(
+            folder,
+            method,
+            task,
+            plan,
+            _world_poses(scene, plan),
+            scene.sweeps.scene_origin_m,
+            arrays | cameras,
+        )
         if method == "model":
-            _export(folder, arrays, cameras, plan)
-            _describe(output, TEST, folder, arrays, cameras)
-    _write(folder, "copy_nearest", task, scene, plan, _copied(task, scene, plan))
+            export_files(folder, arrays, cameras, plan)
+            describe_view(output, TEST, folder, arrays, cameras)
+    write_method(
+        folder,
+        "copy_nearest",
+        task,
+        plan,
+        _world_poses(scene, plan),
+        scene.sweeps.scene_origin_m,
+        _copied(task, scene, plan),
+    )
 
 
 def _render_view(task: Task, scene: _Scene, view: ViewEntry, output: StageOutput) -> None:
@@ -104,14 +117,22 @@ def _render_view(task: Task, scene: _Scene, view: ViewEntry, output: StageOutput
     # A view with another LiDAR asks for that LiDAR's data; the cameras have not changed.
     cameras = _camera_arrays(task, scene, plan, "model") if plan.is_recorded_sensor else {}
     folder = task.folder / view.name
-    _write(folder, "model", task, scene, plan, arrays | cameras)
-    _export(folder, arrays, cameras, plan)
-    _describe(output, view.name, folder, arrays, cameras)
+    write_method(
+        folder, "model", task, plan, _world_poses(scene, plan), scene.sweeps.scene_origin_m, arrays | cameras
+    )
+    export_files(folder, arrays, cameras, plan)
+    describe_view(output, view.name, folder, arrays, cameras)
 
 
 def _plan(
-    scene: _Scene, name: str, *, frames: tuple[int, ...] | None = None, times_s: tuple[float, ...] | None = None,
-    sensor: str | None = None, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0), yaw_deg: float = 0.0,
+    scene: _Scene,
+    name: str,
+    *,
+    frames: tuple[int, ...] | None = None,
+    times_s: tuple[float, ...] | None = None,
+    sensor: str | None = None,
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    yaw_deg: float = 0.0,
 ) -> ViewPlan:
     return plan_view(
         name, recorded_frame=scene.posed_frame, recorded_time_s=scene.posed_time_s,
@@ -120,7 +141,9 @@ def _plan(
     )  # fmt: skip
 
 
-def _lidar_arrays(task: Task, scene: _Scene, plan: ViewPlan, render: Renderer, method: str) -> dict[str, np.ndarray]:
+def _lidar_arrays(
+    task: Task, scene: _Scene, plan: ViewPlan, render: Renderer, method: str
+) -> dict[str, np.ndarray]:
     """All sweeps of a view, joined."""
     sweeps: list[SimulatedSweep] = []
     seconds = []
@@ -128,9 +151,15 @@ def _lidar_arrays(task: Task, scene: _Scene, plan: ViewPlan, render: Renderer, m
         started = time.perf_counter()
         sweeps.append(
             simulate_sweep(
-                plan, float(instant), scene.evidence, render, scene.sweeps.trajectory, scene.sweeps.period_s,
-                scene.sweeps.table, task.config.recipe.evidence.votes,
-            )  # fmt: skip
+                plan,
+                float(instant),
+                scene.evidence,
+                render,
+                scene.sweeps.trajectory,
+                scene.sweeps.period_s,
+                scene.sweeps.table,
+                task.config.recipe.evidence.votes,
+            )
         )
         seconds.append(time.perf_counter() - started)
         task.progress(
@@ -182,8 +211,8 @@ def _camera_arrays(task: Task, scene: _Scene, plan: ViewPlan, method: str) -> di
             shown.append(_image(task, scene, training, pose, float(instant), method))
             seconds.append(time.perf_counter() - started)
             task.progress(
-                f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} {number + 1}/{len(plan.time_s)}, "
-                f"{seconds[-1]:.2f} s"
+                f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} "
+                f"{number + 1}/{len(plan.time_s)}, {seconds[-1]:.2f} s"
             )
         arrays[f"{name}_rgb"] = np.stack(shown)
         arrays[f"{name}_frame"] = plan.frame
@@ -221,24 +250,28 @@ def _depth_points(scene: _Scene, instant_s: float) -> np.ndarray:
 
 def _copied(task: Task, scene: _Scene, plan: ViewPlan) -> dict[str, np.ndarray]:
     """The nearest training scan and image, as they are."""
-    from nvsf_core.sensors.linear_pano import LinearPano
-
     a = scene.sweeps.arrays
     training = np.flatnonzero(scene.sweeps.is_training)
     pano = LinearPano(quirks=True)
     scans, panos, rays, seconds = [], [], [], []
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         started = time.perf_counter()
-        source = scene.sweeps.returns_of(int(training[nearest_earlier(a["time_s"][training], float(instant))]))
+        source = scene.sweeps.returns_of(
+            int(training[nearest_earlier(a["time_s"][training], float(instant))])
+        )
         scans.append((a["points_m"][source], a["intensity"][source], a["laser"][source]))
         panos.append(pano.project(a["points_m"][source], a["intensity"][source]))
         seconds.append(time.perf_counter() - started)
         own = scene.sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
         rays.append(
             copied_ranges(
-                a["points_m"][source], a["laser"][source], a["range_m"][source], a["intensity"][source],
-                a["points_m"][own], a["laser"][own],
-            )  # fmt: skip
+                a["points_m"][source],
+                a["laser"][source],
+                a["range_m"][source],
+                a["intensity"][source],
+                a["points_m"][own],
+                a["laser"][own],
+            )
         )
     arrays = _joined(scans)
     arrays["pano_range_m"] = np.stack([range_m for range_m, _ in panos])
@@ -263,7 +296,9 @@ def _read(task: Task) -> _Scene:
         raise DataError(f"scene {task.scene.name}: views need LiDAR evidence and this drive has no scan")
     lidar, camera = load_fields(task.store, FIELD_STAGE.location(task.config), evidence)
     frames = task.store.require("frames")
-    posed = sorted((r for r in read_rows(frames / "frames.parquet") if r["pose_valid"]), key=lambda r: r["frame"])
+    posed = sorted(
+        (r for r in read_rows(frames / "frames.parquet") if r["pose_valid"]), key=lambda r: r["frame"]
+    )
     lidar_pose = {r["frame"]: np.array(r["lidar_to_world"]).reshape(4, 4) for r in posed}
     mounted: dict[str, np.ndarray] = {}
     for row in read_rows(frames / "cameras.parquet"):
@@ -290,6 +325,13 @@ def _lidar_pose(scene: _Scene, plan: ViewPlan, instant_s: float) -> np.ndarray:
     return pose if plan.mount is None else pose @ plan.mount
 
 
+def _world_poses(scene: _Scene, plan: ViewPlan) -> np.ndarray:
+    """True world poses (n, 4, 4) of the view's LiDAR."""
+    poses = np.stack([_lidar_pose(scene, plan, float(instant)) for instant in plan.time_s])
+    poses[:, :3, 3] += scene.sweeps.scene_origin_m
+    return poses
+
+
 def _camera_pose(scene: _Scene, camera: str, plan: ViewPlan, instant_s: float) -> np.ndarray:
     return np.asarray(_lidar_pose(scene, plan, instant_s) @ scene.camera_in_lidar[camera])
 
@@ -302,81 +344,6 @@ def _warm_up(task: Task, scene: _Scene) -> None:
         evidence_renderer(scene.evidence.surfels, most=most, far_m=1.0),
     ):
         render(a["origin_m"][:64], a["direction"][:64], np.ones(len(a["origin_m"][:64]), np.float32))
-
-
-def _write(
-    folder: Path, method: str, task: Task, scene: _Scene, plan: ViewPlan, arrays: dict[str, np.ndarray]
-) -> None:
-    """One method's arrays of a view, with what a table wants to know of the method."""
-    folder.mkdir(parents=True, exist_ok=True)
-    poses = np.stack([_lidar_pose(scene, plan, float(instant)) for instant in plan.time_s])
-    poses[:, :3, 3] += scene.sweeps.scene_origin_m
-    arrays = arrays | {"frame": plan.frame, "time_s": plan.time_s, "lidar_to_world": poses}
-    attrs: dict[str, Any] = {
-        "split": plan.name,
-        "sensor": plan.table.name,
-        "method": method,
-        "recipe": task.config.recipe.name if method == "model" else method,
-        "seed": task.config.seed,
-        "cameras": [name for name in scene.images if f"{name}_rgb" in arrays],
-        "scene_origin_m": scene.sweeps.scene_origin_m.tolist(),
-        **_costs(task, method),
-    }
-    write_arrays(folder / f"{method}.zarr", arrays, attrs)
-
-
-def _costs(task: Task, method: str) -> dict[str, float]:
-    """What making the method cost: seconds, numbers, megabytes."""
-    if method == "copy_nearest":
-        return {"train_seconds": 0.0, "parameters": 0, "model_mb": 0.0, "peak_memory_mb": 0.0}
-    evidence = task.store.require("evidence")
-    record = read_record(evidence) or {"seconds": 0.0}
-    evidence_mb = sum(p.stat().st_size for p in evidence.rglob("*") if p.is_file()) / 1e6
-    if method == "reproject":
-        return {"train_seconds": record["seconds"], "parameters": 0, "model_mb": evidence_mb, "peak_memory_mb": 0.0}
-    field = (read_record(task.store.require(FIELD_STAGE.location(task.config))) or {})["metadata"]
-    return {
-        "train_seconds": record["seconds"] + field["train_seconds"],
-        "parameters": field["parameters"],
-        "model_mb": evidence_mb + field["model_mb"],
-        "peak_memory_mb": field["peak_memory_mb"],
-    }
-
-
-def _export(folder: Path, lidar: dict[str, np.ndarray], cameras: dict[str, np.ndarray], plan: ViewPlan) -> None:
-    """Scans and images as files, as a driver would find them; several instants of one frame are numbered on."""
-    numbers = plan.frame if len(set(plan.frame.tolist())) == len(plan.frame) else np.arange(len(plan.frame))
-    for index, number in enumerate(numbers):
-        part = slice(int(lidar["offsets"][index]), int(lidar["offsets"][index + 1]))
-        path = folder / "velodyne_points" / "data" / f"{number:010d}.bin"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_scan(path, lidar["points_m"][part], lidar["intensity"][part])
-        for name in (key[:-4] for key in cameras if key.endswith("_rgb")):
-            target = folder / name / "data_rect" / f"{number:010d}.png"
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_image(target, cameras[f"{name}_rgb"][index])
-
-
-def _describe(
-    output: StageOutput, view: str, folder: Path, lidar: dict[str, np.ndarray], cameras: dict[str, np.ndarray]
-) -> None:
-    """Numbers, a picture and a check of one view."""
-    returns = np.diff(lidar["offsets"])
-    output.metadata[f"{view}_sweeps"] = len(returns)
-    output.metadata[f"{view}_returns_per_sweep"] = float(returns.mean())
-    output.metadata[f"{view}_lidar_seconds_per_sweep"] = float(np.median(lidar["lidar_render_seconds"]))
-    (folder / "range.png").write_bytes(range_preview(lidar["pano_range_m"][0]))
-    output.previews[f"{view} range"] = f"{view}/range.png"
-    for name in (key for key in cameras if key.endswith("_rgb")):
-        (folder / f"{name[:-4]}.png").write_bytes(image_preview(cameras[name][0]))
-        output.previews[f"{view} {name[:-4]}"] = f"{view}/{name[:-4]}.png"
-    output.checks.append(
-        Check(
-            name=f"{view}_scans_are_not_empty",
-            passed=bool((returns > 0).all()),
-            detail=f"{returns.min():,} to {returns.max():,} returns a sweep",
-        )
-    )
 
 
 def _joined(scans: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -396,8 +363,8 @@ STAGE = Stage(
     name="novel_views",
     group="synthesis",
     inputs=("frames", "sweeps", "undistorted", "evidence", "field"),
-    description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every view "
-    "that was asked for.",
+    description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
+    "view that was asked for.",
     version="1",
     run=_run,
     per_recipe=True,

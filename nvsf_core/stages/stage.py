@@ -125,7 +125,11 @@ class Outcome:
 
 
 def run_stage(
-    stage: Stage, scene: SceneEntry, store: SceneStore, config: RunConfig, progress: Progress,
+    stage: Stage,
+    scene: SceneEntry,
+    store: SceneStore,
+    config: RunConfig,
+    progress: Progress,
     input_fingerprints: dict[str, str],
 ) -> Outcome:
     """Run one stage, or skip it when its code, configuration and inputs are unchanged.

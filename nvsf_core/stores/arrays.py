@@ -13,7 +13,9 @@ _CHUNK_BYTES = 4 << 20
 """Target size of a chunk: a frame's worth of returns or one image, so that a reader fetches few files."""
 
 
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], attrs: Mapping[str, Any] | None = None) -> None:
+def write_arrays(
+    path: Path, arrays: Mapping[str, np.ndarray], attrs: Mapping[str, Any] | None = None
+) -> None:
     """Write arrays (any shape, numeric or bool) and JSON-able attributes as one Zarr group."""
     group = zarr.open_group(str(path), mode="w")
     for name, array in arrays.items():
@@ -34,7 +36,9 @@ def read_arrays(path: Path, *names: str) -> dict[str, np.ndarray]:
     wanted = names or tuple(sorted(group.array_keys()))
     missing = [name for name in wanted if name not in group]
     if missing:
-        raise StoreError(f"{path}: expected arrays {missing}, found {sorted(group.array_keys())}; make it anew")
+        raise StoreError(
+            f"{path}: expected arrays {missing}, found {sorted(group.array_keys())}; make it anew"
+        )
     return {name: np.asarray(group[name][...]) for name in wanted}  # type: ignore[index]
 
 

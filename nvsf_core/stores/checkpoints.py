@@ -36,5 +36,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             tensors = {name: handle.get_tensor(name) for name in handle.keys()}  # noqa: SIM118 (not a dict)
             meta: dict[str, Any] = json.loads((handle.metadata() or {}).get("json", "{}"))
     except Exception as error:
-        raise StoreError(f"{path} is no readable safetensors file ({error}); delete it and run again") from error
+        raise StoreError(
+            f"{path} is no readable safetensors file ({error}); delete it and run again"
+        ) from error
     return tensors, meta

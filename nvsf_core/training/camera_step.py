@@ -13,11 +13,17 @@ from nvsf_core.training.pixels import CameraImages, draw_pixels
 
 
 def camera_step(
-    field: CameraField, surfels: Surfels, cameras: list[CameraImages], recipe: Recipe, generator: torch.Generator
+    field: CameraField,
+    surfels: Surfels,
+    cameras: list[CameraImages],
+    recipe: Recipe,
+    generator: torch.Generator,
 ) -> LossBreakdown:
     """Draw pixels from all training images, render them, and compare with what was recorded."""
     origin, direction, colour = draw_pixels(cameras, recipe.camera_training.rays, generator)
     most = recipe.evidence.camera_candidates
     batch = surface_batch(surfels, origin, direction, most=most, near_m=NEAR_M, far_m=recipe.background.far_m)
     shown = render_colour(field, batch, recipe.background)
-    return total_loss({"colour": colour_loss(shown, torch.from_numpy(colour))}, {"colour": recipe.losses.colour})
+    return total_loss(
+        {"colour": colour_loss(shown, torch.from_numpy(colour))}, {"colour": recipe.losses.colour}
+    )

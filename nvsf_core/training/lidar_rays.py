@@ -37,7 +37,12 @@ def join_rays(parts: list[LidarRays]) -> LidarRays:
 
 
 def dropped_rays(
-    table: LaserTable, prior: DropPrior, scan: int, lasers: np.ndarray, trajectory: Trajectory, period_s: float,
+    table: LaserTable,
+    prior: DropPrior,
+    scan: int,
+    lasers: np.ndarray,
+    trajectory: Trajectory,
+    period_s: float,
     vote_scans: np.ndarray,
 ) -> LidarRays:
     """Rays that a training scan fired without a return: the empty cells of its lasers and firings.

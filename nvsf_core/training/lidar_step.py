@@ -16,7 +16,12 @@ from nvsf_core.training.lidar_rays import LidarRays
 
 
 def lidar_step(
-    field: LidarField, surfels: Surfels, rays: LidarRays, recipe: Recipe, far_m: float, generator: torch.Generator
+    field: LidarField,
+    surfels: Surfels,
+    rays: LidarRays,
+    recipe: Recipe,
+    far_m: float,
+    generator: torch.Generator,
 ) -> LossBreakdown:
     """Draw rays from all training frames, render them, and compare with what was recorded."""
     spec = recipe.lidar_training

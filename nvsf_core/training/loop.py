@@ -70,7 +70,9 @@ def make_optimiser(model: nn.Module, spec: TrainingSpec) -> torch.optim.Adam:
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 
-def train(state: TrainingState, spec: TrainingSpec, step: Step, save: Save, say: Callable[[str], None]) -> None:
+def train(
+    state: TrainingState, spec: TrainingSpec, step: Step, save: Save, say: Callable[[str], None]
+) -> None:
     """Run the steps that are left; save every `checkpoint_s` seconds and at the end.
 
     Raises:
@@ -97,15 +99,20 @@ def train(state: TrainingState, spec: TrainingSpec, step: Step, save: Save, say:
         rays_per_s = (state.step - first) * spec.rays / (now - started)
         if state.step % _RECORD_EVERY == 0 or state.step == spec.steps:
             state.curve.append(
-                {"step": state.step, "seconds": state.seconds, "loss": float(loss.total.detach()), "rays_per_s": rays_per_s}
+                {
+                    "step": state.step,
+                    "seconds": state.seconds,
+                    "loss": float(loss.total.detach()),
+                    "rays_per_s": rays_per_s,
+                }
                 | loss.terms
             )
         if now - said >= _SAY_EVERY_S:
             said = now
             left_s = (spec.steps - state.step) * spec.rays / rays_per_s
             say(
-                f"step {state.step}/{spec.steps}, loss {float(loss.total.detach()):.4f}, {rays_per_s:,.0f} rays/s, "
-                f"{left_s:.0f} s left"
+                f"step {state.step}/{spec.steps}, loss {float(loss.total.detach()):.4f}, "
+                f"{rays_per_s:,.0f} rays/s, {left_s:.0f} s left"
             )
         if now - saved >= spec.checkpoint_s or state.step == spec.steps:
             require_finite_parameters(state.model, state.step)

@@ -40,5 +40,7 @@ def draw_pixels(
         direction = camera.pinhole.rays(np.stack([column, row], axis=1).astype(np.float64))
         direction = np.einsum("nij,nj->ni", camera.pose[image, :3, :3], direction)
         parts.append((camera.pose[image, :3, 3], direction, camera.rgb[image, row, column] / 255.0))
-    origin, direction, colour = (np.concatenate(columns).astype(np.float32) for columns in zip(*parts, strict=True))
+    origin, direction, colour = (
+        np.concatenate(columns).astype(np.float32) for columns in zip(*parts, strict=True)
+    )
     return origin, direction, colour

@@ -1,0 +1,86 @@
+"""Laws of simulated sweeps."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.errors import MissingFrameError
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E, VLP_16
+from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
+from nvsf_core.simulation.lidar_rays import sweep_rays
+from nvsf_core.simulation.scan import recorded_scan
+from nvsf_core.simulation.view_plan import mount_pose, plan_view
+
+FRAMES = np.arange(10, 15)
+TIMES = np.arange(5) * 0.1
+
+
+def test_a_scan_is_laser_by_laser_with_ascending_azimuth() -> None:
+    rays = still_sweep()
+    answers = RayAnswers(*(np.full(len(rays.laser), v, np.float32) for v in (12.0, 1.0, 0.5)))
+    points, intensity, laser = recorded_scan(rays, answers)
+    azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
+    assert (np.diff(laser) >= 0).all()
+    assert (np.diff(azimuth)[np.diff(laser) == 0] >= 0).all()
+    assert len(points) == len(rays.laser) and np.allclose(intensity, 0.5)
+
+
+def test_drops_and_rays_without_an_answer_leave_no_point() -> None:
+    rays = still_sweep()
+    hit = np.zeros(len(rays.laser), np.float32)
+    hit[:7] = 1.0
+    range_m = np.full(len(rays.laser), 5.0, np.float32)
+    range_m[0] = np.inf
+    points, _, _ = recorded_scan(rays, RayAnswers(range_m, hit, np.zeros_like(hit)))
+    assert len(points) == 6
+
+
+def test_a_shifted_sensor_fires_from_beside_the_car() -> None:
+    here, there = still_sweep(), still_sweep(mount_pose((0.0, 1.0, 0.0), 0.0))
+    assert np.allclose(there.origin_m - here.origin_m, [0.0, 1.0, 0.0], atol=1e-5)
+    assert np.allclose(there.direction, here.direction, atol=1e-6)
+
+
+def test_a_view_between_frames_takes_the_time_asked_for() -> None:
+    view = plan("between", times_s=(0.15,))
+    assert view.time_s.tolist() == [0.15]
+    assert view.frame[0] in (11, 12)
+
+
+def test_a_view_of_another_sensor_says_so() -> None:
+    assert plan("v", sensor="VLP-16").table is VLP_16
+    assert not plan("v", sensor="VLP-16").is_recorded_sensor
+
+
+def test_a_frame_that_was_never_recorded_is_an_error_that_names_it() -> None:
+    with pytest.raises(MissingFrameError, match="99"):
+        plan("v", frames=(99,))
+
+
+def test_of_two_equally_near_recordings_the_earlier_is_copied() -> None:
+    assert nearest_earlier(np.array([0.0, 0.2]), 0.1) == 0
+
+
+def test_copying_answers_only_with_the_same_laser_within_a_fifth_of_a_degree() -> None:
+    def at(degrees: float) -> np.ndarray:
+        return np.array([[np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees)), 0.0]])
+
+    source = np.concatenate([at(10.0), at(179.95)])
+    found, _ = copied_ranges(
+        source, np.array([3, 3]), np.array([7.0, 8.0]), np.array([0.1, 0.2]),
+        np.concatenate([at(10.1), at(10.3), at(10.0), at(-179.95)]), np.array([3, 3, 4, 3]),
+    )  # fmt: skip
+    assert found.tolist() == [7.0, np.inf, np.inf, 8.0]
+
+
+def still_sweep(mount: np.ndarray | None = None):
+    trajectory = Trajectory(TIMES, np.tile(np.eye(4), (5, 1, 1)), np.zeros(3))
+    return sweep_rays(HDL_64E, np.array([0, 30]), 50, trajectory, 0.2, 0.1, mount=mount)
+
+
+def plan(name: str, frames=None, times_s=None, sensor=None):
+    return plan_view(
+        name, recorded_frame=FRAMES, recorded_time_s=TIMES, recorded_table=HDL_64E, frames=frames,
+        times_s=times_s, sensor=sensor, shift_m=(0.0, 0.0, 0.0), yaw_deg=0.0,
+    )  # fmt: skip

@@ -1,0 +1,90 @@
+"""Laws of the training loop: killed and resumed is the same as never killed."""
+
+import pytest
+import torch
+from torch import nn
+
+from nvsf_core.errors import DivergedError
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.recipe import TrainingSpec
+from nvsf_core.stores.checkpoints import load_tensors, save_tensors
+from nvsf_core.training.loop import TrainingState, make_optimiser, train
+
+SPEC = TrainingSpec(steps=40, rays=8, checkpoint_s=0.0)
+
+
+def fresh_state() -> TrainingState:
+    generator = torch.Generator().manual_seed(3)
+    model = nn.Linear(4, 1)
+    with torch.no_grad():
+        model.weight.fill_(0.1)
+        model.bias.zero_()
+    return TrainingState(model, make_optimiser(model, SPEC), generator)
+
+
+def step_of(state: TrainingState):
+    def step(generator: torch.Generator) -> LossBreakdown:
+        x = torch.randn(8, 4, generator=generator)
+        return total_loss({"fit": (state.model(x)[:, 0] - x.sum(dim=1)) ** 2}, {"fit": 1.0})
+
+    return step
+
+
+def ignore(*_: object) -> None:
+    """Neither saved nor said."""
+
+
+def test_a_killed_and_resumed_run_gives_the_same_bits(tmp_path) -> None:
+    whole = fresh_state()
+    train(whole, SPEC, step_of(whole), ignore, ignore)
+
+    class Killed(Exception):
+        pass
+
+    broken = fresh_state()
+    path = tmp_path / "checkpoint.safetensors"
+
+    def save_then_die(tensors, facts) -> None:
+        save_tensors(path, tensors, facts)
+        if facts["step"] == 17:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(broken, SPEC, step_of(broken), save_then_die, ignore)
+    resumed = fresh_state()
+    resumed.restore(*load_tensors(path))
+    assert resumed.step == 17
+    train(resumed, SPEC, step_of(resumed), ignore, ignore)
+    assert torch.equal(resumed.model.weight, whole.model.weight)
+    assert torch.equal(resumed.model.bias, whole.model.bias)
+    assert torch.equal(resumed.generator.get_state(), whole.generator.get_state())
+
+
+def test_training_lowers_the_loss() -> None:
+    state = fresh_state()
+    train(state, SPEC, step_of(state), ignore, ignore)
+    assert state.curve[-1]["loss"] < state.curve[0]["loss"]
+
+
+def test_a_nan_names_step_and_term_and_saves_nothing() -> None:
+    state = fresh_state()
+    saved = []
+
+    def step(_: torch.Generator) -> LossBreakdown:
+        return total_loss({"fit": state.model(torch.full((2, 4), torch.nan))[:, 0]}, {"fit": 1.0})
+
+    with pytest.raises(DivergedError, match=r"step 0: loss term 'fit'"):
+        train(state, SPEC, step, lambda tensors, facts: saved.append(facts), ignore)
+    assert not saved
+
+
+def test_weights_that_are_not_finite_are_never_saved() -> None:
+    state = fresh_state()
+    with torch.no_grad():
+        state.model.bias.fill_(torch.inf)
+
+    def step(_: torch.Generator) -> LossBreakdown:
+        return total_loss({"fit": state.model.weight.sum()[None]}, {"fit": 1.0})
+
+    with pytest.raises(DivergedError, match="bias"):
+        train(state, SPEC, step, ignore, ignore)
