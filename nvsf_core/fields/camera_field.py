@@ -48,7 +48,7 @@ class CameraField(nn.Module):
         return _EMPTY_LOGIT + raw[..., 0], raw[..., 1:]
 
     def colour(self, features: Tensor, left: Tensor, direction: Tensor) -> Tensor:
-        """Colour (r, 3) in 0..1 from composited features (r, d), light left for the sky (r,), direction (r, 3)."""
+        """Colour (r, 3) in 0..1 from features (r, d), the light left for the sky (r,), direction (r, 3)."""
         harmonics = spherical_harmonics(direction)
         with_sky = features + left[:, None] * self.sky(harmonics)
         return torch.sigmoid(self.colour_head(torch.cat([with_sky, left[:, None], harmonics], dim=1)))

@@ -199,8 +199,8 @@ def _add_poles(shapes: ShapeList, rng: np.random.Generator) -> None:
 def _add_trees(shapes: ShapeList, rng: np.random.Generator) -> Crowns:
     centres: list[np.ndarray] = []
     axes: list[np.ndarray] = []
-    radii: list[np.ndarray] = []
-    instances: list[np.ndarray] = []
+    radii: list[float] = []
+    instances: list[int] = []
     for side in (-1.0, 1.0):
         for angle in np.arange(_STREET_RAD[0] + 0.05, _STREET_RAD[1], 0.19):
             where = angle + side * 0.04 + rng.uniform(-0.04, 0.04)

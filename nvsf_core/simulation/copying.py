@@ -21,7 +21,8 @@ def copied_ranges(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Range and intensity (r,) that the copied scan gives along recorded rays.
 
-    It answers with the same laser's return within 0.18 degrees. Infinite range and 0 intensity where there is none.
+    It answers with the same laser's return within 0.18 degrees; infinite range and 0 intensity where
+    there is none.
     """
     range_m = np.full(len(points_m), np.inf, np.float32)
     intensity = np.zeros(len(points_m), np.float32)

@@ -23,7 +23,7 @@ def write_method(
     scene_origin_m: np.ndarray,
     arrays: dict[str, np.ndarray],
 ) -> None:
-    """One method's arrays of a view, with the poses (n, 4, 4) and what a table wants to know of the method."""
+    """One method's arrays of a view, its poses (n, 4, 4), and what a table wants to know of the method."""
     folder.mkdir(parents=True, exist_ok=True)
     attrs: dict[str, Any] = {
         "split": plan.name,
