@@ -2,13 +2,15 @@
 
 import numpy as np
 
+_CLOCK_JITTER_S = 0.005
+"""Two recordings whose distances in time differ by less are equally near: recorded clocks jitter."""
 _SAME_RAY_RAD = np.deg2rad(0.18)
 
 
 def nearest_earlier(time_s: np.ndarray, wanted_s: float) -> int:
     """Index of the recording nearest in time to `wanted_s`, the earlier of two that are equally near."""
     apart = np.abs(time_s - wanted_s)
-    return int(np.flatnonzero(apart <= apart.min() + 1e-6)[0])
+    return int(np.flatnonzero(apart <= apart.min() + _CLOCK_JITTER_S)[0])
 
 
 def copied_ranges(

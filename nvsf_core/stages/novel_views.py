@@ -365,7 +365,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="1",
+    version="2",
     run=_run,
     per_recipe=True,
     reads_views=True,

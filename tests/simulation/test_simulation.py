@@ -60,6 +60,8 @@ def test_a_frame_that_was_never_recorded_is_an_error_that_names_it() -> None:
 
 def test_of_two_equally_near_recordings_the_earlier_is_copied() -> None:
     assert nearest_earlier(np.array([0.0, 0.2]), 0.1) == 0
+    assert nearest_earlier(np.array([0.0, 0.1993]), 0.1) == 0
+    assert nearest_earlier(np.array([0.0, 0.15]), 0.1) == 1
 
 
 def test_copying_answers_only_with_the_same_laser_within_a_fifth_of_a_degree() -> None:
