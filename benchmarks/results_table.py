@@ -21,7 +21,8 @@ BEGIN, END = "<!-- results -->\n", "<!-- end of results -->"
 
 def machine() -> str:
     """Processor family and cores."""
-    return f"{platform.machine()}, {os.cpu_count()} CPU cores, Python {platform.python_version()}, not run on a GPU"
+    python = platform.python_version()
+    return f"{platform.machine()}, {os.cpu_count()} CPU cores, Python {python}, not run on a GPU"
 
 
 def collect(home: Path) -> list[dict[str, Any]]:
@@ -50,15 +51,15 @@ def collect(home: Path) -> list[dict[str, Any]]:
 def as_markdown(rows: list[dict[str, Any]]) -> str:
     """The README's table."""
     lines = [
-        "| scene | method | CD m² | F | range PSNR dB | hit accuracy | image PSNR dB | training s | sweep s |",
+        "| scene | method | CD m² | F | range PSNR dB | hit acc. | image PSNR dB | training s | sweep s |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
         image = "-" if row["image_psnr_db"] is None else f"{row['image_psnr_db']:.1f}"
+        seconds = f"{row['train_seconds']:.0f} | {row['render_seconds']:.2f}"
         lines.append(
             f"| `{row['scene']}` | `{row['method']}` | {row['chamfer_m2']:.3f} | {row['f_score']:.3f} | "
-            f"{row['range_psnr_db']:.1f} | {row['hit_accuracy']:.3f} | {image} | {row['train_seconds']:.0f} | "
-            f"{row['render_seconds']:.2f} |"
+            f"{row['range_psnr_db']:.1f} | {row['hit_accuracy']:.3f} | {image} | {seconds} |"
         )
     return "\n".join(lines)
 
