@@ -6,8 +6,9 @@ import dagster as dg
 
 from nvsf_core.errors import RecipeError
 
-_LOCAL_STEPS = 2
-"""Steps at once on one machine: training is serial by the lease, other stages fill the gaps."""
+_THREADS_A_STEP = 2
+_MOST_STEPS = 4
+"""Memory bounds it: a step takes about 1.5 GB."""
 
 
 def executor_from_environment() -> dg.ExecutorDefinition:
@@ -16,16 +17,13 @@ def executor_from_environment() -> dg.ExecutorDefinition:
     Raises:
         RecipeError: It names none of the four.
     """
-    # Two scenes share the cores. By default OpenMP's threads spin while they wait, and take from the other
-    # scene what they do not use: measured beside a busy core, a training step then takes twice as long.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     name = os.environ.get("NVSF_EXECUTOR") or "multiprocess"
     if name == "in_process":
         return dg.in_process_executor
     if name == "multiprocess":
         # forkserver with everything imported once: spawn would import torch anew for every step.
         start = {"forkserver": {"preload_modules": ["pipelines.definitions"]}}
-        return dg.multiprocess_executor.configured({"max_concurrent": _LOCAL_STEPS, "start_method": start})
+        return dg.multiprocess_executor.configured({"max_concurrent": _local_steps(), "start_method": start})
     # The other two are extras (`pip install -e .[ray]`, `.[k8s]`): imported only where asked for.
     if name == "ray":
         from dagster_ray import ray_executor
@@ -36,3 +34,11 @@ def executor_from_environment() -> dg.ExecutorDefinition:
 
         return k8s_job_executor
     raise RecipeError(f"NVSF_EXECUTOR={name!r}: expected in_process, multiprocess, ray or k8s")
+
+
+def _local_steps() -> int:
+    """Steps at once on this machine: as many as get their threads.
+
+    Threads that wait spin: a training beside another step on the same two cores took three times as long.
+    """
+    return max(1, min(_MOST_STEPS, (os.cpu_count() or 1) // _THREADS_A_STEP))
