@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.sensors.own_vehicle import learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
@@ -92,7 +92,7 @@ def _run(task: Task) -> StageOutput:
             **profile,
             "planar_share": float(surfels.is_planar.mean()),
             "seen_through_share": seen_through,
-            "median_plane_thickness_m": float(np.median(surfels.thickness_m[surfels.is_planar])),
+            **_plane_thickness(surfels),
             "own_vehicle_cells": int((evidence.own_range_m > 0).sum()),
         },
         checks=[
@@ -140,6 +140,13 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
         own_range_m=own.range_m,
         own_intensity=own.intensity,
     )
+
+
+def _plane_thickness(surfels: Surfels) -> dict[str, float]:
+    """Median thickness of the planes; nothing where a sparse drive has no plane at all."""
+    if not surfels.is_planar.any():
+        return {}
+    return {"median_plane_thickness_m": float(np.median(surfels.thickness_m[surfels.is_planar]))}
 
 
 def _profile(evidence: SceneEvidence, task: Task) -> dict[str, float | int | str]:
