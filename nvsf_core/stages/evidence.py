@@ -8,7 +8,6 @@ from nvsf_core.errors import DataError
 from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.sensors.own_vehicle import learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
@@ -126,19 +125,15 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
         np.concatenate([[0], np.cumsum(lengths[training])]), a["firings"][training], a["time_s"][training],
         lasers=sweeps.table.laser_count, nominal_firings=sweeps.table.firings_per_turn,
     )  # fmt: skip
-    parts = [sweeps.returns_of(int(scan)) for scan in training]
     firings = np.where(a["firings"][training] > 0, a["firings"][training], sweeps.table.firings_per_turn)
-    cells = min(2000, int(firings.min()))
-    scans = [(a["points_m"][part], a["intensity"][part], a["laser"][part]) for part in parts]
-    own = learn_own_vehicle(sweeps.table, scans, cells)
     lasers = np.unique(a["laser"][of_training])
     return SceneEvidence(
         surfels=surfels,
         prior=prior,
         lasers=lasers[lasers >= 0].astype(np.int16),
         firings=firings.astype(np.int32),
-        own_range_m=own.range_m,
-        own_intensity=own.intensity,
+        own_range_m=a["own_vehicle_range_m"],
+        own_intensity=a["own_vehicle_intensity"],
     )
 
 
