@@ -15,7 +15,7 @@ INITIAL_BOUND = 1e-4
 
 
 class HashGrid(nn.Module):
-    """Hash-grid features of positions in the unit box, with a table that trains.
+    """Hash-grid features of positions in the unit box (or square), with a table that trains.
 
     Two grids of the same layout start differently when they are given the same generator one after the
     other (the authors seed every module with 1337, so theirs start identical).
@@ -48,7 +48,7 @@ class HashGrid(nn.Module):
         return self.layout.outputs
 
     def forward(self, positions: Tensor) -> Tensor:
-        """Encode (..., 3) positions in [0, 1] (clamped) as (..., levels * features)."""
-        flat = positions.reshape(-1, 3)
+        """Encode (..., layout.dimensions) positions in [0, 1] (clamped) as (..., levels * features)."""
+        flat = positions.reshape(-1, self.layout.dimensions)
         encoded = hash_grid_encode(flat, self.table, self.layout, backend=self.backend)
         return encoded.reshape(*positions.shape[:-1], self.outputs)

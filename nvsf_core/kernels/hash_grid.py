@@ -19,15 +19,17 @@ Backend = Literal["torch", "numba"]
 def hash_grid_encode(
     positions: Tensor, table: Tensor, layout: GridLayout, backend: Backend | None = None
 ) -> Tensor:
-    """Trilinear look-up of every level of a multiresolution hash grid.
+    """Linear look-up of every level of a multiresolution hash grid.
 
-    ``out[:, l*F:(l+1)*F] = sum over the 8 grid points c around x of w_c(x) * table[offset_l + index_l(c)]``.
-    Positions outside the box are clamped to it: they get the encoding of the nearest point of the box, and
-    no gradient along the clamped axes. In a dense level a grid point past the last is the last one. A NaN
-    position yields a NaN encoding. float32 on the CPU runs in numba; anything else in the torch oracle.
+    ``out[:, l*F:(l+1)*F] = sum over the grid points c around x of w_c(x) * table[offset_l + index_l(c)]``,
+    8 points c in three dimensions, 4 in two. Positions outside the box are clamped to it: they get the
+    encoding of the nearest point of the box, and no gradient along the clamped axes. In a dense level a grid
+    point past the last is the last one. A NaN position yields a NaN encoding. float32 on the CPU runs in
+    numba; anything else in the torch oracle.
 
     Args:
-        positions: (n, 3) in [0, 1], floating; they may require a gradient (the oracle computes that one).
+        positions: (n, layout.dimensions) in [0, 1], floating; they may require a gradient (the oracle
+            computes that one).
         table: (layout.entries, layout.features), floating, on the same device.
         layout: the grid.
         backend: "torch" or "numba" to override the choice.
@@ -84,8 +86,11 @@ def _is_cpu_float32(tensor: Tensor) -> bool:
 
 
 def _require_shapes(positions: Tensor, table: Tensor, layout: GridLayout) -> None:
-    if positions.ndim != 2 or positions.shape[1] != 3:
-        raise ShapeError(f"hash_grid_encode: expected positions (n, 3), found {tuple(positions.shape)}")
+    if positions.ndim != 2 or positions.shape[1] != layout.dimensions:
+        raise ShapeError(
+            f"hash_grid_encode: expected positions (n, {layout.dimensions}) for {layout}, found "
+            f"{tuple(positions.shape)}"
+        )
     expected = (layout.entries, layout.features)
     if tuple(table.shape) != expected:
         raise ShapeError(

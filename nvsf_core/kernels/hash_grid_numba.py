@@ -87,8 +87,32 @@ def _corners(
             entry[6, i], entry[7, i] = (x ^ y1 ^ z1) & mask, (x1 ^ y1 ^ z1) & mask
 
 
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
+def _corners_of_square(
+    positions: Any, first: Any, count: Any, scale: Any, resolution: Any, dense: Any, mask: Any,
+    entry: Any, weight: Any,
+) -> None:  # fmt: skip
+    """As `_corners`, in two dimensions: fills the first four rows."""
+    one = np.float32(1.0)
+    top = resolution - 1
+    for i in range(count):
+        x, fx = _cell(positions[first + i, 0], scale)
+        y, fy = _cell(positions[first + i, 1], scale)
+        gx, gy = one - fx, one - fy
+        weight[0, i], weight[1, i], weight[2, i], weight[3, i] = gx * gy, fx * gy, gx * fy, fx * fy
+        if dense:
+            x0, x1 = min(x, top), min(x + 1, top)
+            y0, y1 = min(y, top) * resolution, min(y + 1, top) * resolution
+            entry[0, i], entry[1, i], entry[2, i], entry[3, i] = x0 + y0, x1 + y0, x0 + y1, x1 + y1
+        else:
+            y0 = y * _PRIME_Y
+            y1 = y0 + _PRIME_Y
+            entry[0, i], entry[1, i] = (x ^ y0) & mask, ((x + 1) ^ y0) & mask
+            entry[2, i], entry[3, i] = (x ^ y1) & mask, ((x + 1) ^ y1) & mask
+
+
 @cache
-def _forward_for(feature_count: int) -> Any:
+def _forward_for(feature_count: int, corners: int) -> Any:
     """The forward kernel with the number of features known to the compiler, which unrolls over them."""
     # unsigned: numba would test every signed index for being negative
     features = np.uint64(feature_count)
@@ -107,33 +131,30 @@ def _forward_for(feature_count: int) -> Any:
                 part = table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(chunk * chunk_points, end, _BLOCK):
                     count = min(_BLOCK, end - first)
-                    _corners(
-                        positions, first, count, scales[level], resolutions[level], dense[level], mask,
-                        entry, weight,
-                    )  # fmt: skip
+                    if corners == 8:
+                        _corners(
+                            positions, first, count, scales[level], resolutions[level], dense[level], mask,
+                            entry, weight,
+                        )  # fmt: skip
+                    else:
+                        _corners_of_square(
+                            positions, first, count, scales[level], resolutions[level], dense[level], mask,
+                            entry, weight,
+                        )  # fmt: skip
                     for i in range(count):
                         row = np.uint64((first + i) * levels + level) * features
-                        r0, r1 = np.uint64(entry[0, i]) * features, np.uint64(entry[1, i]) * features
-                        r2, r3 = np.uint64(entry[2, i]) * features, np.uint64(entry[3, i]) * features
-                        r4, r5 = np.uint64(entry[4, i]) * features, np.uint64(entry[5, i]) * features
-                        r6, r7 = np.uint64(entry[6, i]) * features, np.uint64(entry[7, i]) * features
-                        w0, w1, w2, w3 = weight[0, i], weight[1, i], weight[2, i], weight[3, i]
-                        w4, w5, w6, w7 = weight[4, i], weight[5, i], weight[6, i], weight[7, i]
                         for f in range(features):
                             k = np.uint64(f)
-                            out[row + k] = (
-                                (w0 * part[r0 + k] + w1 * part[r1 + k])
-                                + (w2 * part[r2 + k] + w3 * part[r3 + k])
-                            ) + (
-                                (w4 * part[r4 + k] + w5 * part[r5 + k])
-                                + (w6 * part[r6 + k] + w7 * part[r7 + k])
-                            )
+                            total = np.float32(0.0)
+                            for corner in range(corners):
+                                total += weight[corner, i] * part[np.uint64(entry[corner, i]) * features + k]
+                            out[row + k] = total
 
     return _compiled(forward, **_OPTIONS)
 
 
 @cache
-def _adjoint_for(feature_count: int) -> Any:
+def _adjoint_for(feature_count: int, corners: int) -> Any:
     """The adjoint kernel with the number of features known to the compiler."""
     features = np.uint64(feature_count)
 
@@ -151,13 +172,19 @@ def _adjoint_for(feature_count: int) -> Any:
                 part = grad_table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(0, points, _BLOCK):
                     count = min(_BLOCK, points - first)
-                    _corners(
-                        positions, first, count, scales[level], resolutions[level], dense[level], mask,
-                        entry, weight,
-                    )  # fmt: skip
+                    if corners == 8:
+                        _corners(
+                            positions, first, count, scales[level], resolutions[level], dense[level], mask,
+                            entry, weight,
+                        )  # fmt: skip
+                    else:
+                        _corners_of_square(
+                            positions, first, count, scales[level], resolutions[level], dense[level], mask,
+                            entry, weight,
+                        )  # fmt: skip
                     for i in range(count):
                         row = np.uint64((first + i) * levels + level) * features
-                        for corner in range(8):
+                        for corner in range(corners):
                             target = np.uint64(entry[corner, i]) * features
                             corner_weight = weight[corner, i]
                             for f in range(features):
@@ -186,14 +213,14 @@ def _use_threads_of_torch() -> int:
 
 
 def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    """Encode float32 CPU positions (n, 3) with a float32 table; no gradient is recorded.
+    """Encode float32 CPU positions (n, dimensions) with a float32 table; no gradient is recorded.
 
     See `nvsf_core.kernels.hash_grid_encode` for the contract.
     """
     threads = _use_threads_of_torch()
     points = positions.shape[0]
     out = np.empty((points, layout.outputs), dtype=np.float32)
-    _forward_for(layout.features)(
+    _forward_for(layout.features, layout.corners)(
         positions.detach().contiguous().numpy(),
         table.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),
@@ -207,7 +234,7 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
     """Gradient with respect to the table, from the gradient with respect to the encoding.
 
     Args:
-        positions: (n, 3) float32 on the CPU.
+        positions: (n, dimensions) float32 on the CPU.
         grad: (n, levels * features) float32 on the CPU.
         layout: the grid.
 
@@ -217,7 +244,7 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
     threads = _use_threads_of_torch()
     # numpy, unlike torch, asks for huge pages: clearing tens of MB costs a quarter
     grad_table = np.zeros((layout.entries, layout.features), dtype=np.float32)
-    _adjoint_for(layout.features)(
+    _adjoint_for(layout.features, layout.corners)(
         positions.detach().contiguous().numpy(),
         grad.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),

@@ -14,7 +14,7 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     """Encode positions; see `nvsf_core.kernels.hash_grid_encode` for the contract.
 
     Args:
-        positions: (n, 3) floating, in [0, 1] (clamped).
+        positions: (n, dimensions) floating, in [0, 1] (clamped).
         table: (layout.entries, layout.features) floating.
         layout: the grid.
 
@@ -32,20 +32,25 @@ def _encode_level(inside: Tensor, table: Tensor, layout: GridLayout, level: int)
     # A NaN position has no cell: it reads cell 0 and stays NaN through its weights.
     cell = torch.nan_to_num(lower, nan=0.0).long()
     total = torch.zeros(inside.shape[0], layout.features, dtype=table.dtype, device=table.device)
-    for corner in range(8):
-        upper = [(corner >> axis) & 1 for axis in range(3)]
+    for corner in range(layout.corners):
+        upper = [(corner >> axis) & 1 for axis in range(layout.dimensions)]
         weight = torch.ones_like(fraction[:, 0])
-        for axis in range(3):
+        for axis in range(layout.dimensions):
             weight = weight * (fraction[:, axis] if upper[axis] else 1.0 - fraction[:, axis])
-        entry = _entry(*(cell[:, axis] + upper[axis] for axis in range(3)), layout=layout, level=level)
+        entry = _entry([cell[:, axis] + upper[axis] for axis in range(layout.dimensions)], layout, level)
         total = total + weight[:, None].to(table.dtype) * table[entry]
     return total
 
 
-def _entry(x: Tensor, y: Tensor, z: Tensor, *, layout: GridLayout, level: int) -> Tensor:
+def _entry(point: list[Tensor], layout: GridLayout, level: int) -> Tensor:
+    """Row of the table for grid points, given axis by axis: x fastest where dense, else the XOR hash."""
     if layout.is_dense[level]:
         resolution = layout.resolutions[level]
-        x, y, z = (c.clamp(max=resolution - 1) for c in (x, y, z))
-        return layout.offsets[level] + x + resolution * (y + resolution * z)
-    hashed = (x * PRIMES[0]) ^ (y * PRIMES[1]) ^ (z * PRIMES[2])
+        *finer, entry = [coordinate.clamp(max=resolution - 1) for coordinate in point]
+        for coordinate in reversed(finer):
+            entry = resolution * entry + coordinate
+        return layout.offsets[level] + entry
+    hashed = point[0] * PRIMES[0]
+    for coordinate, prime in zip(point[1:], PRIMES[1:], strict=False):
+        hashed = hashed ^ (coordinate * prime)
     return layout.offsets[level] + (hashed & (layout.table_entries - 1))

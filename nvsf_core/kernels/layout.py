@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil
 
@@ -16,7 +16,7 @@ PRIMES = (1, 2654435761, 805459861)
 
 @dataclass(frozen=True)
 class GridLayout:
-    """A three-dimensional multiresolution hash grid (Müller et al. 2022) with tiny-cuda-nn's conventions.
+    """A multiresolution hash grid (Müller et al. 2022) in 2 or 3 dimensions, with tiny-cuda-nn's conventions.
 
     Level l has ``scale = base * growth^l - 1`` and ``ceil(scale) + 1`` grid points along an axis; a
     position x in [0, 1] lies at ``x * scale + 0.5`` in grid units. The level is dense if all its points
@@ -29,6 +29,7 @@ class GridLayout:
         log2_table: a level has at most 2 to this many entries.
         base_resolution: grid points an axis of the coarsest level, at least 2.
         finest_resolution: grid points an axis of the finest level; ignored when there is one level.
+        dimensions: axes of a position, 2 or 3; given by name.
 
     Raises:
         RecipeError: a value is outside its interval.
@@ -39,6 +40,7 @@ class GridLayout:
     log2_table: int
     base_resolution: int
     finest_resolution: int
+    dimensions: int = field(default=3, kw_only=True)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be laid out."""
@@ -48,6 +50,7 @@ class GridLayout:
             ("log2_table", 1, 30),
             ("base_resolution", 2, 1 << 20),
             ("finest_resolution", self.base_resolution, 1 << 20),
+            ("dimensions", 2, 3),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -82,7 +85,7 @@ class GridLayout:
     @cached_property
     def is_dense(self) -> tuple[bool, ...]:
         """Whether every grid point of the level has an entry of its own."""
-        return tuple(resolution**3 <= self.table_entries for resolution in self.resolutions)
+        return tuple(resolution**self.dimensions <= self.table_entries for resolution in self.resolutions)
 
     @cached_property
     def offsets(self) -> tuple[int, ...]:
@@ -90,9 +93,14 @@ class GridLayout:
         offsets = [0]
         for resolution, dense in zip(self.resolutions, self.is_dense, strict=True):
             # whole multiples of 8 entries, as tiny-cuda-nn, so that every level starts aligned
-            size = min(-(-(resolution**3) // 8) * 8, self.table_entries) if dense else self.table_entries
-            offsets.append(offsets[-1] + size)
+            points = -(-(resolution**self.dimensions) // 8) * 8
+            offsets.append(offsets[-1] + (min(points, self.table_entries) if dense else self.table_entries))
         return tuple(offsets)
+
+    @property
+    def corners(self) -> int:
+        """Grid points around a position: 4 or 8."""
+        return 1 << self.dimensions
 
     @property
     def entries(self) -> int:
