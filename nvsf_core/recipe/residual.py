@@ -1,4 +1,4 @@
-"""What a run does: frozen presets, read from and written to JSON, never changed in place."""
+"""Recipes that start from evidence and learn a residual."""
 
 import hashlib
 import json

@@ -1,0 +1,233 @@
+"""The recipes of "Self-Supervised Multimodal NeRF for Autonomous Driving": every part a switch of its own.
+
+Defaults are the paper's text; where the authors' released code does something else, the code's value is
+another value of the same switch. `docs/paper_fidelity.md` has a row for each.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GridSpec:
+    """A multiresolution hash grid."""
+
+    levels: int
+    """Resolutions."""
+    features: int
+    """Numbers an entry."""
+    log2_table: int
+    """Entries a level, as a power of two."""
+    base_resolution: int
+    """Grid points an axis of the coarsest level."""
+    finest_resolution: int
+    """Grid points an axis of the finest level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeGridSpec:
+    """The dynamic hash: for each of the planes xy, xz, yz a row of 2-D hash grids, one a time slice."""
+
+    slices: int = 8
+    """Grids along time, blended linearly."""
+    levels: int = 8
+    """Resolutions of each grid."""
+    features: int = 4
+    """Numbers an entry: the values at the four nodes of the cubic time basis."""
+    log2_tables: tuple[int, int, int] = (15, 13, 13)
+    """Entries a level for xy, xz, yz, as powers of two."""
+    base_resolution: int = 512
+    """Grid points an axis of the coarsest level."""
+    finest_resolution: int = 32768
+    """Grid points an axis of the finest level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanesSpec:
+    """K-planes: six planes a scale, three of space and three with time."""
+
+    scales: tuple[int, ...] = (1, 2, 4, 8)
+    """Factors on the resolution in space; time is not refined."""
+    features: int = 8
+    """Numbers a plane's cell; the planes' are multiplied."""
+    space_resolution: int = 32
+    """Cells along a spatial axis at scale 1."""
+    time_resolution: int = 8
+    """Cells along time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderSpec:
+    """The 4D hybrid encoding of one sensor."""
+
+    static: GridSpec = GridSpec(
+        levels=8, features=4, log2_table=19, base_resolution=512, finest_resolution=32768
+    )
+    """Space alone."""
+    dynamic: TimeGridSpec = TimeGridSpec()
+    """Space in planes, and time."""
+    planes: PlanesSpec = PlanesSpec()
+    """Space and time in planes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlowSpec:
+    """The scene-flow network, shared by both sensors."""
+
+    grid: GridSpec = GridSpec(
+        levels=16, features=8, log2_table=18, base_resolution=32, finest_resolution=8192
+    )
+    """Its own hash grid; each level's features are contracted over the four nodes of the time basis."""
+    hidden: int = 64
+    """Width of its two hidden layers."""
+    points: int = 8192
+    """Most points of each cloud without ground that a step compares."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadsSpec:
+    """The networks after the encoding."""
+
+    hidden: int = 64
+    """Width of all hidden layers."""
+    geometry_features: int = 15
+    """Handed from the density network to the heads."""
+    lidar_frequencies: int = 12
+    """Octaves of the LiDAR direction's frequency encoding."""
+    camera_degree: int = 4
+    """Degree of the camera direction's spherical harmonics."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RefinementSpec:
+    """The U-Net that corrects the hit probabilities of whole panos, trained last."""
+
+    channels: int = 32
+    """Of its first stage; 0 = no U-Net."""
+    steps: int = 1000
+    """Optimiser steps; each sees `frames_a_step` panos."""
+    rate: float = 1e-3
+    """Highest step size of the one-cycle schedule."""
+    frames_a_step: int = 0
+    """Panos a step, drawn in turn; 0 = all of them, accumulated one after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperSampling:
+    """Which rays a step draws, and which points on them."""
+
+    rays: int = 2048
+    """Rays of each sensor a step, all of one frame."""
+    rays_at_once: int = 256
+    """Rays held in memory together; the gradients of the parts add up to the same sum."""
+    samples: int = 768
+    """Points a ray, evenly spaced."""
+    near_m: float = 1.0
+    """First point."""
+    far_m: float = 80.0
+    """Last point of a LiDAR ray; a camera ray ends where it leaves the box."""
+    heuristic: bool = True
+    """In every second epoch draw by the error map instead of evenly."""
+    patches: tuple[int, int] | None = (2, 8)
+    """LiDAR patches (rows, columns) of every second epoch, for the gradient loss; None = single pixels."""
+    camera: bool = True
+    """Camera rays beside LiDAR rays; without them nothing of the camera is built."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GradientLossSpec:
+    """Where and how neighbouring ranges are compared."""
+
+    mask: Literal["double", "single"] = "double"
+    """On the change of the absolute gradient (this paper), or on the gradient (LiDAR-NeRF)."""
+    threshold_m: float = 0.05
+    """Largest value inside the mask; the single-gradient codes use 0.01."""
+    norm: Literal["l1", "mse"] = "l1"
+    """The paper's equation says L1, its text MSE."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperLosses:
+    """Weights lambda_1 to lambda_6 of the paper's total, then the optional terms of the authors' code."""
+
+    flow: float = 1.0
+    """Chamfer distance of the moved cloud to the neighbours', squared scaled units."""
+    depth: float = 1.0
+    """Sum over rays of the absolute range error, scaled units."""
+    intensity: float = 0.1
+    """Sum over rays of the squared intensity error."""
+    raydrop: float = 0.01
+    """Sum over rays of the squared error of the hit probability."""
+    gradient: float = 0.01
+    """Sum over masked pixels of the gradient error, metres; the authors' code 0.1."""
+    colour: float = 1.0
+    """Sum over rays and channels of the squared colour error."""
+    chamfer: float = 0.0
+    """Chamfer distance of the ray batch, m2; the authors' code 1, not in the paper."""
+    flow_magnitude: float = 0.0
+    """Mean absolute flow; the authors' code 1, not in the paper."""
+    camera_depth: float = 0.0
+    """Sum over camera rays with a LiDAR depth of the absolute error, scaled units; the code has it off."""
+    line_of_sight: float = 0.0
+    """Weight outside a shrinking shell around the return (Rematas et al. 2022); the code has it off."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperOptimiser:
+    """Adam, its groups and its schedule."""
+
+    steps: int = 30_000
+    """Iterations, one frame each."""
+    table_rate: float = 1e-2
+    """Of encodings, density and colour networks."""
+    head_rate: float = 1e-3
+    """Of the flow field and of the intensity and hit heads."""
+    final_share: float = 0.1
+    """Both decay exponentially to this share."""
+    ema_decay: float = 0.95
+    """Of the averaged weights, updated once an epoch; 0 = no average."""
+    checkpoint_s: float = 60.0
+    """Seconds between two checkpoints."""
+    threads: int = 2
+    """CPU threads, part of the identity."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuthorsSlips:
+    """What the released code does and the paper does not say; each off by default."""
+
+    flow_unit: bool = False
+    """Add the flow, learned in scaled units, to unit-cube coordinates: 2 x bound times too far."""
+    neighbour_times: bool = False
+    """Neighbours' times as (i +- 1)/n beside own times i/(n - 1)."""
+    bound: float = 1.0
+    """The code's 2 leaves half of every grid axis empty."""
+    minmax_box: bool = False
+    """Box from the extreme points instead of all but the outermost 0.1 %."""
+    half_precision_truth: bool = False
+    """Ranges compared after rounding to float16 in scaled units."""
+    active_sensor: bool = False
+    """Twice the optical depth, as for light that travels there and back."""
+    identical_tables: bool = False
+    """All grids of one shape start with the same numbers (one seed)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperRecipe:
+    """All that decides what is trained and rendered, but the seed."""
+
+    name: str
+    """Names the output folders."""
+    encoders: Literal["same", "separate", "separate_fused"] = "separate"
+    """One encoding for both sensors; one each; or one each, fused before the density network."""
+    aggregate: bool = True
+    """Mix the dynamic features of both neighbouring frames, found by the flow, into a frame's own."""
+    encoder: EncoderSpec = EncoderSpec()
+    flow: FlowSpec = FlowSpec()
+    heads: HeadsSpec = HeadsSpec()
+    sampling: PaperSampling = PaperSampling()
+    gradient: GradientLossSpec = GradientLossSpec()
+    losses: PaperLosses = PaperLosses()
+    optimiser: PaperOptimiser = PaperOptimiser()
+    refinement: RefinementSpec = RefinementSpec()
+    slips: AuthorsSlips = AuthorsSlips()
