@@ -129,12 +129,15 @@ def _exports(outcome: Outcome) -> list[str]:
 
 @dg.op(
     tags={"dagster/priority": str(len(STAGES))},
-    description="One page over all scenes, and the table for the terminal.",
+    description="One page over every scene measured under NVSF_HOME, and this run's table for the terminal.",
 )
 def report_all(
     context: dg.OpExecutionContext, workspace: Workspace, states: list[dict], absent: list[str]
 ) -> list[str]:
-    """Make the report whether or not scenes failed; returns what failed, one line a scene."""
+    """Make the report whether or not scenes failed; returns what failed, one line a scene.
+
+    The page holds everything measured under the home; the table on the terminal, this run.
+    """
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
     path = make_benchmark_report(workspace.home(), [state["scene"] for state in states], failures, absent)

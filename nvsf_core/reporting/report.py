@@ -9,7 +9,14 @@ import numpy as np
 from nvsf_core.reporting import plots
 from nvsf_core.reporting.html import escape, image, number, page, plain_table, plot
 from nvsf_core.reporting.previews import image_preview, scan_top_view
-from nvsf_core.reporting.scene_outputs import CameraPair, SceneOutputs, ViewPictures, mean_of, method_rows
+from nvsf_core.reporting.scene_outputs import (
+    CameraPair,
+    FieldRun,
+    SceneOutputs,
+    ViewPictures,
+    mean_of,
+    method_rows,
+)
 from nvsf_core.reporting.tables import (
     METHOD_WORDS,
     PROTOCOLS,
@@ -68,8 +75,8 @@ def _intro(scenes: Sequence[SceneOutputs]) -> str:
 
 def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], no_data: Sequence[str]) -> str:
     parts = ["<section><h2>All scenes</h2>"]
-    head = ["scene", "method", "Chamfer [m²] ↓", "F-score ↑", "range PSNR [dB] ↑", "image PSNR [dB] ↑",
-            "training [s]", "best in"]  # fmt: skip
+    head = ["scene", "method", "seed", "Chamfer [m²] ↓", "F-score ↑", "range PSNR [dB] ↑",
+            "image PSNR [dB] ↑", "training [s]", "best in", "commit", "measured"]  # fmt: skip
     lines = []
     for scene in measured:
         rows = method_rows(scene)
@@ -85,9 +92,11 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
             ]  # fmt: skip
             columns = sum(column.higher_is_better is not None for column in headline_columns(rows))
             train = number(float(mine[0]["train_seconds"] or 0.0), 1)
-            shown = f"<b>{escape(name)}</b>" if learned else escape(name)
+            recipe, run = escape(mine[0]["recipe"]), mine[0]["run"]
+            shown, seed = (f"<b>{recipe}</b>", str(run.seed)) if learned else (recipe, "")
             link = f'<a href="#{escape(scene.name)}">{escape(scene.name)}</a>' if position == 0 else ""
-            lines.append([link, shown, *cells, train, f"{best[name]} of {columns}"])
+            source = [_commit(run), f"{run.measured:%Y-%m-%d %H:%M}"]
+            lines.append([link, shown, seed, *cells, train, f"{best[name]} of {columns}", *source])
     if lines:
         parts.append(plain_table(head, lines, words=(0, 1)))
         parts.append(
@@ -96,6 +105,11 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
             " <code>image</code>, mean over the cameras. “Best in” counts the main numbers of a scene in"
             " which a"
             " method is the best one.</p>"
+            '<p class="soft">The page holds <b>everything that was measured in this folder</b>, not only the'
+            " last run. A trained model’s row is named by its recipe (what was trained, and how long) and"
+            " seed (of its random numbers); commit: the version of the code that measured it; measured: when,"
+            " UTC. A baseline has no seed; its row comes from the scene’s newest run. Rows of different"
+            " commits may differ because the code does.</p>"
         )
     else:
         parts.append('<div class="note">No scene has been measured yet.</div>')
@@ -119,6 +133,22 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
         " ours.</p></section>"
     )
     return "".join(parts)
+
+
+def _commit(run: FieldRun) -> str:
+    shown = f"<code>{escape(run.commit[:10])}</code>"
+    return f'<span title="{escape(run.commit)}">{shown}</span>' if run.commit else "–"
+
+
+def _provenance(scene: SceneOutputs) -> str:
+    """Which run each row of the scene's tables is from."""
+    runs = "; ".join(
+        f"<b>{escape(run.recipe)}</b>, seed {run.seed}: commit {_commit(run)}, "
+        f"{run.measured:%Y-%m-%d %H:%M} UTC"
+        for run in scene.runs
+    )
+    newest = " Baselines and pictures are of the first of these." if len(scene.runs) > 1 else ""
+    return f'<p class="soft">Measured: {runs}.{newest}</p>'
 
 
 def _how_to_read() -> str:
@@ -158,23 +188,28 @@ def _how_to_read() -> str:
 def _scene(scene: SceneOutputs) -> str:
     parts = [f'<section id="{escape(scene.name)}"><h2>{escape(scene.name)}</h2>']
     if scene.failure:
-        parts.append(
-            f'<div class="note bad"><b>The last run failed.</b><pre>{escape(scene.failure)}</pre></div>'
-        )
+        parts.append(f'<div class="note bad"><b>Failed:</b><pre>{escape(scene.failure)}</pre></div>')
     if not scene.runs:
         parts.append("<p>Nothing has been measured for this scene.</p>")
         return "".join([*parts, _stages(scene), "</section>"])
     rows = method_rows(scene)
     newest = scene.runs[0]
-    parts += [_verdict(rows), "<h3>Error beside time</h3>", headline_table(rows), _cost_plot(rows)]
+    parts += [
+        _verdict(rows),
+        "<h3>Error beside time</h3>",
+        headline_table(rows),
+        _provenance(scene),
+        _cost_plot(rows),
+    ]
     for view in newest.pictures:
         parts.append(_view(view, newest.recipe))
     curves = [run for run in scene.runs if run.curve.get("step")]
     if curves:
         parts.append("<h3>Training</h3>")
-    for run in curves:
-        caption = f"Loss of {run.recipe}, seed {run.seed}; thick: the sum that is minimised, thin: its terms."
-        parts.append(_figure([plot(plots.curve_png(run.curve), "loss curve")], caption))
+        parts.append(_loss_curve(curves[0]))
+    if curves[1:]:
+        older = "".join(_loss_curve(run) for run in curves[1:])
+        parts.append(f"<details><summary>Loss of the older runs</summary>{older}</details>")
     parts.append(_profile(scene))
     parts.append(_stages(scene))
     tables = "".join(f'<div class="label">{escape(name)}</div>{table}' for name, table in full_tables(rows))
@@ -295,6 +330,11 @@ def _camera_pair(pair: CameraPair, names: Mapping[str, str]) -> str:
     return _figure(
         [f'<div class="row camera">{"".join(cells)}</div>'], f"Camera {pair.camera}, frame {pair.frame}."
     )
+
+
+def _loss_curve(run: FieldRun) -> str:
+    caption = f"Loss of {run.recipe}, seed {run.seed}; thick: the sum that is minimised, thin: its terms."
+    return _figure([plot(plots.curve_png(run.curve), "loss curve")], caption)
 
 
 def _profile(scene: SceneOutputs) -> str:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,10 @@ class FieldRun:
 
     recipe: str
     seed: int
+    commit: str
+    """Of the code that measured it; empty where there are no rows."""
+    measured: datetime
+    """When its metrics were published, UTC."""
     means: list[dict[str, Any]]
     """Rows of `metrics.table.mean_rows`, the baselines' included."""
     curve: dict[str, list[Any]]
@@ -81,21 +86,29 @@ class SceneOutputs:
     """Why its last run failed; outputs of earlier runs may be there all the same."""
 
 
+def measured_scenes(home: Path) -> list[str]:
+    """Names of the scenes below a home that have metrics of any recipe and seed, by name."""
+    return sorted(path.name for path in home.iterdir() if _metric_tables(path)) if home.is_dir() else []
+
+
 def collect_scene(
     home: Path, name: str, records: Sequence[StageRecord] = (), failure: str | None = None
 ) -> SceneOutputs:
     """Read one scene's metrics, curves and pictures from `<home>/<name>/`."""
     root = home / name
-    tables = sorted(root.glob("scene_metrics/*/*/metrics.parquet"), key=lambda path: -path.stat().st_mtime_ns)
+    tables = sorted(_metric_tables(root), key=lambda path: -path.stat().st_mtime_ns)
     runs = []
     for position, table in enumerate(tables):
         recipe, seed = table.parts[-3], table.parts[-2]
+        rows = read_rows(table)
         curve = root / "field" / recipe / seed / "curve.parquet"
         runs.append(
             FieldRun(
                 recipe=recipe,
                 seed=int(seed),
-                means=mean_rows(read_rows(table)),
+                commit=str(rows[0]["commit"]) if rows else "",
+                measured=datetime.fromtimestamp(table.stat().st_mtime, UTC),
+                means=mean_rows(rows),
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, root / "novel_views" / recipe / seed) if position == 0 else [],
             )
@@ -106,7 +119,7 @@ def collect_scene(
 
 
 def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
-    """All mean rows, each with a `method` to show; a baseline comes once, from the newest run."""
+    """All mean rows, each with a `method` to show and its `run`; a baseline comes once, from the newest."""
     several = len({run.recipe for run in scene.runs}) < len(scene.runs)
     rows: list[dict[str, Any]] = []
     for position, run in enumerate(scene.runs):
@@ -115,8 +128,14 @@ def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
             if is_baseline and position > 0:
                 continue
             label = f"{row['recipe']}, seed {run.seed}" if several and not is_baseline else row["recipe"]
-            rows.append({**row, "method": label, "is_baseline": is_baseline})
+            rows.append({**row, "method": label, "is_baseline": is_baseline, "run": run})
     return rows
+
+
+def _metric_tables(root: Path) -> list[Path]:
+    """Published tables only: a killed writer leaves hidden folders behind."""
+    found = root.glob("scene_metrics/*/*/metrics.parquet")
+    return [path for path in found if not any(part.startswith(".") for part in path.parts[-3:-1])]
 
 
 def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:

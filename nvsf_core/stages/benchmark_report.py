@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from nvsf_core.errors import NvsfError
 from nvsf_core.reporting.report import write_report
-from nvsf_core.reporting.scene_outputs import StageRecord, collect_scene
+from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.stage import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import publish_folder
@@ -16,11 +17,11 @@ _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RE
 def make_benchmark_report(
     home: Path, scene_names: Sequence[str], failures: Mapping[str, str], no_data: Sequence[str]
 ) -> Path:
-    """Make the page from whatever the scenes have published, and publish it whole.
+    """Make the page from everything that was measured under a home, and publish it whole.
 
     Args:
         home: NVSF_HOME.
-        scene_names: Scenes to show, in this order.
+        scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
         failures: Scene to the reason why its run failed; such a scene is shown with what it has.
         no_data: Catalogue scenes whose recordings are not on this machine.
 
@@ -28,14 +29,26 @@ def make_benchmark_report(
         Path of `<home>/benchmark_report/index.html`.
 
     Raises:
-        StoreError: A published output is not what its contract says.
+        StoreError: A published output of this run's scenes is not what its contract says. (What earlier
+            runs left unreadable is named on the page.)
     """
-    names = list(dict.fromkeys([*scene_names, *failures]))
-    scenes = [collect_scene(home, name, _records(home / name), failures.get(name)) for name in names]
+    own = list(dict.fromkeys([*scene_names, *failures]))
+    others = [name for name in measured_scenes(home) if name not in own]
+    scenes = [collect_scene(home, name, _records(home / name), failures.get(name)) for name in own]
+    scenes += [_earlier_scene(home, name) for name in others]
+    no_data = [name for name in no_data if name not in others]
     target = home / "benchmark_report"
     with publish_folder(target) as folder:
         written = write_report(folder, scenes, no_data)
     return target / written.name
+
+
+def _earlier_scene(home: Path, name: str) -> SceneOutputs:
+    """A scene of an earlier run; perhaps of earlier code, which must not cost this run its report."""
+    try:
+        return collect_scene(home, name, _records(home / name))
+    except NvsfError as error:
+        return SceneOutputs(name=name, failure=f"what an earlier run published cannot be read: {error}")
 
 
 def _records(root: Path) -> list[StageRecord]:

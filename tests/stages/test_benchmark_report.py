@@ -73,7 +73,7 @@ def test_failures_and_absent_scenes_are_named_with_the_reason(tmp_path: Path) ->
 def test_a_failed_scene_keeps_what_it_published_before(tmp_path: Path) -> None:
     write_street(tmp_path, "street")
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {"street": "disk full"}, []))
-    assert "The last run failed." in text
+    assert "Failed: disk full" in text
     assert "quick is best in" in text
 
 
@@ -91,6 +91,33 @@ def test_recipes_and_seeds_stand_beside_each_other_and_baselines_once(tmp_path: 
         assert label in text
     table = page[page.index("Error beside time") :].split("</table>")[0]
     assert table.count(">copy_nearest</td>") == 1
+
+
+def test_the_page_holds_what_earlier_runs_measured_and_says_where_each_row_is_from(tmp_path: Path) -> None:
+    write_street(tmp_path, "street", recipe="quick", seed=3)
+    write_street(tmp_path, "avenue", recipe="smoke", seed=0)
+    killed = tmp_path / "lane" / "scene_metrics" / "quick" / ".publishing-0-1-abc"
+    killed.mkdir(parents=True)
+    (killed / "metrics.parquet").write_bytes(b"half")
+    page, text = _read(make_benchmark_report(tmp_path, ["avenue"], {}, ["street", "kitti360_1908"]))
+    assert page.index('<section id="avenue">') < page.index('<section id="street">')
+    assert "lane" not in page
+    summary = page[page.index("All scenes") :].split("</table>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in summary.split("<tr>")[2:]]
+    assert [(row[1], row[2]) for row in rows if row[2]] == [("<b>smoke</b>", "0"), ("<b>quick</b>", "3")]
+    assert len(rows) == 6 and all(">abc<" in row[-2] and row[-1].startswith("20") for row in rows)
+    assert "these scenes of the catalogue: kitti360_1908 ." in text
+    assert "Measured: quick , seed 3: commit abc" in text
+
+
+def test_what_an_earlier_run_left_unreadable_is_named_and_costs_no_page(tmp_path: Path) -> None:
+    write_street(tmp_path, "street")
+    store = write_street(tmp_path, "old")
+    array = store.path("novel_views/quick/0") / "test" / "model.zarr" / "points_m"
+    array.rename(array.with_name("lost"))
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "old failed: what an earlier run published cannot be read" in text and "points_m" in text
+    assert "quick is best in" in text
 
 
 def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
