@@ -57,6 +57,8 @@ class SceneEntry:
     """Cameras to use; None = every camera present and calibrated."""
     recipe: str | None = None
     """Recipe where none is asked for."""
+    compensate: bool = True
+    """Whether each return is put at its own time; False puts a whole turn at its pose's, as papers do."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
@@ -177,6 +179,7 @@ def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pa
         sweep_period_s=None if period_s is None else float(period_s),
         cameras=cameras,
         recipe=_string(raw, "recipe", where) if "recipe" in raw else None,
+        compensate=_boolean(raw, "compensate", where) if "compensate" in raw else True,
     )
 
 
@@ -277,6 +280,13 @@ def _integer(raw: Mapping[str, Any], key: str, where: str) -> int:
     value = raw[key]
     if not isinstance(value, int) or isinstance(value, bool):
         raise DataError(f"{where}: {key}: expected a whole number, found {value!r}")
+    return value
+
+
+def _boolean(raw: Mapping[str, Any], key: str, where: str) -> bool:
+    value = raw[key]
+    if not isinstance(value, bool):
+        raise DataError(f"{where}: {key}: expected true or false, found {value!r}")
     return value
 
 

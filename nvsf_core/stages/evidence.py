@@ -30,6 +30,7 @@ class Sweeps:
     trajectory: Trajectory
     """All recorded poses, held-out frames' too: a pose is what a view is asked for by."""
     period_s: float
+    """Seconds over which a turn's rays are spread; 0 where the scene is not ego-motion compensated."""
     table: LaserTable
     scene_origin_m: np.ndarray
 
@@ -61,7 +62,7 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
         arrays=arrays,
         is_training=np.isin(arrays["frame"], list(training)),
         trajectory=trajectory,
-        period_s=float(attrs["sweep_period_s"]),
+        period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
         table=sensor_table(attrs["sensor"]),
         scene_origin_m=np.array(attrs["scene_origin_m"]),
     )

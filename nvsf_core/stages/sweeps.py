@@ -42,11 +42,6 @@ class _Scan:
 
 
 def _run(task: Task) -> StageOutput:
-    return make_sweeps(task, compensated=True)
-
-
-def make_sweeps(task: Task, *, compensated: bool) -> StageOutput:
-    """Fill the task's folder with `returns.zarr`; False puts each scan at its pose's instant, as papers."""
     frames_dir = task.store.require("frames")
     rows = read_rows(frames_dir / "frames.parquet")
     drive: dict[str, Any] = json.loads((frames_dir / "drive.json").read_text())
@@ -56,7 +51,7 @@ def make_sweeps(task: Task, *, compensated: bool) -> StageOutput:
     source = sources.most_common(1)[0][0] if scans else UNKNOWN
     own = _learn_own_vehicle(scans)
     correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
-    arrays = _arrays(task, posed, scans, drive, own, correction_rad, compensated=compensated)
+    arrays = _arrays(task, posed, scans, drive, own, correction_rad)
     evidence = _evidence(scans, sources)
     attrs = {
         "scene_origin_m": drive["scene_origin_m"],
@@ -65,7 +60,7 @@ def make_sweeps(task: Task, *, compensated: bool) -> StageOutput:
         "laser_source": source,
         "laser_evidence": evidence,
         "lasers": np.unique(arrays["laser"][arrays["laser"] >= 0]).tolist(),
-        "compensated": compensated,
+        "compensated": task.scene.compensate,
         "sensor": SENSOR.name,
     }
     write_arrays(task.folder / ARRAYS_NAME, arrays, attrs)
@@ -97,8 +92,12 @@ def _learn_own_vehicle(scans: list[_Scan]) -> OwnVehicle:
 
 
 def _arrays(
-    task: Task, posed: list[dict[str, Any]], scans: list[_Scan], drive: dict[str, Any], own: OwnVehicle,
-    correction_rad: float, *, compensated: bool,
+    task: Task,
+    posed: list[dict[str, Any]],
+    scans: list[_Scan],
+    drive: dict[str, Any],
+    own: OwnVehicle,
+    correction_rad: float,
 ) -> dict[str, np.ndarray]:
     rays = []
     if scans:
@@ -114,7 +113,7 @@ def _arrays(
                 compensate(
                     SENSOR, scan.points_m, scan.timing.laser, scan.timing.sweep_fraction,
                     scan.row["time_s"], drive["sweep_period_s"], trajectory,
-                    compensated=compensated, elevation_correction_rad=correction_rad,
+                    compensated=task.scene.compensate, elevation_correction_rad=correction_rad,
                 )
             )  # fmt: skip
             if time.monotonic() - said_s > _SAY_EVERY_S:
@@ -193,7 +192,10 @@ def _thickness(arrays: dict[str, np.ndarray]) -> float:
 
 
 def _output(
-    task: Task, scans: list[_Scan], arrays: dict[str, np.ndarray], attrs: dict[str, Any],
+    task: Task,
+    scans: list[_Scan],
+    arrays: dict[str, np.ndarray],
+    attrs: dict[str, Any],
     drive: dict[str, Any],
 ) -> StageOutput:
     if not scans:

@@ -114,6 +114,7 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (SCENE.replace("= 3", '= "3"'), "first_frame: expected a whole number"),
         (SCENE + 'cameras = ["image_09"]\n', "image_09"),
         (SCENE + "sweep_period_s = -1\n", "sweep_period_s"),
+        (SCENE + "compensate = 0\n", "compensate: expected true or false, found 0"),
         (SCENE + '[[view]]\nname = "v"\nscenes = ["b"]\n', "unknown scene 'b'"),
         (SCENE + '[[view]]\nname = "v"\nscenes = ["a"]\nframes = [9]\n', r"frames \[9\] are not in 3..6"),
         (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from nvsf_core.geometry.se3 import exp_se3
-from nvsf_core.kitti360.catalogue import SceneEntry
+from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.recipe import Recipe
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import frames, pano, sweeps
+from nvsf_core.stages.evidence import read_sweeps
 from nvsf_core.stages.flow import run_scene
 from nvsf_core.stages.stage import RunConfig, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -84,8 +85,9 @@ def drive(tmp_path_factory):
     return entry, store
 
 
-def _task(drive, folder):
+def _task(drive, folder, **changes):
     entry, store = drive
+    entry = replace(entry, **changes)
     folder.mkdir()
     config = RunConfig(recipe=Recipe.preset("smoke"))
     return Task(scene=entry, store=store, config=config, folder=folder, progress=lambda line: None)
@@ -93,7 +95,7 @@ def _task(drive, folder):
 
 def test_every_return_is_a_ray_onto_the_walls(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
-    output = sweeps.make_sweeps(_task(drive, tmp_path / "out"), compensated=True)
+    output = sweeps.STAGE.run(_task(drive, tmp_path / "out"))
     assert all(check.passed for check in output.checks), output.checks
     a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
     assert a["frame"].tolist() == [0, 1, 2, 3, 5]
@@ -111,13 +113,47 @@ def test_every_return_is_a_ray_onto_the_walls(drive, tmp_path, monkeypatch):
 
 def test_without_compensation_the_walls_smear(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
-    output = sweeps.make_sweeps(_task(drive, tmp_path / "out"), compensated=False)
+    output = sweeps.STAGE.run(_task(drive, tmp_path / "out", compensate=False))
     assert output.metadata["compensated"] is False
     assert read_attrs(tmp_path / "out" / sweeps.ARRAYS_NAME)["compensated"] is False
     a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
     hit_m = a["origin_m"] + a["range_m"][:, None] * a["direction"]
     walls = np.stack([8.0 - np.abs(hit_m[:, 1]), 60.0 - np.abs(hit_m[:, 0]), hit_m[:, 2] + 1.73])
     assert np.quantile(np.abs(walls).min(axis=0), 0.95) > 0.02
+
+
+def test_the_catalogue_switches_compensation_off_and_a_turn_then_has_one_pose(tiny_catalogue, tmp_path):
+    def run(name, line):
+        written = tmp_path / f"{name}.toml"
+        text = tiny_catalogue.read_text().replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"')
+        written.write_text(text.replace('recipe = "smoke"', f'recipe = "smoke"\n{line}'))
+        entry = next(entry for entry in load_catalogue([written], None) if entry.name == "tiny")
+        stages = [frames.STAGE, sweeps.STAGE]
+        outcomes = run_scene(entry, tmp_path / name, stages=stages, progress=lambda line: None)
+        return SceneStore(home=tmp_path / name, scene="tiny"), outcomes[1].fingerprint
+
+    def seen_from_the_pose(store):
+        """Where the rays of one turn end, in the frame of the turn's one pose, beside what was recorded."""
+        scene = read_sweeps(store)
+        a, turn = scene.arrays, scene.returns_of(1)
+        local = a["lidar_to_world"][1].copy()
+        local[:3, 3] -= scene.scene_origin_m
+        hit_m = a["origin_m"][turn] + a["range_m"][turn, None] * a["direction"][turn]
+        back = np.linalg.inv(local)
+        seen_m = hit_m @ back[:3, :3].T + back[:3, 3]
+        return scene.period_s, np.linalg.norm(seen_m - a["points_m"][turn], axis=1), a["range_m"][turn]
+
+    moved, moved_print = run("moved", "compensate = true")
+    still, still_print = run("still", "compensate = false")
+    assert moved_print != still_print
+    attrs = read_attrs(still.require("sweeps") / sweeps.ARRAYS_NAME)
+    assert attrs["compensated"] is False and attrs["sweep_period_s"] == pytest.approx(0.1)
+    period_s, off_m, range_m = seen_from_the_pose(still)
+    assert period_s == 0.0, "what is trained and rendered stands still during a turn too"
+    # Only the sensor's own elevation correction is left: an angle, the same for every return.
+    assert (off_m <= range_m * HDL_64E.elevation_correction_rad * 1.01 + 1e-4).all()
+    period_s, off_m, _ = seen_from_the_pose(moved)
+    assert period_s == pytest.approx(0.1) and off_m.max() > 0.3
 
 
 def test_the_published_facts_say_how_lasers_were_found(drive, tmp_path):
@@ -190,7 +226,7 @@ def test_a_real_map_is_thin_with_the_correction_and_thick_without(tmp_path, monk
     assert 100 < found["own_vehicle_returns_per_scan"] < 165
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
     store = SceneStore(home=tmp_path, scene="part")
-    plain = sweeps.make_sweeps(_task((entry, store), tmp_path / "plain"), compensated=True)
+    plain = sweeps.STAGE.run(_task((entry, store), tmp_path / "plain"))
     assert plain.metadata["map_thickness_m"] > 1.05 * found["map_thickness_m"]
 
 
