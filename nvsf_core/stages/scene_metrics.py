@@ -108,8 +108,6 @@ def _run(task: Task) -> StageOutput:
             for done in _measure_camera(path, images, camera, method, ledger, lpips):
                 task.progress(f"[{task.scene.name}] scene_metrics: {name}, {camera} {done}")
     write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
-    for line in summary_table(ledger.rows).splitlines():
-        task.progress(line)
     return _output(ledger)
 
 
