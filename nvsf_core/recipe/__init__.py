@@ -1,5 +1,6 @@
-"""What a run does: frozen presets, read from and written to JSON, never changed in place."""
+"""What a run does: frozen recipes, read from and written to JSON, never changed in place."""
 
+from nvsf_core.recipe.base import Recipe
 from nvsf_core.recipe.paper import (
     AuthorsSlips,
     EncoderSpec,
@@ -15,16 +16,19 @@ from nvsf_core.recipe.paper import (
     RefinementSpec,
     TimeGridSpec,
 )
+from nvsf_core.recipe.presets import ABLATION, ENCODINGS, preset, recipe_from_json
 from nvsf_core.recipe.residual import (
     BackgroundSpec,
     EvidenceSpec,
     FieldSpec,
     LossWeights,
-    Recipe,
+    ResidualRecipe,
     TrainingSpec,
 )
 
 __all__ = [
+    "ABLATION",
+    "ENCODINGS",
     "AuthorsSlips",
     "BackgroundSpec",
     "EncoderSpec",
@@ -42,6 +46,9 @@ __all__ = [
     "PlanesSpec",
     "Recipe",
     "RefinementSpec",
+    "ResidualRecipe",
     "TimeGridSpec",
     "TrainingSpec",
+    "preset",
+    "recipe_from_json",
 ]

@@ -5,7 +5,9 @@ another value of the same switch. `docs/paper_fidelity.md` has a row for each.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
+
+from nvsf_core.recipe.base import Recipe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,11 +215,12 @@ class AuthorsSlips:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaperRecipe:
-    """All that decides what is trained and rendered, but the seed."""
+class PaperRecipe(Recipe):
+    """The paper's system, or a part of it."""
 
-    name: str
-    """Names the output folders."""
+    family: ClassVar[str] = "paper"
+    """Which code trains it."""
+
     encoders: Literal["same", "separate", "separate_fused"] = "separate"
     """One encoding for both sensors; one each; or one each, fused before the density network."""
     aggregate: bool = True

@@ -1,11 +1,9 @@
 """Recipes that start from evidence and learn a residual."""
 
-import hashlib
-import json
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import ClassVar
 
-from nvsf_core.errors import RecipeError
+from nvsf_core.recipe.base import Recipe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +89,12 @@ class LossWeights:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recipe:
-    """All that decides what is trained and rendered, but the seed."""
+class ResidualRecipe(Recipe):
+    """Evidence first; what is left is learned."""
 
-    name: str
-    """Names the output folders."""
+    family: ClassVar[str] = "residual"
+    """Which code trains it."""
+
     evidence: EvidenceSpec = EvidenceSpec()
     lidar_field: FieldSpec = FieldSpec()
     camera_field: FieldSpec = FieldSpec(levels=10, coarsest_cell_m=16.0, finest_cell_m=0.05, decoded=12)
@@ -103,49 +102,3 @@ class Recipe:
     lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
     camera_training: TrainingSpec = TrainingSpec(steps=900, rays=2048)
     losses: LossWeights = LossWeights()
-
-    def to_json(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        return asdict(self)
-
-    @staticmethod
-    def from_json(values: dict[str, Any]) -> "Recipe":
-        """Read back what `to_json` gave.
-
-        Raises:
-            RecipeError: A field is unknown or missing.
-        """
-        parts = {
-            "evidence": EvidenceSpec, "lidar_field": FieldSpec, "camera_field": FieldSpec,
-            "background": BackgroundSpec, "lidar_training": TrainingSpec, "camera_training": TrainingSpec,
-            "losses": LossWeights,
-        }  # fmt: skip
-        try:
-            return Recipe(**{k: parts[k](**v) if k in parts else v for k, v in values.items()})
-        except TypeError as error:
-            raise RecipeError(f"this is no recipe of this version: {error}") from error
-
-    def identity(self) -> str:
-        """SHA-256 of the sorted JSON: two recipes that differ anywhere differ here."""
-        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
-
-    @staticmethod
-    def preset(name: str) -> "Recipe":
-        """A recipe by name.
-
-        Raises:
-            RecipeError: There is none of that name.
-        """
-        quick = Recipe(name="quick")
-        presets = {
-            "quick": quick,
-            "smoke": replace(
-                quick,
-                name="smoke",
-                lidar_training=TrainingSpec(steps=20, rays=256, checkpoint_s=1.0),
-                camera_training=TrainingSpec(steps=10, rays=128, checkpoint_s=1.0),
-            ),
-        }
-        if name not in presets:
-            raise RecipeError(f"no recipe {name!r}; there are {', '.join(sorted(presets))}")
-        return presets[name]

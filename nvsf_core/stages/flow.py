@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.errors import DataError, StoreError
+from nvsf_core.errors import DataError, RecipeError, StoreError
 from nvsf_core.kitti360.catalogue import (
     SceneEntry,
     catalogue_from_environment,
     has_data,
     home_from_environment,
 )
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import Recipe, ResidualRecipe, preset
 from nvsf_core.stages.lease import device_lease
 from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, read_record, run_stage
 from nvsf_core.stores.scene_store import SceneStore
@@ -37,8 +37,8 @@ class SceneRun:
 
 
 def plan_run(
-    scene: SceneEntry, home: Path, *, recipe: str | Recipe | None = None, seed: int = 0, draw_seed: int = 0,
-    dataset_label: str = "manual",
+    scene: SceneEntry, home: Path, *, recipe: str | Recipe | None = None, seed: int = 0,
+    draw_seed: int = 0, dataset_label: str = "manual",
 ) -> SceneRun:
     """Decide recipe and places: the recipe asked for, else the catalogue's, else the default.
 
@@ -46,7 +46,9 @@ def plan_run(
         RecipeError: There is no preset of that name.
     """
     if not isinstance(recipe, Recipe):
-        recipe = Recipe.preset(recipe or scene.recipe or DEFAULT_RECIPE)
+        recipe = preset(recipe or scene.recipe or DEFAULT_RECIPE)
+    if not isinstance(recipe, ResidualRecipe):
+        raise RecipeError(f"recipe {recipe.name} cannot be trained yet: ask for quick")
     config = RunConfig(recipe=recipe, seed=seed, draw_seed=draw_seed, dataset_label=dataset_label)
     return SceneRun(scene=scene, store=SceneStore(home=home.resolve(), scene=scene.name), config=config)
 

@@ -9,7 +9,7 @@ from nvsf_core.losses.depth import depth_loss
 from nvsf_core.losses.intensity import intensity_loss
 from nvsf_core.losses.raydrop import raydrop_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.rendering.lidar import render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.training.lidar_rays import LidarRays
@@ -19,7 +19,7 @@ def lidar_step(
     field: LidarField,
     surfels: Surfels,
     rays: LidarRays,
-    recipe: Recipe,
+    recipe: ResidualRecipe,
     far_m: float,
     generator: torch.Generator,
 ) -> LossBreakdown:

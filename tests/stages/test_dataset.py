@@ -11,7 +11,7 @@ import pytest
 from nvsf_core.clouds.ply import read_ply
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import preset
 from nvsf_core.simulation.draw import draw_scan, sharpen_hits
 from nvsf_core.stages.dataset import STAGE
 from nvsf_core.stages.stage import RunConfig, StageOutput, Task
@@ -85,7 +85,7 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
             write_rows(folder / "metrics.parquet", rows, list(rows[0]))
     folder = tmp_path / "record"
     folder.mkdir(exist_ok=True)
-    config = RunConfig(recipe=Recipe.preset("quick"), draw_seed=draw_seed)
+    config = RunConfig(recipe=preset("quick"), draw_seed=draw_seed)
     return Task(scene=scene, store=store, config=config, folder=folder, progress=lambda line: None)
 
 
@@ -123,7 +123,7 @@ def test_the_manifest_names_sources_poses_and_metrics_in_strict_json(tmp_path: P
     assert manifest["source_checksums"] == {
         "scan 0000000001": "aa", "scan 0000000002": "bb", "image_00 0000000001": "cc",
     }  # fmt: skip
-    assert manifest["recipe"]["identity"] == Recipe.preset("quick").identity()
+    assert manifest["recipe"]["identity"] == preset("quick").identity()
     assert manifest["software"]["numpy"] == np.__version__
     assert [scan["nearest_frame"] for scan in manifest["scans"]] == [1, 4]
     assert manifest["scans"][1]["lidar_to_world"] == np.eye(4).reshape(-1).tolist()

@@ -11,7 +11,7 @@ import torch
 
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.recipe import FieldSpec, Recipe, TrainingSpec
+from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stores.checkpoints import load_tensors
 
@@ -19,7 +19,7 @@ UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
 LOCATION = "field/slow/0"
 _GRID = FieldSpec(levels=2, log2_table=8)
 SLOW = replace(
-    Recipe.preset("smoke"),
+    preset("smoke"),
     name="slow",
     lidar_field=_GRID,
     camera_field=_GRID,

@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
 from nvsf_core.kitti360.layout import DriveLayout
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import preset
 from nvsf_core.stages.frames import STAGE
 from nvsf_core.stages.stage import Outcome, RunConfig, run_stage
 from nvsf_core.stores.scene_store import SceneStore
@@ -46,7 +46,7 @@ def drive(root: Path) -> SceneEntry:
 
 def run(entry: SceneEntry, home: Path) -> Outcome:
     store = SceneStore(home, entry.name)
-    return run_stage(STAGE, entry, store, RunConfig(recipe=Recipe.preset("quick")), lambda line: None, {})
+    return run_stage(STAGE, entry, store, RunConfig(recipe=preset("quick")), lambda line: None, {})
 
 
 def remove_pose(entry: SceneEntry, frame: int) -> None:

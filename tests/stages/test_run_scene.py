@@ -12,7 +12,7 @@ import pytest
 
 from nvsf_core.errors import DataError, RecipeError, StoreError
 from nvsf_core.kitti360.catalogue import load_catalogue
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.lease import device_lease
 from nvsf_core.stages.stage import Stage, StageOutput
@@ -95,9 +95,9 @@ def test_two_recipes_lie_side_by_side(entry, tmp_path):
 
 
 def test_the_recipe_asked_for_goes_before_the_catalogues(entry, tmp_path):
-    assert plan_run(entry, tmp_path, recipe="quick").config.recipe == Recipe.preset("quick")
-    assert plan_run(entry, tmp_path).config.recipe == Recipe.preset("smoke")
-    assert plan_run(replace(entry, recipe=None), tmp_path).config.recipe == Recipe.preset("quick")
+    assert plan_run(entry, tmp_path, recipe="quick").config.recipe == preset("quick")
+    assert plan_run(entry, tmp_path).config.recipe == preset("smoke")
+    assert plan_run(replace(entry, recipe=None), tmp_path).config.recipe == preset("quick")
     with pytest.raises(RecipeError, match="splendid"):
         plan_run(entry, tmp_path, recipe="splendid")
 

@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.errors import StoreError
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.metrics.table import COLUMNS
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.scene_metrics import STAGE, TABLE_NAME
 from nvsf_core.stages.stage import RunConfig, StageOutput, Task
@@ -29,7 +29,7 @@ def _task(tmp_path: Path) -> Task:
     folder.mkdir()
     return Task(
         scene=scene, store=SceneStore(home=tmp_path / "home", scene="tiny"), folder=folder,
-        config=RunConfig(recipe=Recipe.preset("smoke"), seed=3), progress=lambda line: None,
+        config=RunConfig(recipe=preset("smoke"), seed=3), progress=lambda line: None,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.geometry.se3 import exp_se3
 from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
 from nvsf_core.kitti360.layout import DriveLayout
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
@@ -89,7 +89,7 @@ def _task(drive, folder, **changes):
     entry, store = drive
     entry = replace(entry, **changes)
     folder.mkdir()
-    config = RunConfig(recipe=Recipe.preset("smoke"))
+    config = RunConfig(recipe=preset("smoke"))
     return Task(scene=entry, store=store, config=config, folder=folder, progress=lambda line: None)
 
 
@@ -196,14 +196,14 @@ def test_a_camera_only_drive_has_no_returns_and_no_range_images(drive, tmp_path)
         write_rows(folder / "frames.parquet", rows, frames.FRAME_COLUMNS)
         (folder / "drive.json").write_text(json.dumps(facts))
     with store.publish("sweeps") as folder:
-        task = Task(scene=entry, store=store, config=RunConfig(recipe=Recipe.preset("smoke")), folder=folder,
+        task = Task(scene=entry, store=store, config=RunConfig(recipe=preset("smoke")), folder=folder,
                     progress=lambda line: None)  # fmt: skip
         assert sweeps.STAGE.run(task).metadata["returns"] == 0
     a = read_arrays(store.require("sweeps") / sweeps.ARRAYS_NAME)
     assert a["points_m"].shape == (0, 3)
     assert a["offsets"].tolist() == [0]
     (tmp_path / "out").mkdir()
-    task = Task(scene=entry, store=store, config=RunConfig(recipe=Recipe.preset("smoke")),
+    task = Task(scene=entry, store=store, config=RunConfig(recipe=preset("smoke")),
                 folder=tmp_path / "out", progress=lambda line: None)  # fmt: skip
     assert pano.STAGE.run(task).metadata["scans"] == 0
     assert read_arrays(tmp_path / "out" / pano.ARRAYS_NAME)["linear_range_m"].shape == (0, 66, 1030)

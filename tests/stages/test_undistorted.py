@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.errors import NvsfError
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.layout import DriveLayout
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.stages.stage import RunConfig, StageOutput, Task
 from nvsf_core.stages.undistorted import STAGE
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -42,7 +42,7 @@ def run(
     with store.publish("frames") as folder:
         (folder / "drive.json").write_text(json.dumps({"cameras": cameras}))
         write_rows(folder / "cameras.parquet", rows, COLUMNS)
-    config = RunConfig(recipe=Recipe(name="quick"))
+    config = RunConfig(recipe=ResidualRecipe(name="quick"))
     with store.publish("undistorted") as folder:
         task = Task(scene=scene, store=store, config=config, folder=folder, progress=lambda _: None)
         return STAGE.run(task)

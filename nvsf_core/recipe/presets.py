@@ -1,0 +1,130 @@
+"""The presets by name: `quick` and `smoke`, the paper's recipes, and the rows of its ablation."""
+
+from dataclasses import replace
+from typing import Any
+
+from nvsf_core.errors import RecipeError
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import (
+    AuthorsSlips,
+    EncoderSpec,
+    FlowSpec,
+    GradientLossSpec,
+    GridSpec,
+    PaperLosses,
+    PaperOptimiser,
+    PaperRecipe,
+    PaperSampling,
+    RefinementSpec,
+    TimeGridSpec,
+)
+from nvsf_core.recipe.residual import ResidualRecipe, TrainingSpec
+
+_QUICK = ResidualRecipe(name="quick")
+_SMOKE = replace(
+    _QUICK,
+    name="smoke",
+    lidar_training=TrainingSpec(steps=20, rays=256, checkpoint_s=1.0),
+    camera_training=TrainingSpec(steps=10, rays=128, checkpoint_s=1.0),
+)
+
+_PAPER = PaperRecipe(name="paper")
+_PAPER_AUTHORS = replace(
+    _PAPER,
+    name="paper_authors",
+    losses=PaperLosses(gradient=0.1, chamfer=1.0, flow_magnitude=1.0),
+    slips=AuthorsSlips(
+        flow_unit=True,
+        neighbour_times=True,
+        bound=2.0,
+        minmax_box=True,
+        half_precision_truth=True,
+        identical_tables=True,
+    ),
+)
+
+_SMALL_ENCODER = EncoderSpec(
+    static=GridSpec(levels=8, features=4, log2_table=15, base_resolution=32, finest_resolution=2048),
+    dynamic=TimeGridSpec(log2_tables=(15, 13, 13), base_resolution=32, finest_resolution=2048),
+)
+_PAPER_CPU = PaperRecipe(
+    name="paper_cpu",
+    encoder=_SMALL_ENCODER,
+    flow=FlowSpec(
+        grid=GridSpec(levels=16, features=8, log2_table=15, base_resolution=32, finest_resolution=2048),
+        points=2048,
+    ),
+    sampling=PaperSampling(rays=256, samples=96),
+    optimiser=PaperOptimiser(steps=300, checkpoint_s=10.0),
+    refinement=RefinementSpec(channels=8, steps=30, frames_a_step=1),
+)
+
+
+def _ablation_row(
+    name: str, *, heuristic: bool = False, aligned: bool = False, multimodal: bool = False
+) -> PaperRecipe:
+    """One row of the paper's ablation at the size of `paper_cpu`: what it adds to the baseline."""
+    single = GradientLossSpec(mask="single", threshold_m=0.01)
+    return replace(
+        _PAPER_CPU,
+        name=f"paper_cpu_{name}",
+        gradient=_PAPER_CPU.gradient if aligned else single,
+        sampling=replace(_PAPER_CPU.sampling, heuristic=heuristic, camera=multimodal),
+    )
+
+
+ABLATION = (
+    _ablation_row("bl"),
+    _ablation_row("bl_hs", heuristic=True),
+    _ablation_row("bl_fa", aligned=True),
+    _ablation_row("bl_ml", multimodal=True),
+    _ablation_row("all", heuristic=True, aligned=True, multimodal=True),
+)
+"""BL, + heuristic sampling, + double-gradient mask (feature alignment), + camera rays (multimodal), all."""
+
+ENCODINGS = (
+    replace(_PAPER_CPU, name="paper_cpu_same", encoders="same"),
+    replace(_PAPER_CPU, name="paper_cpu_separate", encoders="separate"),
+    replace(_PAPER_CPU, name="paper_cpu_separate_fused", encoders="separate_fused"),
+)
+"""The paper's three ways of encoding two sensors."""
+
+_PRESETS: dict[str, Recipe] = {
+    recipe.name: recipe
+    for recipe in (
+        _QUICK,
+        _SMOKE,
+        _PAPER,
+        replace(_PAPER, name="paper_same", encoders="same"),
+        replace(_PAPER, name="paper_separate_fused", encoders="separate_fused"),
+        _PAPER_AUTHORS,
+        _PAPER_CPU,
+        *ABLATION,
+        *ENCODINGS,
+    )
+}
+
+_FAMILIES: dict[str, type[Recipe]] = {"residual": ResidualRecipe, "paper": PaperRecipe}
+
+
+def preset(name: str) -> Recipe:
+    """A recipe by name.
+
+    Raises:
+        RecipeError: There is none of that name.
+    """
+    if name not in _PRESETS:
+        raise RecipeError(f"no recipe {name!r}; there are {', '.join(sorted(_PRESETS))}")
+    return _PRESETS[name]
+
+
+def recipe_from_json(values: dict[str, Any]) -> Recipe:
+    """Read back what `to_json` gave.
+
+    Raises:
+        RecipeError: The family is unknown, or a field is unknown or missing.
+    """
+    family = values.get("family")
+    if family not in _FAMILIES:
+        raise RecipeError(f"expected a recipe of the family {' or '.join(_FAMILIES)}, found {family!r}")
+    return _FAMILIES[family].from_json(values)
