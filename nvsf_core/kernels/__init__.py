@@ -1,5 +1,11 @@
 """Raw arrays in, raw arrays out: the hash-grid encode and its adjoint; torch oracle and numba (CPU)."""
 
+import os
+
+# Before numba is imported. Its own order begins with TBB, which warns at users whose system has an old one.
+# OpenMP bears calls from several threads as TBB does; workqueue, which does not, stays the last resort.
+os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
+
 from nvsf_core.kernels.hash_grid import Backend, hash_grid_encode
 from nvsf_core.kernels.layout import GridLayout
 

@@ -1,0 +1,32 @@
+"""Parallel kernels may be called from several threads, and their first call warns of no system library."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROCESS = """
+from concurrent.futures import ThreadPoolExecutor
+import torch
+from nvsf_core.kernels import GridLayout, hash_grid_encode
+
+layout = GridLayout(levels=4, features=2, log2_table=12, base_resolution=4, finest_resolution=64)
+table = torch.rand(layout.entries, 2)
+points = [torch.rand(20_000, 3) for _ in range(8)]
+alone = [hash_grid_encode(one, table, layout) for one in points]
+import numba
+print(numba.threading_layer(), flush=True)
+with ThreadPoolExecutor(4) as pool:
+    together = list(pool.map(lambda one: hash_grid_encode(one, table, layout), points * 4))
+print(all(torch.equal(found, alone[i % 8]) for i, found in enumerate(together)))
+"""
+
+
+def test_threads_that_encode_at_once_get_what_one_gets_and_nobody_is_warned():
+    done = subprocess.run([sys.executable, "-c", PROCESS], capture_output=True, text=True, check=False)
+    assert "NumbaWarning" not in done.stderr
+    if done.stdout.startswith("workqueue"):
+        pytest.skip("neither OpenMP nor TBB on this machine, kernels bear one thread only: install libgomp1")
+    assert done.returncode == 0, done.stderr
+    layer, same = done.stdout.split()
+    assert layer in ("omp", "tbb") and same == "True"
