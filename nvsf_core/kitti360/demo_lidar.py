@@ -25,7 +25,7 @@ from nvsf_core.kitti360.demo_street import Material
 from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 
-__all__ = ["MAX_RANGE_M", "RANGE_NOISE_M", "DemoScan", "simulate_scan"]
+__all__ = ["MAX_RANGE_M", "RANGE_NOISE_M", "DemoScan", "ExactAnswers", "exact_answers", "simulate_scan"]
 
 MAX_RANGE_M = 80.0
 """Nothing farther is recorded."""
@@ -69,6 +69,57 @@ class DemoScan:
     """(N,) int32 of what was met; -2 is the recording car."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactAnswers:
+    """What L lasers x F firings would meet, without noise, mixed pixels or chance; all (L, F)."""
+
+    range_m: np.ndarray
+    """float32 along the laser's ray; inf where it meets nothing."""
+    chance: np.ndarray
+    """float64, of a return: 0 beyond `MAX_RANGE_M`."""
+    intensity: np.ndarray
+    """float64, expected, 0..0.99."""
+
+
+def exact_answers(
+    world: DemoWorld,
+    table: LaserTable,
+    lasers: np.ndarray,
+    theta_rad: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    mount: np.ndarray | None,
+    own_vehicle: bool,
+) -> ExactAnswers:
+    """The truth for any sensor on the recording car's path, at any time.
+
+    Args:
+        world: What to look at.
+        table: The sensor.
+        lasers: (L,) rows of the table.
+        theta_rad: (L, F) encoder angles.
+        time_s: (L, F) since the first frame.
+        mount: (4, 4) pose of the sensor in the recording sensor's frame; None = the same place.
+        own_vehicle: Whether the recording car is around the sensor, wherever that is mounted.
+    """
+    origin, direction = _recorded_rays(table, lasers, theta_rad)
+    tiles = tile_index(*theta_rad.shape, 8)
+    shapes = _OWN_VEHICLE if own_vehicle else None
+    range_m, material, _, cosine = _cast(
+        world, table, origin, direction, theta_rad.ravel(), time_s.ravel(), tiles, mount, shapes
+    )
+    shape = theta_rad.shape
+    range_m, material, cosine = range_m.reshape(shape), material.reshape(shape), cosine.reshape(shape)
+    present = range_m < MAX_RANGE_M
+    distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
+    reflectivity = _reflectivity(material)
+    return ExactAnswers(
+        range_m=range_m,
+        chance=present * _return_chance(distance, material, reflectivity, cosine),
+        intensity=np.clip(_shine(distance, reflectivity, cosine), 0.0, 0.99),
+    )
+
+
 def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int) -> DemoScan:
     """The scan of a frame.
 
@@ -83,7 +134,7 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
     origin, direction = _recorded_rays(HDL_64E, lasers, theta)
     time_s = (frame + fraction.ravel()) * FRAME_PERIOD_S
     tiles = tile_index(len(lasers), firings, 8)
-    hit = _cast(world, origin, direction, theta.ravel(), time_s, tiles)
+    hit = _cast(world, HDL_64E, origin, direction, theta.ravel(), time_s, tiles, None, _OWN_VEHICLE)
     range_m, material, instance, cosine = hit
     measured, intensity, returned = _measure(
         rng, range_m.reshape(theta.shape), material.reshape(theta.shape), cosine.reshape(theta.shape)
@@ -149,28 +200,33 @@ def _turned_up(vectors: np.ndarray, theta: np.ndarray, angle_rad: float) -> np.n
 
 def _cast(
     world: DemoWorld,
+    table: LaserTable,
     origin: np.ndarray,
     direction: np.ndarray,
     theta: np.ndarray,
     time_s: np.ndarray,
     tiles: np.ndarray,
+    mount: np.ndarray | None,
+    own_vehicle: Shapes | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Range, material, instance and |cos incidence| (N,) of recorded rays fired at their times."""
-    correction = HDL_64E.elevation_correction_rad
+    correction = table.elevation_correction_rad
     origin, direction = _turned_up(origin, theta, correction), _turned_up(direction, theta, correction)
-    pose = ego_pose(time_s)
+    pose = ego_pose(time_s) if mount is None else ego_pose(time_s) @ mount
     turn = pose[:, :3, :3]
     street_origin = (turn @ origin[:, :, None])[..., 0] + pose[:, :3, 3]
     street_direction = (turn @ direction[:, :, None])[..., 0]
     hits = world.cast_in_street(street_origin, street_direction, time_s, tiles)
     cosine = np.abs((hits.normal * street_direction).sum(axis=1))
     range_m, material, instance = hits.range_m, hits.material, hits.instance
+    if own_vehicle is None:
+        return range_m, material, instance, cosine
 
     tile_origin, tile_direction = tile_select(origin, tiles), tile_select(direction, tiles)
     none = np.full(tiles.shape, np.inf, np.float32)
     cones = tile_cones(tile_origin, tile_direction)
     own = np.empty_like(range_m)
-    own[tiles] = cast_shapes(_OWN_VEHICLE, tile_origin, tile_direction, none, cones)[0]
+    own[tiles] = cast_shapes(own_vehicle, tile_origin, tile_direction, none, cones)[0]
     on_own = own < range_m
     range_m[on_own], material[on_own] = own[on_own], Material.PAINT
     instance[on_own], cosine[on_own] = OWN_VEHICLE, 0.5
@@ -206,12 +262,30 @@ def _measure(
     share = np.where(edge & (rng.random(shape) < _MIXED_SHARE), rng.uniform(0.1, 0.9, shape), 0.0)
     measured = distance + share * (beside - distance) + rng.normal(0.0, RANGE_NOISE_M, shape)
 
-    reflectivity = np.array([_REFLECTIVITY[kind] for kind in Material])[material]
-    signal = reflectivity * np.maximum(cosine, 0.01) / np.maximum(distance, 2.0) ** 2
-    chance = 1.0 / (1.0 + (_HALF_SIGNAL / np.maximum(signal, 1e-12)) ** 2)
-    chance *= np.where(material == Material.GLASS, _GLASS_RETURNS, 1.0) * (1.0 - _RANDOM_DROPS)
+    reflectivity = _reflectivity(material)
+    chance = _return_chance(distance, material, reflectivity, cosine)
     returned = present & (rng.random(shape) < chance) & (measured < MAX_RANGE_M)
 
-    shine = reflectivity * (0.35 + 0.65 * cosine) * (1.1 - distance / 160.0)
-    intensity = np.clip(shine + rng.normal(0.0, 0.02, shape), 0.0, 0.99)
+    intensity = np.clip(_shine(distance, reflectivity, cosine) + rng.normal(0.0, 0.02, shape), 0.0, 0.99)
     return measured, (np.round(intensity * 100.0) / 100.0).astype(np.float32), returned
+
+
+def _reflectivity(material: np.ndarray) -> np.ndarray:
+    found: np.ndarray = np.array([_REFLECTIVITY[kind] for kind in Material])[material]
+    return found
+
+
+def _return_chance(
+    distance_m: np.ndarray, material: np.ndarray, reflectivity: np.ndarray, cosine: np.ndarray
+) -> np.ndarray:
+    """Probability that a pulse comes back strong enough to be seen."""
+    signal = reflectivity * np.maximum(cosine, 0.01) / np.maximum(distance_m, 2.0) ** 2
+    chance: np.ndarray = 1.0 / (1.0 + (_HALF_SIGNAL / np.maximum(signal, 1e-12)) ** 2)
+    chance *= np.where(material == Material.GLASS, _GLASS_RETURNS, 1.0) * (1.0 - _RANDOM_DROPS)
+    return chance
+
+
+def _shine(distance_m: np.ndarray, reflectivity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Expected intensity before it is clipped."""
+    shine: np.ndarray = reflectivity * (0.35 + 0.65 * cosine) * (1.1 - distance_m / 160.0)
+    return shine
