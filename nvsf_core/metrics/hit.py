@@ -39,16 +39,60 @@ def hit_cell_metrics(
     A cell is hit if at least one return lies in it: laser of the return, floor(azimuth / 0.18 deg)
     of the point as recorded (sensor frame, metres). Undefined where lasers are unknown (-1).
     """
-    unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
-    if unknown or n_lasers < 1:
-        bad = undefined(f"the laser of {unknown} returns is unknown")
-        return {"hit_accuracy": bad, "hit_f_score": bad}
-    if predicted_laser.size and int(predicted_laser.max()) >= n_lasers:
-        bad = undefined(f"predicted laser {int(predicted_laser.max())}, but the sensor has {n_lasers}")
+    bad = _no_cells(predicted_laser, truth_laser, n_lasers)
+    if bad is not None:
         return {"hit_accuracy": bad, "hit_f_score": bad}
     return _agreement(
         hit_cells(predicted_m, predicted_laser, n_lasers), hit_cells(truth_m, truth_laser, n_lasers)
     )
+
+
+def hit_region_metrics(
+    predicted_m: np.ndarray,
+    predicted_laser: np.ndarray,
+    truth_m: np.ndarray,
+    truth_laser: np.ndarray,
+    n_lasers: int,
+    predicted_in: np.ndarray,
+    truth_in: np.ndarray,
+    *,
+    complement: bool,
+) -> Mapping[str, Measure]:
+    """`hit_cell_metrics` on the cells that some return of a region fills, or on all others.
+
+    Args:
+        predicted_m: (N, 3) points of the whole simulated scan; `predicted_laser` (N,) their lasers.
+        predicted_laser: See above.
+        truth_m: (M, 3) points of the whole recorded scan; `truth_laser` (M,) their lasers.
+        truth_laser: See above.
+        n_lasers: Lasers of the sensor.
+        predicted_in: (N,) bool, simulated returns of the region.
+        truth_in: (M,) bool, recorded returns of the region.
+        complement: False = the cells that a return of the region fills on either side; True = the others.
+    """
+    bad = _no_cells(predicted_laser, truth_laser, n_lasers)
+    if bad is not None:
+        return {"hit_accuracy": bad, "hit_f_score": bad}
+    filled = hit_cells(predicted_m[predicted_in], predicted_laser[predicted_in], n_lasers)
+    filled |= hit_cells(truth_m[truth_in], truth_laser[truth_in], n_lasers)
+    where = ~filled if complement else filled
+    if not where.any():
+        bad = undefined("no return of either side lies in the region")
+        return {"hit_accuracy": bad, "hit_f_score": bad}
+    return _agreement(
+        hit_cells(predicted_m, predicted_laser, n_lasers)[where],
+        hit_cells(truth_m, truth_laser, n_lasers)[where],
+    )
+
+
+def _no_cells(predicted_laser: np.ndarray, truth_laser: np.ndarray, n_lasers: int) -> Measure | None:
+    """Why hits cannot be put into cells; None where they can."""
+    unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
+    if unknown or n_lasers < 1:
+        return undefined(f"the laser of {unknown} returns is unknown")
+    if predicted_laser.size and int(predicted_laser.max()) >= n_lasers:
+        return undefined(f"predicted laser {int(predicted_laser.max())}, but the sensor has {n_lasers}")
+    return None
 
 
 def hit_cells(points_m: np.ndarray, laser: np.ndarray, n_lasers: int) -> np.ndarray:

@@ -6,9 +6,11 @@ import numpy as np
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.elementwise import psnr, same_shape
-from nvsf_core.metrics.lpips import Lpips, lpips_measure
+from nvsf_core.metrics.lpips import LPIPS_ALEX, Lpips, lpips_measure
 from nvsf_core.metrics.measure import Measure, undefined
 from nvsf_core.metrics.ssim import ssim
+
+NAMES = ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_lpips_alex")
 
 
 def image_metrics(
@@ -34,10 +36,11 @@ def image_metrics(
     n_valid = int(np.count_nonzero(valid))
     if n_valid == 0:
         bad = undefined("the recorded image has no valid pixel")
-        return {"image_psnr_db": bad, "image_ssim": bad, "image_lpips_squeeze": bad}
+        return dict.fromkeys(NAMES, bad)
     predicted, truth = predicted_rgb.astype(np.float64) / 255.0, truth_rgb.astype(np.float64) / 255.0
     return {
         "image_psnr_db": Measure(psnr(predicted[valid], truth[valid], 1.0).value, n_valid),
         "image_ssim": ssim(predicted, truth, 1.0, valid),
         "image_lpips_squeeze": lpips_measure(lpips, predicted * valid[..., None], truth * valid[..., None]),
+        "image_lpips_alex": LPIPS_ALEX,
     }

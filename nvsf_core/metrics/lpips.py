@@ -15,13 +15,16 @@ from torch import Tensor
 
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.elementwise import same_shape
-from nvsf_core.metrics.measure import Measure, fault, undefined
+from nvsf_core.metrics.measure import Measure, absent, fault, undefined
 from nvsf_core.stores.checkpoints import load_tensors
 
 WEIGHTS_VARIABLE = "NVSF_LPIPS_WEIGHTS"
 WEIGHTS_NAME = "lpips_squeeze_v0.1.safetensors"
 MIN_SIDE = 32
 """Smaller images shrink to nothing in the backbone's pools."""
+
+LPIPS_ALEX = absent("LPIPS-Alex: no weights at hand")
+"""The papers' variant, AlexNet's. Its numbers and SqueezeNet's never share a name."""
 
 _POOLS_BEFORE = (3, 6, 9)
 """Layers of SqueezeNet 1.1 that follow a max pool (3x3, stride 2, rounding up)."""
@@ -104,7 +107,7 @@ def lpips_measure(lpips: Lpips | None, predicted: np.ndarray, truth: np.ndarray)
     the network was trained on: its numbers compare with the papers' only.
     """
     if lpips is None:
-        return undefined(f"no LPIPS weights: set {WEIGHTS_VARIABLE} to {WEIGHTS_NAME}")
+        return absent(f"no LPIPS weights: set {WEIGHTS_VARIABLE} to {WEIGHTS_NAME}")
     same_shape(predicted, truth)
     bad = fault(predicted, truth)
     if bad is not None:

@@ -16,11 +16,18 @@ class Measure:
     """How many points, pixels, rays or cells it rests on."""
     reason: str = ""
     """Why it is undefined; empty where it is defined."""
+    is_absent: bool = False
+    """Whether it is undefined because what it needs is not there: nothing went wrong."""
 
 
 def undefined(reason: str, n_valid: int = 0) -> Measure:
     """A metric without a value: NaN, and the reason."""
     return Measure(math.nan, n_valid, reason)
+
+
+def absent(reason: str) -> Measure:
+    """A metric that needs what is not there (weights, boxes, a modality): NaN on nothing, and the reason."""
+    return Measure(math.nan, 0, reason, is_absent=True)
 
 
 def fault(predicted: np.ndarray, truth: np.ndarray) -> Measure | None:

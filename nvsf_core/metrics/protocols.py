@@ -5,6 +5,7 @@ papers' quirks against the model's pano, masked by its hits; every pixel counts,
 `lidar4d_scan`: the same, with the projection of the exported scan as the prediction.
 `raw`: the recorded scan itself, 0 to 80 m on both sides: along its own rays, and as a cloud.
 `image`: all pixels of the recorded image.
+`masked`: inside and outside the boxes of moving objects, with nothing else in the mean (`foreground.py`).
 """
 
 from collections.abc import Mapping
@@ -14,7 +15,7 @@ import numpy as np
 
 from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
 from nvsf_core.metrics.intensity import clamped_intensity, intensity_image_metrics, ray_intensity_metrics
-from nvsf_core.metrics.lpips import Lpips, lpips_measure
+from nvsf_core.metrics.lpips import LPIPS_ALEX, Lpips, lpips_measure
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.range import clamped_range_m, range_image_metrics, ray_range_metrics
@@ -83,10 +84,12 @@ def lidar4d(
         **point_cloud_metrics(pano.points(range_m), pano.points(truth.range_m)),
         **range_image_metrics(range_m, truth.range_m),
         "range_lpips_squeeze": lpips_measure(lpips, clamped_range_m(range_m), clamped_range_m(truth.range_m)),
+        "range_lpips_alex": LPIPS_ALEX,
         **intensity_image_metrics(intensity, truth.intensity),
         "intensity_lpips_squeeze": lpips_measure(
             lpips, clamped_intensity(intensity), clamped_intensity(truth.intensity)
         ),
+        "intensity_lpips_alex": LPIPS_ALEX,
         **hit_image_metrics(predicted.hit, truth.range_m > 0.0),
     }
 
@@ -105,7 +108,7 @@ def raw(
     """
     counted = (truth_rays.range_m > 0.0) & (truth_rays.range_m <= MAX_RANGE_M)
     answered = np.isfinite(answers.range_m[counted])
-    near_predicted, near_truth = _near(predicted), _near(truth)
+    near_predicted, near_truth = near_returns(predicted), near_returns(truth)
     return {
         **ray_range_metrics(answers.range_m[counted], truth_rays.range_m[counted]),
         **ray_intensity_metrics(answers.intensity[counted], truth_rays.intensity[counted], answered),
@@ -116,8 +119,8 @@ def raw(
     }
 
 
-def _near(scan: Scan) -> Scan:
-    """The returns within 80 m of the sensor; a broken (NaN) point stays, to be counted as such."""
+def near_returns(scan: Scan) -> Scan:
+    """The returns within `MAX_RANGE_M` of the sensor; a broken (NaN) point stays, to be counted as such."""
     range_m = np.linalg.norm(scan.points_m.astype(np.float64), axis=1)
     keep = ~((range_m > MAX_RANGE_M) | (range_m == 0.0))
     return Scan(points_m=scan.points_m[keep], intensity=scan.intensity[keep], laser=scan.laser[keep])

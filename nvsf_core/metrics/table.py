@@ -13,15 +13,18 @@ COLUMNS = (
 UNITS = {
     "chamfer_m2": "m2", "f_score": "1",
     "range_rmse_m": "m", "range_medae_m": "m", "range_psnr_db": "dB", "range_ssim": "1",
-    "range_lpips_squeeze": "1",
+    "range_lpips_squeeze": "1", "range_lpips_alex": "1",
     "range_abs_error_median_m": "m", "range_abs_error_p90_m": "m", "range_missing": "1",
     "intensity_rmse": "1", "intensity_medae": "1", "intensity_psnr_db": "dB", "intensity_ssim": "1",
-    "intensity_lpips_squeeze": "1",
+    "intensity_lpips_squeeze": "1", "intensity_lpips_alex": "1",
     "hit_rmse": "1", "hit_accuracy": "1", "hit_f_score": "1",
     "image_psnr_db": "dB", "image_ssim": "1", "image_lpips_squeeze": "1",
+    "image_lpips_alex": "1", "image_depth_rmse_m": "m",
 }  # fmt: skip
 """Unit of every metric that is measured; 1 = a bare number."""
 
+HELD_OUT = "test"
+"""Split of the frames that were held out of training."""
 BASELINES = ("reproject", "copy_nearest", "mesh")
 """Recipes that learn nothing, in the order in which a table lists them, below the models."""
 
@@ -33,7 +36,11 @@ HEADLINES = {
         "chamfer_m2", "f_score", "range_abs_error_median_m", "range_missing",
         "intensity_rmse", "hit_accuracy",
     ),
-    "image": ("image_psnr_db", "image_ssim", "image_lpips_squeeze"),
+    "masked": (
+        "chamfer_m2", "f_score", "range_abs_error_median_m", "range_missing",
+        "intensity_rmse", "hit_accuracy", "image_psnr_db", "image_ssim",
+    ),
+    "image": ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_depth_rmse_m"),
 }  # fmt: skip
 """Metrics of each protocol that the terminal shows; the store and the report hold all."""
 
@@ -42,6 +49,7 @@ _SHORT = {
     "range_abs_error_median_m": "|range err| med m", "range_missing": "missing",
     "intensity_rmse": "intens. RMSE", "hit_accuracy": "hit acc.",
     "image_psnr_db": "PSNR dB", "image_ssim": "SSIM", "image_lpips_squeeze": "LPIPS-sq",
+    "image_depth_rmse_m": "depth RMSE m",
 }  # fmt: skip
 
 Row = Mapping[str, Any]
@@ -72,21 +80,28 @@ def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def summary_table(rows: Sequence[Row]) -> str:
-    """Plain text, one block a scene, protocol and sensor: the model above the baselines, time beside error.
+    """Plain text, one block a scene, split, protocol, region and sensor: the model above the baselines.
 
+    Time stands beside error. Regions are shown in the protocol `masked` alone, and of them the foreground.
     A mean over fewer frames than there are carries `*`; `-` is undefined on all of them.
     """
-    blocks: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    blocks: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in mean_rows(rows):
-        if row["region"] == "all":
-            blocks.setdefault((row["scene"], row["protocol"], row["sensor"]), []).append(row)
+        shown = "foreground" if row["protocol"] == "masked" else "all"
+        if row["region"] == shown and row["metric"] in HEADLINES[row["protocol"]]:
+            key = (row["scene"], row["split"], row["protocol"], row["region"], row["sensor"])
+            blocks.setdefault(key, []).append(row)
     # Frames' order of writing puts a method's protocols together; a reader compares methods.
-    order = sorted(blocks, key=lambda block: (block[0], list(HEADLINES).index(block[1]), block[2]))
+    order = sorted(
+        blocks, key=lambda key: (key[0], key[1] != HELD_OUT, key[1], list(HEADLINES).index(key[2]), key[4])
+    )
     return "\n\n".join(_block(key, blocks[key]) for key in order)
 
 
-def _block(key: tuple[str, str, str], rows: Sequence[dict[str, Any]]) -> str:
-    metrics = [metric for metric in HEADLINES[key[1]] if any(row["metric"] == metric for row in rows)]
+def _block(key: tuple[str, ...], rows: Sequence[dict[str, Any]]) -> str:
+    scene, split, protocol, region, sensor = key
+    found = {row["metric"] for row in rows if row["n_defined"]} or {row["metric"] for row in rows}
+    metrics = [metric for metric in HEADLINES[protocol] if metric in found]
     methods = sorted(
         {(row["recipe"], row["seed"]) for row in rows}, key=lambda method: (_rank(method[0]), method)
     )
@@ -98,7 +113,9 @@ def _block(key: tuple[str, str, str], rows: Sequence[dict[str, Any]]) -> str:
         lines.append([recipe, *(_cell(mine.get(metric)) for metric in metrics), *costs])
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     n_frames = max(row["n_frames"] for row in rows)
-    text = [f"{key[0]} | protocol {key[1]} | {key[2]} | mean of {n_frames} held-out frame(s)"]
+    what = f"{n_frames} held-out frame(s)" if split == HELD_OUT else f"{n_frames} sweep(s) of view {split}"
+    place = "" if region == "all" else f"{region} | "
+    text = [f"{scene} | protocol {protocol} | {sensor} | {place}mean of {what}"]
     for line in lines:
         cells = [line[0].ljust(widths[0])] + [c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True)]
         text.append("  " + "  ".join(cells))

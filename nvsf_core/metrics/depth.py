@@ -1,0 +1,60 @@
+"""Camera depth against the LiDAR returns that fall into the image."""
+
+import numpy as np
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.metrics.elementwise import rmse, same_shape
+from nvsf_core.metrics.measure import Measure, absent, undefined
+from nvsf_core.sensors.project import project_nearest
+
+CAP_M = 80.0
+"""Depths beyond it count as this."""
+NO_DEPTH = absent("this model stores no camera depth")
+
+
+def lidar_depth_images(points_m: np.ndarray, camera: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """Ray length and z of the nearest return in each pixel, (H, W) float32 each, metres; 0 = no return.
+
+    Args:
+        points_m: (N, 3) returns in the camera's frame.
+        camera: Whose image.
+    """
+    pixels, seen = camera.project(points_m)
+    column, row = np.rint(pixels[seen]).astype(np.int64).T
+    length_m = np.linalg.norm(points_m[seen].astype(np.float64), axis=1)
+    depth_m = points_m[seen, 2].astype(np.float64)
+    return project_nearest(row, column, length_m, depth_m, (camera.height, camera.width))
+
+
+def ray_depth_rmse(predicted_m: np.ndarray, truth_m: np.ndarray) -> Measure:
+    """`image_depth_rmse_m`: root mean square difference of ray lengths at the pixels with a return.
+
+    Both sides capped at 80 m; a pixel without an answer (0 or infinite) counts as 80 m.
+
+    Args:
+        predicted_m: (H, W) length of each pixel's ray, metres.
+        truth_m: (H, W) from `lidar_depth_images`, 0 = no return.
+    """
+    same_shape(predicted_m, truth_m)
+    there = truth_m > 0.0
+    if not there.any():
+        return undefined("no LiDAR return falls into the image")
+    predicted = predicted_m[there].astype(np.float64)
+    predicted = np.where(predicted == 0.0, CAP_M, np.minimum(predicted, CAP_M))
+    return rmse(predicted, np.minimum(truth_m[there].astype(np.float64), CAP_M))
+
+
+def published_depth_rmse(predicted_m: np.ndarray, truth_z_m: np.ndarray) -> Measure:
+    """`image_depth_rmse_m` as NVSF publishes it: zeros of all pixels without a return are in the mean.
+
+    The rendered ray length is set to 0 where there is no return and compared with z-depth, over all
+    pixels, both capped at 80 m. So the number shrinks with the LiDAR's share of the pixels, and a perfect
+    model is wrong by 1 / cos of the angle to the optical axis.
+
+    Args:
+        predicted_m: (H, W) length of each pixel's ray, metres; inf = no answer.
+        truth_z_m: (H, W) z from `lidar_depth_images`, 0 = no return.
+    """
+    same_shape(predicted_m, truth_z_m)
+    predicted = np.where(truth_z_m > 0.0, np.minimum(predicted_m.astype(np.float64), CAP_M), 0.0)
+    return rmse(predicted, np.minimum(truth_z_m.astype(np.float64), CAP_M))

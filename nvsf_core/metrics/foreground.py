@@ -1,0 +1,200 @@
+"""Moving objects and what stands around them, by annotated boxes: used for measuring only.
+
+Boxes are those of the very frame, at its pose's instant, and nothing is interpolated; scans are taken as
+recorded, each return in the sensor's frame at its own firing. Beside the car, where a firing comes up to
+a quarter of a sweep from that instant, an object may therefore stick out of its box.
+
+`lidar4d` and `image`, as published: each side keeps what lies in the boxes, by its own points, and both
+whole images are compared with 0 everywhere else. A predicted point that misses the box simply vanishes,
+and errors shrink with the object's share of the image. `masked`, the honest one: recorded returns inside
+the boxes against simulated ones inside the boxes grown by `GROWN_M`; nothing else is in the mean.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from nvsf_core.geometry.boxes import inside_any
+from nvsf_core.metrics.elementwise import psnr
+from nvsf_core.metrics.hit import hit_region_metrics
+from nvsf_core.metrics.image import image_metrics
+from nvsf_core.metrics.intensity import ray_intensity_metrics
+from nvsf_core.metrics.lpips import Lpips
+from nvsf_core.metrics.measure import Measure, absent
+from nvsf_core.metrics.point_cloud import point_cloud_metrics
+from nvsf_core.metrics.protocols import (
+    MAX_RANGE_M,
+    PanoImage,
+    RayAnswers,
+    Scan,
+    lidar4d,
+    near_returns,
+)
+from nvsf_core.metrics.range import ray_range_metrics
+from nvsf_core.metrics.ssim import ssim
+from nvsf_core.sensors.linear_pano import LinearPano
+
+FOREGROUND, BACKGROUND = "foreground", "background"
+REGIONS = (FOREGROUND, BACKGROUND)
+GROWN_M = 0.3
+"""How far beyond its box a simulated return may miss a moving object and still be held against it."""
+NO_BOX = "no moving object is annotated in this frame"
+NO_RETURN = "no recorded return lies inside a moving object's box"
+NO_PIXEL = "no moving object's box lies in front of this camera"
+
+
+def cut_pano(image: PanoImage, pano: LinearPano, boxes_to_lidar: np.ndarray, region: str) -> PanoImage:
+    """A pano with 0 wherever its own points are not in the region.
+
+    The points are the pano's inverse where hit > 0.5; a pixel without a point is background.
+
+    Args:
+        image: Recorded or predicted.
+        pano: Its grid.
+        boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
+        region: `foreground` or `background`.
+    """
+    range_m = np.where(image.hit > 0.5, image.range_m, 0.0)
+    inside = np.zeros(range_m.shape, dtype=bool)
+    inside[range_m > 0.0] = inside_any(pano.points(range_m), boxes_to_lidar)
+    keep = inside if region == FOREGROUND else ~inside
+    return PanoImage(
+        range_m=np.where(keep, image.range_m, 0.0),
+        intensity=np.where(keep, image.intensity, 0.0),
+        hit=np.where(keep, image.hit, 0.0),
+    )
+
+
+def lidar4d_regions(
+    predicted: PanoImage,
+    truth: PanoImage,
+    pano: LinearPano,
+    boxes_to_lidar: np.ndarray,
+    lpips: Lpips | None,
+) -> dict[str, Mapping[str, Measure]]:
+    """Foreground and background in the protocols `lidar4d` and `lidar4d_scan`, of one frame, as published.
+
+    Region to metrics, all over the full image. One exception: a frame without a moving object has no
+    foreground (published: an error of 0), and is counted as such.
+    """
+    found: dict[str, Mapping[str, Measure]] = {}
+    for region in REGIONS:
+        cut = cut_pano(truth, pano, boxes_to_lidar, region)
+        measures = lidar4d(cut_pano(predicted, pano, boxes_to_lidar, region), cut, pano, lpips)
+        if region == FOREGROUND and len(boxes_to_lidar) == 0:
+            measures = dict.fromkeys(measures, absent(NO_BOX))
+        elif not (cut.range_m > 0.0).any():
+            measures = _explained(measures, NO_RETURN)
+        found[region] = measures
+    return found
+
+
+def masked_regions(
+    predicted: Scan,
+    answers: RayAnswers,
+    truth: Scan,
+    truth_rays: RayAnswers,
+    n_lasers: int,
+    boxes_to_lidar: np.ndarray,
+) -> dict[str, Mapping[str, Measure]]:
+    """Foreground and background in the protocol `masked`, of one frame, 0 to 80 m on both sides.
+
+    Foreground: Chamfer and F of recorded returns inside the boxes and simulated ones inside the grown
+    boxes; range and intensity along the rays of those recorded returns; hits on the cells that either of
+    the two fills (whether the whole scans return there). Background: both sides outside the grown boxes,
+    hits on all cells that neither side's returns inside the grown boxes fill.
+
+    Args:
+        predicted: The exported scan.
+        answers: The prediction along the recorded rays, in the order of the recorded returns.
+        truth: The recorded scan.
+        truth_rays: Recorded range and intensity along the same rays.
+        n_lasers: Lasers of the sensor, for the hit cells.
+        boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
+    """
+    shell = inside_any(truth.points_m, boxes_to_lidar, GROWN_M)
+    inside = inside_any(truth.points_m, boxes_to_lidar)
+    rays = (truth_rays.range_m > 0.0) & (truth_rays.range_m <= MAX_RANGE_M)
+    near_predicted, near_truth = near_returns(predicted), near_returns(truth)
+    predicted_in = inside_any(near_predicted.points_m, boxes_to_lidar, GROWN_M)
+    truth_in = inside_any(near_truth.points_m, boxes_to_lidar)
+    truth_shell = inside_any(near_truth.points_m, boxes_to_lidar, GROWN_M)
+
+    def cells(truth_mask: np.ndarray, *, complement: bool) -> Mapping[str, Measure]:
+        sides = (near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser)
+        return hit_region_metrics(*sides, n_lasers, predicted_in, truth_mask, complement=complement)
+
+    foreground = {
+        **_along_rays(answers, truth_rays, rays & inside),
+        **cells(truth_in, complement=False),
+        **point_cloud_metrics(near_predicted.points_m[predicted_in], near_truth.points_m[truth_in]),
+    }
+    if not truth_in.any():
+        foreground = dict.fromkeys(foreground, absent(NO_RETURN if len(boxes_to_lidar) else NO_BOX))
+    background = {
+        **_along_rays(answers, truth_rays, rays & ~shell),
+        **cells(truth_shell, complement=True),
+        **point_cloud_metrics(near_predicted.points_m[~predicted_in], near_truth.points_m[~truth_shell]),
+    }
+    return {FOREGROUND: foreground, BACKGROUND: background}
+
+
+def image_regions(
+    predicted_rgb: np.ndarray,
+    truth_rgb: np.ndarray,
+    valid: np.ndarray,
+    rectangles: np.ndarray,
+    lpips: Lpips | None,
+) -> dict[str, Mapping[str, Measure]]:
+    """Foreground and background of a camera in the protocol `image`, as published.
+
+    Both images are black outside the region and compared whole.
+
+    Args:
+        predicted_rgb: (H, W, 3) uint8.
+        truth_rgb: (H, W, 3) uint8.
+        valid: (H, W) pixels that the recording covers.
+        rectangles: (H, W) pixels inside the boxes' rectangles (`geometry.boxes.box_rectangles`).
+        lpips: The network, or None where its weights are absent.
+    """
+    found: dict[str, Mapping[str, Measure]] = {}
+    for region, mask in ((FOREGROUND, rectangles), (BACKGROUND, ~rectangles)):
+        kept = mask[..., None].astype(truth_rgb.dtype)
+        measures = image_metrics(predicted_rgb * kept, truth_rgb * kept, valid, lpips)
+        found[region] = measures if mask.any() else dict.fromkeys(measures, absent(NO_PIXEL))
+    return found
+
+
+def masked_image_regions(
+    predicted_rgb: np.ndarray, truth_rgb: np.ndarray, valid: np.ndarray, rectangles: np.ndarray
+) -> dict[str, Mapping[str, Measure]]:
+    """Foreground and background of a camera in the protocol `masked`: the region's own pixels only.
+
+    PSNR (peak 1) over the valid pixels of the region, SSIM over the 7x7 windows that lie wholly in them.
+    Shapes as in `image_regions`.
+    """
+    predicted, truth = predicted_rgb.astype(np.float64) / 255.0, truth_rgb.astype(np.float64) / 255.0
+    found: dict[str, Mapping[str, Measure]] = {}
+    for region, mask in ((FOREGROUND, rectangles & valid), (BACKGROUND, ~rectangles & valid)):
+        if not mask.any():
+            found[region] = dict.fromkeys(("image_psnr_db", "image_ssim"), absent(NO_PIXEL))
+            continue
+        found[region] = {
+            "image_psnr_db": replace(psnr(predicted[mask], truth[mask], 1.0), n_valid=int(mask.sum())),
+            "image_ssim": ssim(predicted, truth, 1.0, mask),
+        }
+    return found
+
+
+def _along_rays(answers: RayAnswers, truth: RayAnswers, which: np.ndarray) -> dict[str, Measure]:
+    answered = np.isfinite(answers.range_m[which])
+    return {
+        **ray_range_metrics(answers.range_m[which], truth.range_m[which]),
+        **ray_intensity_metrics(answers.intensity[which], truth.intensity[which], answered),
+    }
+
+
+def _explained(measures: Mapping[str, Measure], reason: str) -> dict[str, Measure]:
+    """What is 0/0 because the truth is empty is nobody's fault: said so, and not counted as one."""
+    return {name: absent(reason) if m.reason else m for name, m in measures.items()}
