@@ -1,16 +1,45 @@
 """What a camera ray shows."""
 
+from collections.abc import Callable
+
+import numpy as np
 import torch
 from torch import Tensor
 
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.camera_field import CameraField
-from nvsf_core.fields.surface_batch import SurfaceBatch
+from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch, surface_batch
 from nvsf_core.recipe import BackgroundSpec
 from nvsf_core.rendering.weights import weights_from_opacity_logits
 
 NEAR_M = 0.3
 """Nothing that an image shows is nearer to its camera."""
 _CONFIDENT = 0.5
+
+Propose = Callable[[np.ndarray, np.ndarray], SurfaceBatch]
+"""Scene-local origins (r, 3) and unit directions (r, 3) to rays with the surfaces proposed for them."""
+
+
+def proven_surfaces(surfels: Surfels, *, most: int, far_m: float) -> Propose:
+    """Propose what the LiDAR proved, `most` surfaces a ray, up to `far_m`."""
+
+    def propose(origin_m: np.ndarray, direction: np.ndarray) -> SurfaceBatch:
+        return surface_batch(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+
+    return propose
+
+
+def no_surfaces(origin_m: np.ndarray, direction: np.ndarray) -> SurfaceBatch:
+    """Propose nothing, for a drive without LiDAR: the background's samples are all that a ray has."""
+    places = (len(origin_m), 1)
+    return SurfaceBatch(
+        origin_m=torch.from_numpy(np.ascontiguousarray(origin_m, np.float32)),
+        direction=torch.from_numpy(np.ascontiguousarray(direction, np.float32)),
+        range_m=torch.zeros(places),
+        logit=torch.zeros(places),
+        is_there=torch.zeros(places, dtype=torch.bool),
+        facts=torch.zeros(*places, N_FACTS),
+    )
 
 
 def render_colour(field: CameraField, batch: SurfaceBatch, spec: BackgroundSpec) -> Tensor:

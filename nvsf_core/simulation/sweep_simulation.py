@@ -1,6 +1,5 @@
 """One simulated sweep: every firing answered, the scan as a driver records it, and its range image."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +17,10 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.scan import put_back_own_vehicle, recorded_scan
-from nvsf_core.simulation.view_plan import ViewPlan
+from nvsf_core.simulation.scene_model import RayRenderer
+from nvsf_core.simulation.view_plan import SweepPlan
 
 _CHUNK_RAYS = 65536
-
-Renderer = Callable[[np.ndarray, np.ndarray, np.ndarray], RayAnswers]
-"""Scene-local origins (r, 3), directions (r, 3) and votes (r,) to answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,31 +43,36 @@ class SimulatedSweep:
     """Range, hit probability, intensity, azimuth, elevation (l, f) as recorded, before anything is drawn."""
 
 
-def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: float) -> Renderer:
-    """Answers by the trained field."""
+def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
+    """Answers by the trained field, which takes everything to stand still."""
 
-    def answer(origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray) -> RayAnswers:
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
         batch = surface_batch(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
         return answer_rays(field, batch, torch.from_numpy(vote))
 
     return answer
 
 
-def evidence_renderer(surfels: Surfels, *, most: int, far_m: float) -> Renderer:
-    """Answers by evidence alone."""
+def evidence_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
+    """Answers by evidence alone, which takes everything to stand still."""
 
-    def answer(origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray) -> RayAnswers:
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
         return reproject_rays(surfels, origin_m, direction, vote, most=most, far_m=far_m)
 
     return answer
 
 
 def answer_in_chunks(
-    render: Renderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray
+    render: RayRenderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
 ) -> RayAnswers:
     """Answer any number of rays in bounded memory."""
+    rays = (origin_m, direction, vote, time_s)
     parts = [
-        render(origin_m[i : i + _CHUNK_RAYS], direction[i : i + _CHUNK_RAYS], vote[i : i + _CHUNK_RAYS])
+        render(*(column[i : i + _CHUNK_RAYS] for column in rays))
         for i in range(0, max(1, len(vote)), _CHUNK_RAYS)
     ]
     return RayAnswers(
@@ -79,10 +81,10 @@ def answer_in_chunks(
 
 
 def simulate_sweep(
-    plan: ViewPlan,
+    plan: SweepPlan,
     time_s: float,
     evidence: SceneEvidence,
-    render: Renderer,
+    render: RayRenderer,
     trajectory: Trajectory,
     period_s: float,
     recorded_table: LaserTable,
@@ -101,7 +103,7 @@ def simulate_sweep(
         else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
     )
     vote = evidence.prior.vote(voter, rays.fraction, near)
-    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote)
+    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
     if plan.is_recorded_sensor:
         answers = put_back_own_vehicle(answers, rays, evidence)
     points, intensity, laser = recorded_scan(rays, answers)

@@ -10,19 +10,25 @@ from nvsf_core.sensors.tables import LaserTable, sensor_table
 
 @dataclass(frozen=True, slots=True)
 class ViewPlan:
-    """The sweeps that one view consists of."""
+    """When and where a view is taken; whatever sensor takes it."""
 
     name: str
     frame: np.ndarray
     """(n,) int64: the recorded frame at, or nearest to, each instant."""
     time_s: np.ndarray
     """(n,) float64: instants of the poses."""
+    mount: np.ndarray | None
+    """(4, 4) where the LiDAR (with the cameras around it) is put, in its own recorded frame; None = there."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepPlan(ViewPlan):
+    """The sweeps that one view consists of."""
+
     table: LaserTable
     """The sensor that is simulated."""
     is_recorded_sensor: bool
     """Whether that is the one that recorded the drive, with its own vehicle around it."""
-    mount: np.ndarray | None
-    """(4, 4) pose of the simulated sensor in the recording sensor's frame; None = the same place."""
 
 
 def mount_pose(shift_m: tuple[float, float, float], yaw_deg: float) -> np.ndarray | None:
@@ -41,23 +47,19 @@ def plan_view(
     *,
     recorded_frame: np.ndarray,
     recorded_time_s: np.ndarray,
-    recorded_table: LaserTable,
     frames: tuple[int, ...] | None,
-    times_s: tuple[float, ...] | None,
-    sensor: str | None,
-    shift_m: tuple[float, float, float],
-    yaw_deg: float,
+    times_s: tuple[float, ...] | None = None,
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    yaw_deg: float = 0.0,
 ) -> ViewPlan:
-    """Decide instants, sensor and mounting of a view.
+    """Decide instants and mounting of a view.
 
     Args:
         name: The view.
         recorded_frame: (m,) numbers of the frames with a pose, ascending.
         recorded_time_s: (m,) their times.
-        recorded_table: The recording sensor.
         frames: Frame numbers asked for; None = all.
         times_s: Times asked for instead.
-        sensor: Name of a sensor table; None = the recorded one.
         shift_m: Forward, left, up.
         yaw_deg: To the left.
 
@@ -80,7 +82,17 @@ def plan_view(
         name=name,
         frame=recorded_frame[nearest].astype(np.int64),
         time_s=time_s,
+        mount=mount_pose(shift_m, yaw_deg),
+    )
+
+
+def plan_sweeps(view: ViewPlan, recorded_table: LaserTable, sensor: str | None) -> SweepPlan:
+    """The sweeps of a view, by the sensor of that name; None = the one that recorded the drive."""
+    return SweepPlan(
+        name=view.name,
+        frame=view.frame,
+        time_s=view.time_s,
+        mount=view.mount,
         table=recorded_table if sensor is None else sensor_table(sensor),
         is_recorded_sensor=sensor is None or sensor == recorded_table.name,
-        mount=mount_pose(shift_m, yaw_deg),
     )

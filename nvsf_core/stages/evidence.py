@@ -1,6 +1,7 @@
 """Stage `evidence`: what the training sweeps prove about the scene."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,19 +53,23 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
         return None
     rows = read_rows(store.require("frames") / "frames.parquet")
     training = {row["frame"] for row in rows if row["split"] == "train"}
-    posed = [row for row in rows if row["pose_valid"]]
-    trajectory = Trajectory(
-        np.array([row["time_s"] for row in posed]),
-        np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
-        np.array(attrs["scene_origin_m"]),
-    )
     return Sweeps(
         arrays=arrays,
         is_training=np.isin(arrays["frame"], list(training)),
-        trajectory=trajectory,
+        trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
         period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
         table=sensor_table(attrs["sensor"]),
         scene_origin_m=np.array(attrs["scene_origin_m"]),
+    )
+
+
+def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
+    """Where the drive's LiDAR frame was, from all rows of `frames.parquet` with a pose."""
+    posed = [row for row in rows if row["pose_valid"]]
+    return Trajectory(
+        np.array([row["time_s"] for row in posed]),
+        np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
+        scene_origin_m,
     )
 
 

@@ -8,35 +8,42 @@ import numpy as np
 from nvsf_core.cameras.images import write_image
 from nvsf_core.kitti360.writer import write_scan
 from nvsf_core.reporting.previews import image_preview, range_preview
-from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
 from nvsf_core.stages.stage import Check, StageOutput, Task, read_record
 from nvsf_core.stores.arrays import write_arrays
 
 
 def write_method(
-    folder: Path,
-    method: str,
     task: Task,
-    plan: ViewPlan,
-    lidar_to_world: np.ndarray,
-    scene_origin_m: np.ndarray,
+    view: str,
+    method: str,
     arrays: dict[str, np.ndarray],
+    sensor: str,
+    scene_origin_m: np.ndarray,
 ) -> None:
-    """One method's arrays of a view, its poses (n, 4, 4), and what a table wants to know of the method."""
+    """One method's arrays of a view, and what a table wants to know of the method.
+
+    Args:
+        task: The stage's own.
+        view: Name of the view.
+        method: `model` or a baseline.
+        arrays: Everything that is published, poses included.
+        sensor: Name of the simulated LiDAR; empty where there is none.
+        scene_origin_m: (3,) in the world.
+    """
+    folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
     attrs: dict[str, Any] = {
-        "split": plan.name,
-        "sensor": plan.table.name,
+        "split": view,
+        "sensor": sensor,
         "method": method,
         "recipe": task.config.recipe.name if method == "model" else method,
         "seed": task.config.seed,
-        "cameras": sorted(name[:-4] for name in arrays if name.endswith("_rgb")),
+        "cameras": _cameras(arrays),
         "scene_origin_m": scene_origin_m.tolist(),
         **_costs(task, method),
     }
-    known = {"frame": plan.frame, "time_s": plan.time_s, "lidar_to_world": lidar_to_world}
-    write_arrays(folder / f"{method}.zarr", arrays | known, attrs)
+    write_arrays(folder / f"{method}.zarr", arrays, attrs)
 
 
 def _costs(task: Task, method: str) -> dict[str, float]:
@@ -62,35 +69,46 @@ def _costs(task: Task, method: str) -> dict[str, float]:
     }
 
 
-def export_files(
-    folder: Path, lidar: dict[str, np.ndarray], cameras: dict[str, np.ndarray], plan: ViewPlan
-) -> None:
-    """Scans and images as files, as a driver finds them; several instants of one frame are numbered on."""
-    numbers = plan.frame if len(set(plan.frame.tolist())) == len(plan.frame) else np.arange(len(plan.frame))
-    for index, number in enumerate(numbers):
-        part = slice(int(lidar["offsets"][index]), int(lidar["offsets"][index + 1]))
-        path = folder / "velodyne_points" / "data" / f"{number:010d}.bin"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_scan(path, lidar["points_m"][part], lidar["intensity"][part])
-        for name in (key[:-4] for key in cameras if key.endswith("_rgb")):
+def export_files(folder: Path, arrays: dict[str, np.ndarray], frame: np.ndarray) -> None:
+    """Scans and images as files, as a driver finds them.
+
+    Args:
+        folder: Of the view.
+        arrays: What was rendered.
+        frame: (n,) nearest recorded frame of each scan.
+    """
+    if "points_m" in arrays:
+        for index, number in enumerate(_numbers(frame)):
+            part = slice(int(arrays["offsets"][index]), int(arrays["offsets"][index + 1]))
+            path = folder / "velodyne_points" / "data" / f"{number:010d}.bin"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_scan(path, arrays["points_m"][part], arrays["intensity"][part])
+    for name in _cameras(arrays):
+        for number, rgb in zip(_numbers(arrays[f"{name}_frame"]), arrays[f"{name}_rgb"], strict=True):
             target = folder / name / "data_rect" / f"{number:010d}.png"
             target.parent.mkdir(parents=True, exist_ok=True)
-            write_image(target, cameras[f"{name}_rgb"][index])
+            write_image(target, rgb)
 
 
-def describe_view(
-    output: StageOutput, view: str, folder: Path, lidar: dict[str, np.ndarray], cameras: dict[str, np.ndarray]
-) -> None:
+def describe_view(output: StageOutput, view: str, folder: Path, arrays: dict[str, np.ndarray]) -> None:
     """Numbers, a picture and a check of one view."""
-    returns = np.diff(lidar["offsets"])
+    if "points_m" in arrays:
+        _describe_scans(output, view, folder, arrays)
+    for name in _cameras(arrays):
+        output.metadata[f"{view}_{name}_images"] = len(arrays[f"{name}_rgb"])
+        seconds = float(np.median(arrays[f"{name}_render_seconds"]))
+        output.metadata[f"{view}_{name}_seconds_per_image"] = seconds
+        (folder / f"{name}.png").write_bytes(image_preview(arrays[f"{name}_rgb"][0]))
+        output.previews[f"{view} {name}"] = f"{view}/{name}.png"
+
+
+def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[str, np.ndarray]) -> None:
+    returns = np.diff(arrays["offsets"])
     output.metadata[f"{view}_sweeps"] = len(returns)
     output.metadata[f"{view}_returns_per_sweep"] = float(returns.mean())
-    output.metadata[f"{view}_lidar_seconds_per_sweep"] = float(np.median(lidar["lidar_render_seconds"]))
-    (folder / "range.png").write_bytes(range_preview(lidar["pano_range_m"][0]))
+    output.metadata[f"{view}_lidar_seconds_per_sweep"] = float(np.median(arrays["lidar_render_seconds"]))
+    (folder / "range.png").write_bytes(range_preview(arrays["pano_range_m"][0]))
     output.previews[f"{view} range"] = f"{view}/range.png"
-    for name in (key for key in cameras if key.endswith("_rgb")):
-        (folder / f"{name[:-4]}.png").write_bytes(image_preview(cameras[name][0]))
-        output.previews[f"{view} {name[:-4]}"] = f"{view}/{name[:-4]}.png"
     output.checks.append(
         Check(
             name=f"{view}_scans_are_not_empty",
@@ -98,3 +116,13 @@ def describe_view(
             detail=f"{returns.min():,} to {returns.max():,} returns a sweep",
         )
     )
+
+
+def _numbers(frame: np.ndarray) -> list[int]:
+    """File numbers: the nearest recorded frame's, or counted from 0 where two instants share one."""
+    is_unique = len(np.unique(frame)) == len(frame)
+    return [int(number) for number in (frame if is_unique else range(len(frame)))]
+
+
+def _cameras(arrays: dict[str, np.ndarray]) -> list[str]:
+    return sorted(name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb"))

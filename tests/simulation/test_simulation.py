@@ -10,7 +10,7 @@ from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
 from nvsf_core.simulation.lidar_rays import sweep_rays
 from nvsf_core.simulation.scan import recorded_scan
-from nvsf_core.simulation.view_plan import mount_pose, plan_view
+from nvsf_core.simulation.view_plan import mount_pose, plan_sweeps, plan_view
 
 FRAMES = np.arange(10, 15)
 TIMES = np.arange(5) * 0.1
@@ -82,7 +82,7 @@ def still_sweep(mount: np.ndarray | None = None):
 
 
 def plan(name: str, frames=None, times_s=None, sensor=None):
-    return plan_view(
-        name, recorded_frame=FRAMES, recorded_time_s=TIMES, recorded_table=HDL_64E, frames=frames,
-        times_s=times_s, sensor=sensor, shift_m=(0.0, 0.0, 0.0), yaw_deg=0.0,
-    )  # fmt: skip
+    view = plan_view(
+        name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s
+    )
+    return plan_sweeps(view, HDL_64E, sensor)

@@ -1,0 +1,54 @@
+"""What a simulation asks of a scene: LiDAR rays and images, whoever answers."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.rendering.answers import RayAnswers
+
+VOTES = 6
+"""Training scans whose drops vote, for a model that does not say how many it was trained with."""
+
+
+class RayRenderer(Protocol):
+    """Answers LiDAR rays."""
+
+    def __call__(
+        self, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray, /
+    ) -> RayAnswers:
+        """Answer r rays, as many as fit into memory at once (`answer_in_chunks` sees to that).
+
+        Args:
+            origin_m: (r, 3) float32 scene-local.
+            direction: (r, 3) float32 unit, scene-local axes.
+            vote: (r,) float32, 0..1: share of the nearest training scans in which this firing returned.
+            time_s: (r,) float64 seconds since the first frame: when each ray is fired.
+        """
+
+
+class ImageRenderer(Protocol):
+    """Shows what a camera sees."""
+
+    def __call__(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, /) -> np.ndarray:
+        """Render a whole image (height, width, 3) uint8.
+
+        Args:
+            camera: Name of the drive's camera (`image_00`) that the view is of.
+            pinhole: Its intrinsics and size.
+            pose: (4, 4) float64 camera to scene-local, wherever the view puts it.
+            time_s: Seconds since the first frame.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneModel:
+    """A scene that can be rendered: a trained field of any family, or a baseline."""
+
+    lidar: RayRenderer | None
+    """None where the drive has no LiDAR."""
+    camera: ImageRenderer | None
+    """None where the drive has no camera."""
+    votes: int = VOTES
+    """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""

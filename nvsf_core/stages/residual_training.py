@@ -1,0 +1,83 @@
+"""Training the residual fields: one a sensor that the drive has, one after the other."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.stages.fitting import Trained, fit
+from nvsf_core.stages.recording import LidarRecording, Recording
+from nvsf_core.stages.residual_model import camera_surfaces, make_fields
+from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.training.camera_step import camera_step
+from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
+from nvsf_core.training.lidar_step import lidar_step
+from nvsf_core.training.loop import TrainingState
+
+
+def train_residual(task: Task, recording: Recording, work: Path) -> Trained:
+    """Train, resuming from the checkpoints in `work`."""
+    started = time.perf_counter()
+    recipe = task.config.recipe
+    torch.set_num_threads(recipe.lidar_training.threads)
+    fields = make_fields(recipe, recording, task.config.seed)
+    states: dict[str, TrainingState] = {}
+    metadata: dict[str, Scalar] = {}
+    seconds = time.perf_counter() - started
+    if fields.lidar is not None and recording.lidar is not None:
+        field, evidence, far_m = fields.lidar, recording.lidar.evidence, recording.lidar.far_m
+        rays = _training_rays(recording.lidar, recipe)
+        metadata["training_rays"] = len(rays)
+        seconds = time.perf_counter() - started
+        states["lidar"] = fit(
+            task, work, "lidar", field, recipe.lidar_training,
+            lambda generator: lidar_step(field, evidence.surfels, rays, recipe, far_m, generator),
+        )  # fmt: skip
+    if fields.camera is not None:
+        camera, propose = fields.camera, camera_surfaces(recipe, recording)
+        images = [one.training for one in recording.cameras.values()]
+        metadata["training_pixels"] = sum(len(one.rgb) * len(one.pixel) for one in images)
+        states["camera"] = fit(
+            task, work, "camera", camera, recipe.camera_training,
+            lambda generator: camera_step(camera, propose, images, recipe, generator),
+        )  # fmt: skip
+    for sensor, state in states.items():
+        metadata[f"{sensor}_seconds"] = state.seconds
+    return Trained(
+        tensors=fields.tensors(),
+        curves={sensor: state.curve for sensor, state in states.items()},
+        seconds=seconds + sum(state.seconds for state in states.values()),
+        metadata=metadata,
+    )
+
+
+def _training_rays(lidar: LidarRecording, recipe: ResidualRecipe) -> LidarRays:
+    """Returns and drops of all training scans, each with the vote of the other scans."""
+    sweeps, evidence = lidar.sweeps, lidar.evidence
+    parts = []
+    a = sweeps.arrays
+    for number, scan in enumerate(np.flatnonzero(sweeps.is_training)):
+        time_s = float(a["time_s"][scan])
+        alone = len(evidence.prior.time_s) == 1
+        scans = evidence.prior.nearest_scans(
+            time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
+        )
+        part = sweeps.returns_of(int(scan))
+        kept = ~a["is_own_vehicle"][part] & (a["laser"][part] >= 0) & (a["range_m"][part] < lidar.far_m)
+        vote = evidence.prior.vote(a["laser"][part][kept], a["sweep_fraction"][part][kept], scans)
+        origin, direction = a["origin_m"][part][kept], a["direction"][part][kept]
+        parts.append(LidarRays(origin, direction, a["range_m"][part][kept], a["intensity"][part][kept], vote))
+        parts.append(
+            dropped_rays(
+                sweeps.table,
+                evidence.prior,
+                number,
+                evidence.lasers,
+                sweeps.trajectory,
+                sweeps.period_s,
+                scans,
+            )
+        )
+    return join_rays(parts)

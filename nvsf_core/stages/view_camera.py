@@ -1,0 +1,62 @@
+"""The cameras' part of a view: rendered images, and the nearest training image copied."""
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from nvsf_core.simulation.copying import nearest_earlier
+from nvsf_core.simulation.scene_model import ImageRenderer
+from nvsf_core.simulation.view_plan import ViewPlan
+from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.stage import Task
+from nvsf_core.stages.view_planning import reference_poses, to_world
+
+
+def image_arrays(
+    task: Task, recording: Recording, plans: Mapping[str, ViewPlan], render: ImageRenderer, method: str
+) -> dict[str, np.ndarray]:
+    """Images of every camera at the instants of its plan."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, plan in plans.items():
+        pinhole = recording.cameras[name].training.pinhole
+        poses = _camera_poses(recording, name, plan)
+        shown, seconds = [], []
+        for number, instant in enumerate(plan.time_s):
+            started = time.perf_counter()
+            shown.append(render(name, pinhole, poses[number], float(instant)))
+            seconds.append(time.perf_counter() - started)
+            task.progress(
+                f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} "
+                f"{number + 1}/{len(plan.time_s)}, {seconds[-1]:.2f} s"
+            )
+        arrays |= _named(name, plan, np.stack(shown), to_world(recording, poses), np.array(seconds))
+    return arrays
+
+
+def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[str, np.ndarray]:
+    """The nearest training image of each instant, as it is."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, plan in plans.items():
+        camera = recording.cameras[name]
+        nearest = [nearest_earlier(camera.training_time_s, float(instant)) for instant in plan.time_s]
+        poses = to_world(recording, _camera_poses(recording, name, plan))
+        arrays |= _named(name, plan, camera.training.rgb[nearest], poses, np.zeros(len(nearest)))
+    return arrays
+
+
+def _camera_poses(recording: Recording, camera: str, plan: ViewPlan) -> np.ndarray:
+    """Scene-local poses (n, 4, 4) of a camera that keeps its place beside the LiDAR."""
+    poses: np.ndarray = reference_poses(recording, plan) @ recording.cameras[camera].in_lidar
+    return poses
+
+
+def _named(
+    name: str, plan: ViewPlan, rgb: np.ndarray, camera_to_world: np.ndarray, seconds: np.ndarray
+) -> dict[str, np.ndarray]:
+    return {
+        f"{name}_rgb": rgb,
+        f"{name}_frame": plan.frame,
+        f"{name}_camera_to_world": camera_to_world,
+        f"{name}_render_seconds": seconds,
+    }

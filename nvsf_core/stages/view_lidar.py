@@ -1,0 +1,130 @@
+"""The LiDAR's part of a view: simulated sweeps, answers along recorded rays, and the nearest scan copied."""
+
+import time
+
+import numpy as np
+
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
+from nvsf_core.simulation.scene_model import RayRenderer
+from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answer_in_chunks, simulate_sweep
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.stages.recording import LidarRecording
+from nvsf_core.stages.stage import Task
+
+
+def sweep_arrays(
+    task: Task, lidar: LidarRecording, plan: SweepPlan, render: RayRenderer, votes: int, method: str
+) -> dict[str, np.ndarray]:
+    """All sweeps of a view, joined."""
+    sweeps: list[SimulatedSweep] = []
+    seconds = []
+    recorded = lidar.sweeps
+    for number, instant in enumerate(plan.time_s):
+        started = time.perf_counter()
+        sweeps.append(
+            simulate_sweep(
+                plan,
+                float(instant),
+                lidar.evidence,
+                render,
+                recorded.trajectory,
+                recorded.period_s,
+                recorded.table,
+                votes,
+            )
+        )
+        seconds.append(time.perf_counter() - started)
+        task.progress(
+            f"[{task.scene.name}] novel_views: {plan.name}, {method}, sweep {number + 1}/{len(plan.time_s)}, "
+            f"{len(sweeps[-1].points_m):,} returns in {seconds[-1]:.2f} s"
+        )
+    arrays = _joined([(s.points_m, s.intensity, s.laser) for s in sweeps])
+    arrays["lidar_render_seconds"] = np.array(seconds)
+    for name in ("pano_range_m", "pano_intensity", "pano_hit"):
+        arrays[name] = np.stack([getattr(s, name) for s in sweeps])
+    shapes = {s.grid["grid_hit"].shape for s in sweeps}
+    firings = max(shape[1] for shape in shapes)
+    for name in sweeps[0].grid:
+        # Sweeps differ by a firing or two: the short ones end in cells that never hit.
+        padded = [np.pad(s.grid[name], ((0, 0), (0, firings - s.grid[name].shape[1]))) for s in sweeps]
+        arrays[name] = np.stack(padded)
+    return arrays
+
+
+def along_recorded_rays(
+    lidar: LidarRecording, plan: SweepPlan, render: RayRenderer, votes: int
+) -> dict[str, np.ndarray]:
+    """For scoring only: range and intensity along the recorded returns' own rays."""
+    sweeps, prior = lidar.sweeps, lidar.evidence.prior
+    a = sweeps.arrays
+    ranges, intensities = [], []
+    for frame, instant in zip(plan.frame, plan.time_s, strict=True):
+        part = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
+        scans = prior.nearest_scans(float(instant), votes)
+        vote = prior.vote(np.maximum(a["laser"][part], 0), a["sweep_fraction"][part], scans)
+        fired_s = float(instant) + a["sweep_fraction"][part].astype(np.float64) * sweeps.period_s
+        answers = answer_in_chunks(render, a["origin_m"][part], a["direction"][part], vote, fired_s)
+        ranges.append(answers.range_m)
+        intensities.append(answers.intensity)
+    return {
+        "ray_offsets": _offsets([len(r) for r in ranges]),
+        "ray_range_m": np.concatenate(ranges).astype(np.float32),
+        "ray_intensity": np.concatenate(intensities).astype(np.float32),
+    }
+
+
+def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray]:
+    """The nearest training scan of each instant, as it is."""
+    sweeps = lidar.sweeps
+    a = sweeps.arrays
+    training = np.flatnonzero(sweeps.is_training)
+    pano = LinearPano(quirks=True)
+    scans, panos, rays, seconds = [], [], [], []
+    for frame, instant in zip(plan.frame, plan.time_s, strict=True):
+        started = time.perf_counter()
+        source = sweeps.returns_of(int(training[nearest_earlier(a["time_s"][training], float(instant))]))
+        scans.append((a["points_m"][source], a["intensity"][source], a["laser"][source]))
+        panos.append(pano.project(a["points_m"][source], a["intensity"][source]))
+        seconds.append(time.perf_counter() - started)
+        own = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
+        rays.append(
+            copied_ranges(
+                a["points_m"][source],
+                a["laser"][source],
+                a["range_m"][source],
+                a["intensity"][source],
+                a["points_m"][own],
+                a["laser"][own],
+            )
+        )
+    arrays = _joined(scans)
+    arrays["pano_range_m"] = np.stack([range_m for range_m, _ in panos])
+    arrays["pano_intensity"] = np.stack([intensity for _, intensity in panos])
+    arrays["pano_hit"] = (arrays["pano_range_m"] > 0).astype(np.float32)
+    arrays["ray_offsets"] = _offsets([len(r) for r, _ in rays])
+    arrays["ray_range_m"] = np.concatenate([r for r, _ in rays])
+    arrays["ray_intensity"] = np.concatenate([i for _, i in rays])
+    arrays["lidar_render_seconds"] = np.array(seconds)
+    return arrays
+
+
+def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:
+    """Answer a few rays: the first call of a compiled kernel loads it, which is no part of a frame's time."""
+    a = lidar.sweeps.arrays
+    count = len(a["origin_m"][:64])
+    fired_s = np.full(count, a["time_s"][0], np.float64)
+    render(a["origin_m"][:count], a["direction"][:count], np.ones(count, np.float32), fired_s)
+
+
+def _joined(scans: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {
+        "offsets": _offsets([len(points) for points, _, _ in scans]),
+        "points_m": np.concatenate([points for points, _, _ in scans]),
+        "intensity": np.concatenate([intensity for _, intensity, _ in scans]),
+        "laser": np.concatenate([laser for _, _, laser in scans]),
+    }
+
+
+def _offsets(lengths: list[int]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
