@@ -2,7 +2,7 @@
 
 import os
 
-# Before numba is imported. Its own order begins with TBB and warns where one is loaded that is too old for it,
+# Before numba is imported. Its own order begins with TBB and warns where one is loaded that is too old,
 # as open3d's own is. With OpenMP first nobody looks for TBB.
 # OpenMP bears calls from several threads as TBB does; workqueue, which does not, stays the last resort.
 os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
