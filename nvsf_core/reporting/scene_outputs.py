@@ -163,7 +163,7 @@ def _view_pictures(root: Path, folder: Path) -> ViewPictures:
     found = [_camera(root, methods, camera, is_test) for camera in attrs.get("cameras", [])]
     cameras = [pair for pair in found if pair is not None]
     sensor = str(attrs.get("sensor", ""))
-    if not frames.size:
+    if not frames.size or not sensor:
         frame = cameras[0].frame if cameras else 0
         return ViewPictures(view=folder.name, frame=frame, sensor=sensor, cameras=cameras)
     row = len(frames) // 2

@@ -24,7 +24,7 @@ from nvsf_core.kitti360.catalogue import ViewEntry
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan
-from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task, read_record
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
@@ -59,6 +59,10 @@ def _run(task: Task) -> StageOutput:
         unknown = sorted(set(view.exports) - set(_EXPORTS))
         if unknown:
             raise DataError(f"view {view.name}: unknown exports {unknown}; there are {', '.join(_EXPORTS)}")
+        if not (rendered / view.name / "model.zarr").is_dir():
+            output.metadata[view.name] = reason = _why_absent(rendered, view.name)
+            task.progress(f"[{task.scene.name}] dataset: {view.name} {reason}")
+            continue
         version = dataset_version(task, view, sources)
         arrays = _read_view(rendered / view.name / "model.zarr")
         attrs = read_attrs(rendered / view.name / "model.zarr")
@@ -85,7 +89,7 @@ def _run(task: Task) -> StageOutput:
             f" {entry['megabytes']:.1f} MB"
         )
     (task.folder / VERSIONS_NAME).write_text(json.dumps(made, indent=1))
-    output.metadata = _metadata(made)
+    output.metadata |= _metadata(made)
     output.checks = _checks(made)
     return output
 
@@ -102,6 +106,12 @@ def _identity(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
         "seed": task.config.seed,
         "draw_seed": task.config.draw_seed,
     }
+
+
+def _why_absent(rendered: Path, view: str) -> str:
+    """Why `novel_views` published no such view, in its own words."""
+    said = (read_record(rendered) or {"metadata": {}})["metadata"]
+    return str(said.get(view, "not rendered: none of its frames was recorded"))
 
 
 def _read_view(path: Path) -> dict[str, np.ndarray]:
@@ -136,6 +146,8 @@ def _scans(task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]) -> lis
 
 
 def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    if "points_m" not in arrays:
+        return {"hits": "nothing: no LiDAR", "range_noise_m": 0.0}
     if GRID_ARRAYS[0] not in arrays:
         return {"hits": "as rendered (probability above one half)", "range_noise_m": 0.0}
     return {
@@ -324,7 +336,7 @@ STAGE = Stage(
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " a manifest of what they came from.",
-    version="1",
+    version="2",
     run=_run,
     per_recipe=True,
     per_draw=True,

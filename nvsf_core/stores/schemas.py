@@ -145,9 +145,9 @@ CONTRACT: tuple[FileSpec, ...] = (
         "novel_views", "novel_views/<recipe>/<seed>/<view>/<method>.zarr", "zarr",
         "What a method renders of a view: `model`; for the view `test` also `reproject`, `copy_nearest`.",
         (
-            Entry("frame", "i8", ("scans",), "1", "nearest recorded frame"),
+            Entry("frame", "i8", ("scans",), "1", "nearest recorded frame (of images, without LiDAR)"),
             Entry("time_s", "f8", ("scans",), "s", "since the first frame"),
-            Entry("lidar_to_world", "f8", ("scans", 4, 4), "m", "true world"),
+            Entry("lidar_to_world", "f8", ("scans", 4, 4), "m", "true world; without LiDAR the pose frame"),
             Entry("offsets", "i8", ("scans+1",), "1", "returns of scan k", optional=True),
             Entry("points_m", "f4", ("returns", 3), "m", "sensor frame at firing time", optional=True),
             Entry("intensity", "f4", ("returns",), "1", "0 to 1", optional=True),
@@ -166,10 +166,11 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("lidar_render_seconds", "f8", ("scans",), "s", "a scan", optional=True),
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
             Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
+            Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
             Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),
         ),
-        "split, sensor, method, recipe, seed, cameras, parameters, model_mb, train_seconds, peak_memory_mb, "
-        "scene_origin_m",
+        "split, sensor (empty = no LiDAR), method, recipe, seed, cameras, parameters, model_mb, "
+        "train_seconds, peak_memory_mb, scene_origin_m",
     ),
     FileSpec(
         "scene_metrics", "scene_metrics/<recipe>/<seed>/metrics.parquet", "parquet",
