@@ -6,3 +6,8 @@ from torch import Tensor
 def colour_loss(colour: Tensor, true_colour: Tensor) -> Tensor:
     """Squared error (r,), mean over channels, of colours (r, 3) in 0..1."""
     return ((colour - true_colour) ** 2).mean(dim=1)
+
+
+def squared_colour_error(colour: Tensor, true_colour: Tensor) -> Tensor:
+    """(C^ - C)^2 (r, 3) of colours (r, 3) in 0..1. Source: the paper's L_rgb, to be summed over all."""
+    return (colour - true_colour) ** 2

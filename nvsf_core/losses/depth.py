@@ -18,3 +18,16 @@ def depth_loss(weights: Tensor, range_m: Tensor, true_range_m: Tensor) -> Tensor
     error = (range_m - true_range_m[:, None]).abs().clamp_max(CLAMP_M)
     missing = 1.0 - weights.sum(dim=1)
     return torch.as_tensor((weights * error).sum(dim=1) + CLAMP_M * missing)
+
+
+def absolute_range_error(rendered_range: Tensor, true_range: Tensor) -> Tensor:
+    """|D^ - D| (r,), in the unit of both, 0 where nothing returned; to be summed.
+
+    The rendered range of a ray without return is multiplied by 0, as in the authors' code: whether it
+    returns is the hit probability's to learn. Source: the paper's L_depth.
+
+    Args:
+        rendered_range: (r,) expected range; scaled units in the `paper` recipe.
+        true_range: (r,) recorded, 0 = no return.
+    """
+    return (rendered_range * (true_range > 0) - true_range).abs()

@@ -1,5 +1,6 @@
 """Named terms, weighted and added; a term that is not finite is an error, never a 0."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import torch
@@ -15,20 +16,34 @@ class LossBreakdown:
     total: Tensor
     """Scalar, differentiable."""
     terms: dict[str, float]
-    """Mean of each unweighted term, in its own unit."""
+    """Mean (or sum) of each unweighted term, in its own unit."""
 
 
-def total_loss(terms: dict[str, Tensor], weights: dict[str, float]) -> LossBreakdown:
-    """Mean of each term (r,) times its weight, added. An empty term (no ray of its kind) counts as absent.
+def total_loss(
+    terms: dict[str, Tensor], weights: dict[str, float], sums: Collection[str] = ()
+) -> LossBreakdown:
+    """Each term's mean, or its sum if `sums` names it, times its weight, added.
+
+    An empty term (no ray of its kind) counts as absent; if all are, the total is 0. The paper's total is
+    lambda_1 L_flow + ... + lambda_6 L_rgb, with sums over rays (`PaperLosses`).
+
+    Args:
+        terms: Unreduced, any shape.
+        weights: Of each term at least.
+        sums: Terms that are added up instead of averaged.
 
     Raises:
         DivergedError: A term is NaN or infinite; names it.
     """
-    means = {name: term.mean() for name, term in terms.items() if term.numel()}
-    for name, value in means.items():
+    reduced = {
+        name: term.sum() if name in sums else term.mean() for name, term in terms.items() if term.numel()
+    }
+    for name, value in reduced.items():
         if not torch.isfinite(value):
             raise DivergedError(
                 f"loss term {name!r} is {value.item()}; lower the step size or look at its input"
             )
-    total = torch.stack([weights[name] * value for name, value in means.items()]).sum()
-    return LossBreakdown(total, {name: float(value.detach()) for name, value in means.items()})
+    if not reduced:
+        return LossBreakdown(torch.zeros((), requires_grad=True), {})
+    total = torch.stack([weights[name] * value for name, value in reduced.items()]).sum()
+    return LossBreakdown(total, {name: float(value.detach()) for name, value in reduced.items()})

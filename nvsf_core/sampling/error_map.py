@@ -1,0 +1,144 @@
+"""Heuristic sampling: each frame remembers where it was wrong, and rays are drawn from that."""
+
+import torch
+from torch import Tensor, nn
+
+from nvsf_core.errors import ShapeError
+from nvsf_core.numerics import require_finite
+from nvsf_core.sampling.patches import require_patch_fits
+
+LIDAR_CELL_PX = 2
+"""Pano pixels along a cell of the LiDAR's map."""
+CAMERA_CELL_PX = 4
+"""Image pixels along a cell of a camera's map."""
+
+_KEPT = 0.1
+"""Share of a cell's old value that stays."""
+_LOWEST, _HIGHEST = 1.0, 1000.0
+"""What the smallest and the largest error of a batch become."""
+
+
+class ErrorMap(nn.Module):
+    """The reconstruction error of each frame on a coarse grid, and draws in proportion to it.
+
+    A module only so that its state travels with checkpoints and devices; nothing in it is learned.
+    """
+
+    errors: Tensor
+    """(frames, ceil(height / cell), ceil(width / cell)) float32, from 1 to 1000."""
+    drawable: Tensor
+    """(height, width) bool: pixels that may be drawn."""
+    _inside: Tensor
+
+    def __init__(
+        self, frames: int, height: int, width: int, cell_px: int, is_drawable: Tensor | None = None
+    ) -> None:
+        """Start without knowledge: every cell 1.
+
+        Args:
+            frames: Training frames, numbered from 0.
+            height: Rows of the image.
+            width: Columns.
+            cell_px: Pixels along a cell.
+            is_drawable: (height, width) bool, for cameras whose images have blind parts; None = all.
+        """
+        super().__init__()
+        self.cell_px = cell_px
+        cells = (-(-height // cell_px), -(-width // cell_px))
+        drawable = torch.ones(height, width, dtype=torch.bool) if is_drawable is None else is_drawable
+        if drawable.shape != (height, width) or not bool(drawable.any()):
+            raise ShapeError(
+                f"error map: expected a mask {(height, width)} that shows something, found "
+                f"{tuple(drawable.shape)} with {int(drawable.sum())} pixels"
+            )
+        self.register_buffer("errors", torch.ones(frames, *cells))
+        self.register_buffer("drawable", drawable.clone(), persistent=False)
+        padded = torch.zeros(1, 1, cells[0] * cell_px, cells[1] * cell_px)
+        padded[0, 0, :height, :width] = drawable
+        # (cells, cell_px * cell_px): which pixels of each cell may be drawn, as weights.
+        inside = nn.functional.unfold(padded, cell_px, stride=cell_px)[0].T.contiguous()
+        self.register_buffer("_inside", inside, persistent=False)
+
+    @torch.no_grad()
+    def update(self, frame: int, rows: Tensor, columns: Tensor, error: Tensor) -> None:
+        """Take in the errors of a batch: cell <- 0.1 cell + 0.9 e.
+
+        e is the batch's error brought to [1, 1000] by its own smallest and largest value. Of several rays in
+        one cell the largest counts (the authors leave open which). A batch without rays, or whose errors are
+        all equal, ranks nothing and changes nothing.
+
+        Args:
+            frame: The batch's frame, from 0.
+            rows: (r,) pixel rows.
+            columns: (r,) pixel columns.
+            error: (r,) of each ray, any unit.
+
+        Raises:
+            ShapeError: The three differ in length.
+            DivergedError: An error is not finite.
+        """
+        if not rows.shape == columns.shape == error.shape or error.ndim != 1:
+            raise ShapeError(
+                f"error map: expected rows, columns and errors (r,), found {tuple(rows.shape)}, "
+                f"{tuple(columns.shape)}, {tuple(error.shape)}"
+            )
+        if len(error) == 0:
+            return
+        error = require_finite(f"error map, errors of frame {frame}", error.to(self.errors))
+        low, high = error.min(), error.max()
+        # In halves, or the difference of two huge errors overflows.
+        spread = 0.5 * high - 0.5 * low
+        if not bool(spread > 0.0):
+            return
+        value = _LOWEST + (_HIGHEST - _LOWEST) * ((0.5 * error - 0.5 * low) / spread).clamp(0.0, 1.0)
+        cells = self.errors[frame].view(-1)
+        cell = rows.to(cells.device) // self.cell_px * self.errors.shape[2]
+        cell = cell + columns.to(cells.device) // self.cell_px
+        largest = torch.zeros_like(cells).scatter_reduce(0, cell, value, "amax")
+        cells.copy_(torch.where(largest > 0.0, _KEPT * cells + (1.0 - _KEPT) * largest, cells))
+
+    def draw_patches(
+        self, frame: int, count: int, patch: tuple[int, int], generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Upper left corners (count,), (count,) of patches, in proportion to the frame's cells.
+
+        Cells are drawn by a multinomial without replacement, a corner evenly within its cell (the paper's
+        jitter), then moved until its patch lies within the image. More patches than cells: each cell once
+        for every full round.
+
+        Raises:
+            ShapeError: The patch is larger than the image.
+        """
+        height, width = self.drawable.shape
+        require_patch_fits((height, width), patch)
+        cell_row, cell_column = self._draw_cells(self.errors[frame].flatten(), count, generator)
+        jitter = torch.rand(2, count, generator=generator, device=generator.device).to(cell_row.device)
+        jitter = (jitter * self.cell_px).long().clamp_max(self.cell_px - 1)
+        rows = (cell_row * self.cell_px + jitter[0]).clamp_max(height - patch[0])
+        columns = (cell_column * self.cell_px + jitter[1]).clamp_max(width - patch[1])
+        return rows, columns
+
+    def draw_pixels(self, frame: int, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Pixels (count,), (count,): as patches of one pixel, but only such as may be drawn.
+
+        The jitter is even over the drawable pixels of the drawn cell.
+        """
+        weights = self.errors[frame].flatten() * (self._inside.sum(dim=1) > 0)
+        cell_row, cell_column = self._draw_cells(weights, count, generator)
+        if count == 0:
+            return cell_row, cell_column
+        inside = self._inside[cell_row * self.errors.shape[2] + cell_column].to(generator.device)
+        pixel = torch.multinomial(inside, 1, generator=generator)[:, 0].to(cell_row.device)
+        rows = cell_row * self.cell_px + pixel // self.cell_px
+        return rows, cell_column * self.cell_px + pixel % self.cell_px
+
+    def _draw_cells(self, weights: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Rows and columns (count,) of cells, drawn without replacement from weights (cells,)."""
+        possible = weights.nonzero()[:, 0]
+        rounds, rest = divmod(count, len(possible))
+        parts = [possible] * rounds
+        if rest:
+            drawn = torch.multinomial(weights.to(generator.device), rest, generator=generator)
+            parts.append(drawn.to(possible.device))
+        cell = torch.cat([possible[:0], *parts])
+        return cell // self.errors.shape[2], cell % self.errors.shape[2]

@@ -1,0 +1,80 @@
+"""Small rectangles of a pano, whose neighbouring ranges are compared."""
+
+import torch
+from torch import Tensor
+
+from nvsf_core.errors import ShapeError
+
+
+def uniform_corners(
+    shape: tuple[int, int], patch: tuple[int, int], count: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Upper left corners (count,), (count,) of patches, even over all that lie within the image.
+
+    Drawn with replacement. Every row and column can be in a patch, the last ones too.
+
+    Args:
+        shape: Rows and columns of the image.
+        patch: Rows and columns of a patch.
+        count: Patches.
+        generator: Draws them.
+
+    Raises:
+        ShapeError: The patch is larger than the image.
+    """
+    require_patch_fits(shape, patch)
+    corners = (
+        torch.randint(
+            size - part + 1, (count,), generator=generator, device=generator.device, dtype=torch.int64
+        )
+        for size, part in zip(shape, patch, strict=True)
+    )
+    rows, columns = corners
+    return rows, columns
+
+
+def patch_pixels(
+    corner_rows: Tensor,
+    corner_columns: Tensor,
+    patch: tuple[int, int],
+    shape: tuple[int, int],
+    *,
+    wrap: bool = False,
+) -> tuple[Tensor, Tensor]:
+    """All pixels of patches with the given upper left corners.
+
+    A corner too far down or right is moved until its patch lies within the image. With `wrap` columns go
+    on at the other edge instead, as a full turn does; rows never wrap. (LiDAR4D wraps, the paper's code
+    does not.)
+
+    Args:
+        corner_rows: (p,) integer.
+        corner_columns: (p,) integer.
+        patch: Rows h and columns w of a patch.
+        shape: Rows H and columns W of the image.
+        wrap: Whether columns are taken modulo W.
+
+    Returns:
+        rows (p, h, w), columns (p, h, w), int64, all within the image.
+
+    Raises:
+        ShapeError: The patch is larger than the image.
+    """
+    require_patch_fits(shape, patch)
+    down = torch.arange(patch[0], device=corner_rows.device)
+    right = torch.arange(patch[1], device=corner_rows.device)
+    rows = corner_rows.clamp(0, shape[0] - patch[0])[:, None, None] + down[:, None]
+    first = corner_columns if wrap else corner_columns.clamp(0, shape[1] - patch[1])
+    columns = (first[:, None, None] + right) % shape[1]
+    size = (len(corner_rows), *patch)
+    return rows.expand(size), columns.expand(size)
+
+
+def require_patch_fits(shape: tuple[int, int], patch: tuple[int, int]) -> None:
+    """Refuse a patch that no place of the image can hold.
+
+    Raises:
+        ShapeError: It is empty or larger than the image.
+    """
+    if not (1 <= patch[0] <= shape[0] and 1 <= patch[1] <= shape[1]):
+        raise ShapeError(f"expected patches of at least 1x1 within {shape}, found {patch}; use smaller ones")

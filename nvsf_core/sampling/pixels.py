@@ -1,0 +1,112 @@
+"""Which pixels of a frame a step learns from: evenly or by the error map, one by one or in patches."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nvsf_core.errors import ShapeError
+from nvsf_core.recipe.paper import PaperSampling
+from nvsf_core.sampling.error_map import ErrorMap
+from nvsf_core.sampling.patches import patch_pixels, uniform_corners
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnPixels:
+    """The pixels of one step."""
+
+    rows: Tensor
+    """(r,) int64."""
+    columns: Tensor
+    """(r,) int64."""
+    patch: tuple[int, int] | None
+    """Rows and columns of a patch; r is then a multiple of their product and patches follow one another,
+    each row by row: `x.view(-1, *patch)`. None: single pixels."""
+
+
+def is_second_epoch(epoch: int) -> bool:
+    """Whether this epoch, counted from 0, is one of heuristic draws and patches.
+
+    Every second one is, beginning with the second, so that the first has filled the error map.
+    """
+    return epoch % 2 == 1
+
+
+def uniform_pixels(
+    shape: tuple[int, int], count: int, generator: torch.Generator, is_drawable: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Rows (count,) and columns (count,) of pixels, even over the image, with replacement.
+
+    Args:
+        shape: Rows and columns of the image.
+        count: Pixels.
+        generator: Draws them.
+        is_drawable: (rows, columns) bool: only these; None = all.
+
+    Raises:
+        ShapeError: No pixel may be drawn.
+    """
+    allowed = None if is_drawable is None else is_drawable.flatten().nonzero()[:, 0]
+    size = shape[0] * shape[1] if allowed is None else len(allowed)
+    if size == 0:
+        raise ShapeError(f"uniform_pixels: expected at least one pixel to draw from, found none in {shape}")
+    drawn = torch.randint(size, (count,), generator=generator, device=generator.device)
+    pixel = drawn if allowed is None else allowed[drawn.to(allowed.device)]
+    return pixel // shape[1], pixel % shape[1]
+
+
+def draw_lidar_pixels(
+    sampling: PaperSampling,
+    epoch: int,
+    frame: int,
+    error_map: ErrorMap,
+    generator: torch.Generator,
+    *,
+    wrap: bool = False,
+) -> DrawnPixels:
+    """The pano pixels of one step.
+
+    `sampling.heuristic` and `sampling.patches` act in every second epoch (`is_second_epoch`), each for
+    itself: patches without the error map lie evenly, the error map without patches draws pixels. Patches
+    fill at most `sampling.rays` rays, and there is at least one.
+
+    Args:
+        sampling: Switches and number of rays.
+        epoch: From 0.
+        frame: Number of the frame in `error_map`.
+        error_map: Of the panos.
+        generator: Draws.
+        wrap: Whether a patch goes on at the pano's other edge.
+    """
+    height, width = error_map.drawable.shape
+    heuristic, patch = sampling.heuristic and is_second_epoch(epoch), sampling.patches
+    if patch is None or not is_second_epoch(epoch):
+        return _draw_single(heuristic, sampling.rays, frame, error_map, generator)
+    count = max(1, sampling.rays // (patch[0] * patch[1]))
+    # A patch that wraps may begin in every column, as one that is a single column wide may.
+    within = (patch[0], 1) if wrap else patch
+    if heuristic:
+        corners = error_map.draw_patches(frame, count, within, generator)
+    else:
+        corners = uniform_corners((height, width), within, count, generator)
+    rows, columns = patch_pixels(*corners, patch, (height, width), wrap=wrap)
+    return DrawnPixels(rows.flatten(), columns.flatten(), patch)
+
+
+def draw_camera_pixels(
+    sampling: PaperSampling, epoch: int, frame: int, error_map: ErrorMap, generator: torch.Generator
+) -> DrawnPixels:
+    """The image pixels of one step: by the error map in every second epoch, evenly otherwise."""
+    heuristic = sampling.heuristic and is_second_epoch(epoch)
+    return _draw_single(heuristic, sampling.rays, frame, error_map, generator)
+
+
+def _draw_single(
+    heuristic: bool, count: int, frame: int, error_map: ErrorMap, generator: torch.Generator
+) -> DrawnPixels:
+    if heuristic:
+        rows, columns = error_map.draw_pixels(frame, count, generator)
+    else:
+        height, width = error_map.drawable.shape
+        rows, columns = uniform_pixels((height, width), count, generator, error_map.drawable)
+    return DrawnPixels(rows, columns, None)
