@@ -1,212 +1,109 @@
 """`scene_metrics`: the held-out frames, measured for the model and the baselines."""
 
-import math
 import subprocess
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nvsf_core.errors import StoreError
-from nvsf_core.metrics.image import image_metrics
-from nvsf_core.metrics.lpips import Lpips, load_lpips
-from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d, project_scan, raw
-from nvsf_core.metrics.table import COLUMNS, UNITS, mean_rows, summary_table
-from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.metrics.lpips import load_lpips
+from nvsf_core.metrics.table import COLUMNS, HELD_OUT, summary_table
+from nvsf_core.reporting.error_cloud import WRONG_M, error_cloud_png
+from nvsf_core.stages.camera_metrics import measure_camera
+from nvsf_core.stages.demo_truth import measure_demo_view, read_demo_truth
+from nvsf_core.stages.lidar_metrics import (
+    RecordedScans,
+    measure_lidar,
+    read_recorded_scans,
+    recorded_range_errors,
+)
+from nvsf_core.stages.metric_ledger import Ledger, method_columns
+from nvsf_core.stages.moving_boxes import NO_BOXES, read_moving_boxes
+from nvsf_core.stages.stage import Scalar, Stage, StageOutput, Task
+from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 
 METHODS = ("model", "reproject", "copy_nearest")
-"""Stored predictions of the view `test`, in the order in which they are measured."""
-SPLIT = "test"
+"""Stored predictions of a view, in the order in which they are measured."""
 TABLE_NAME = "metrics.parquet"
-
-_HEADLINES = (
-    ("lidar4d_scan", "chamfer_m2"), ("lidar4d_scan", "f_score"), ("lidar4d_scan", "range_psnr_db"),
-    ("raw", "range_abs_error_median_m"), ("raw", "hit_accuracy"), ("image", "image_psnr_db"),
-)  # fmt: skip
-
-
-@dataclass(slots=True)
-class _Ledger:
-    """Rows of the table, and why values in it are undefined."""
-
-    facts: dict[str, Any]
-    """Columns that are the same for all rows."""
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    reasons: Counter[str] = field(default_factory=Counter)
-
-    def add(
-        self,
-        measures: Mapping[str, Measure],
-        method: Mapping[str, Any],
-        *,
-        protocol: str,
-        sensor: str,
-        frame: int,
-        render_seconds: float,
-    ) -> None:
-        for metric, measure in measures.items():
-            if measure.reason:
-                self.reasons[f"{protocol} {metric}: {measure.reason}"] += 1
-            self.rows.append(
-                {
-                    **self.facts, **method, "protocol": protocol, "sensor": sensor, "frame": frame,
-                    "metric": metric, "value": measure.value, "unit": UNITS[metric],
-                    "n_valid": measure.n_valid, "render_seconds": render_seconds,
-                }
-            )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class _Recording:
-    """The recorded scans, by frame."""
-
-    arrays: dict[str, np.ndarray]
-    n_lasers: int
-
-    def scan(self, frame: int) -> tuple[Scan, RayAnswers]:
-        """The recorded scan of a frame, and range and intensity along its rays.
-
-        Raises:
-            StoreError: The frame has no valid recorded scan.
-        """
-        a = self.arrays
-        found = np.flatnonzero(a["frame"] == frame)
-        if found.size != 1:
-            raise StoreError(
-                f"frame {frame} is rendered in the view {SPLIT!r}, but sweeps/returns.zarr holds it "
-                f"{found.size} times; run novel_views again"
-            )
-        cut = _part(a["offsets"], int(found[0]))
-        scan = Scan(points_m=a["points_m"][cut], intensity=a["intensity"][cut], laser=a["laser"][cut])
-        return scan, RayAnswers(range_m=a["range_m"][cut], intensity=a["intensity"][cut])
+ERROR_CLOUD_NAME = "error_cloud.png"
 
 
 def _run(task: Task) -> StageOutput:
-    store, config = task.store, task.config
-    view = store.require(f"novel_views/{config.recipe.name}/{config.seed}") / SPLIT
-    lpips = load_lpips()
-    ledger = _Ledger(facts={"scene": task.scene.name, "split": SPLIT, "region": "all", "commit": _commit()})
-    recording = _read_recording(store.require("sweeps") / "returns.zarr")
+    config = task.config
+    views = task.store.require(f"novel_views/{config.recipe.name}/{config.seed}")
+    ledger = Ledger(facts={"scene": task.scene.name, "commit": _commit()})
+    recording = read_recorded_scans(task.store.require("sweeps") / "returns.zarr")
+    about = _measure_held_out(task, views / HELD_OUT, recording, ledger)
+    about |= _measure_demo_views(task, views, ledger)
+    write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
+    for line in summary_table(ledger.rows).splitlines():
+        task.progress(line)
+    output = ledger.output()
+    output.metadata |= about
+    _draw_error_cloud(task, views / HELD_OUT / "model.zarr", recording, output)
+    return output
+
+
+def _measure_held_out(
+    task: Task, view: Path, recording: RecordedScans | None, ledger: Ledger
+) -> dict[str, Scalar]:
+    """Rows of the held-out frames; returns what was found of moving objects."""
+    lpips, boxes = load_lpips(), read_moving_boxes(task.store)
+    images = task.store.path("undistorted") / "images.zarr"
     for name in METHODS:
         path = view / f"{name}.zarr"
         if not path.is_dir():
             task.progress(f"[{task.scene.name}] scene_metrics: no {path.name} in {view}, not measured")
             continue
-        attrs = read_attrs(path)
-        method = _method_columns(name, attrs, config.recipe.name, config.seed)
-        for done in _measure_lidar(path, recording, method, ledger, lpips):
-            task.progress(f"[{task.scene.name}] scene_metrics: {name}, lidar {done}")
-        images = store.path("undistorted") / "images.zarr"
+        method, attrs = _method(task, path)
+        if recording is not None:
+            for done in measure_lidar(path, recording, boxes, method, ledger, lpips):
+                task.progress(f"[{task.scene.name}] scene_metrics: {name}, lidar {done}")
         for camera in attrs.get("cameras", []):
-            for done in _measure_camera(path, images, camera, method, ledger, lpips):
+            for done in measure_camera(path, images, camera, boxes, recording, method, ledger, lpips):
                 task.progress(f"[{task.scene.name}] scene_metrics: {name}, {camera} {done}")
-    write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
-    return _output(ledger)
+    return {"foreground": NO_BOXES if boxes is None else f"{boxes.objects} moving objects, by their boxes"}
 
 
-def _measure_lidar(
-    path: Path, recording: _Recording | None, method: Mapping[str, Any], ledger: _Ledger, lpips: Lpips | None
-) -> Iterator[str]:
-    """Add the rows of the LiDAR protocols, yielding after each frame."""
-    frames = read_arrays(path, "frame")["frame"]
-    if recording is None or frames.size == 0:
+def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Scalar]:
+    """Rows of the demo's own views; returns what was found of its truth, nothing for other drives."""
+    asked = [view for view in task.scene.views if (views / view.name).is_dir()]
+    truth = read_demo_truth(task) if asked else None
+    if truth is None:
+        return {}
+    about: dict[str, Scalar] = {"demo_truth_gap_m": truth.gap_m}
+    if not truth.is_of_this_drive:
+        return about | {"demo_truth": "views not measured: the drive is not of the demo writer's street"}
+    for view in asked:
+        for name in METHODS:
+            path = views / view.name / f"{name}.zarr"
+            if not (path / "grid_hit").is_dir():
+                continue
+            for done in measure_demo_view(path, view, truth, _method(task, path)[0], ledger):
+                task.progress(f"[{task.scene.name}] scene_metrics: {name}, view {view.name}, {done}")
+    return about
+
+
+def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """Columns that say who made a stored prediction, and its attributes."""
+    attrs = read_attrs(path)
+    return method_columns(path.stem, attrs, task.config.recipe.name, task.config.seed), attrs
+
+
+def _draw_error_cloud(
+    task: Task, path: Path, recording: RecordedScans | None, output: StageOutput
+) -> None:
+    """The middle held-out frame's returns from above, by the model's range error along their rays."""
+    found = None if recording is None or not path.is_dir() else recorded_range_errors(path, recording)
+    if found is None:
         return
-    names = ("offsets", "points_m", "intensity", "laser", "pano_range_m", "pano_intensity", "pano_hit")
-    a = read_arrays(path, *names, "ray_offsets", "ray_range_m", "ray_intensity", "lidar_render_seconds")
-    pano = LinearPano(quirks=True)
-    for i, frame in enumerate(frames.tolist()):
-        truth, truth_rays = recording.scan(frame)
-        own, rays = _part(a["offsets"], i), _part(a["ray_offsets"], i)
-        predicted = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
-        answers = RayAnswers(range_m=a["ray_range_m"][rays], intensity=a["ray_intensity"][rays])
-        image = PanoImage(
-            range_m=a["pano_range_m"][i], intensity=a["pano_intensity"][i], hit=a["pano_hit"][i]
-        )
-        true_image = project_scan(pano, truth)
-        by_protocol = {
-            "lidar4d": lidar4d(image, true_image, pano, lpips),
-            "lidar4d_scan": lidar4d(project_scan(pano, predicted), true_image, pano, lpips),
-            "raw": raw(predicted, answers, truth, truth_rays, recording.n_lasers),
-        }
-        seconds = float(a["lidar_render_seconds"][i])
-        for protocol, measures in by_protocol.items():
-            ledger.add(
-                measures, method, protocol=protocol, sensor="lidar", frame=frame, render_seconds=seconds
-            )
-        yield f"frame {frame} ({i + 1} of {frames.size})"
-
-
-def _measure_camera(
-    path: Path, images: Path, camera: str, method: Mapping[str, Any], ledger: _Ledger, lpips: Lpips | None
-) -> Iterator[str]:
-    """Add the rows of one camera, yielding after each frame."""
-    a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame", f"{camera}_render_seconds")
-    true = read_arrays(images, f"{camera}_rgb", f"{camera}_valid", f"{camera}_frame")
-    index = {frame: row for row, frame in enumerate(true[f"{camera}_frame"].tolist())}
-    frames = a[f"{camera}_frame"].tolist()
-    for i, frame in enumerate(frames):
-        if frame not in index:
-            raise StoreError(
-                f"{path}: {camera} of frame {frame} is rendered, but {images} lacks it; run novel_views again"
-            )
-        truth = true[f"{camera}_rgb"][index[frame]]
-        measures = image_metrics(a[f"{camera}_rgb"][i], truth, true[f"{camera}_valid"], lpips)
-        seconds = float(a[f"{camera}_render_seconds"][i])
-        ledger.add(measures, method, protocol="image", sensor=camera, frame=frame, render_seconds=seconds)
-        yield f"frame {frame} ({i + 1} of {len(frames)})"
-
-
-def _read_recording(path: Path) -> _Recording | None:
-    """The recorded scans; None for a drive without a LiDAR."""
-    names = ("frame", "offsets", "points_m", "intensity", "laser", "range_m")
-    if not path.is_dir() or read_arrays(path, "frame")["frame"].size == 0:
-        return None
-    arrays = read_arrays(path, *names)
-    n_lasers = int(arrays["laser"].max()) + 1 if arrays["laser"].size else 0
-    return _Recording(arrays=arrays, n_lasers=n_lasers)
-
-
-def _method_columns(name: str, attrs: Mapping[str, Any], recipe: str, seed: int) -> dict[str, Any]:
-    """Columns that say who made the prediction and at what cost; a cost not stated is NaN."""
-    costs = ("train_seconds", "parameters", "model_mb", "peak_memory_mb")
-    found = {cost: math.nan if attrs.get(cost) is None else float(attrs[cost]) for cost in costs}
-    return {"recipe": recipe if name == "model" else name, "seed": seed, **found}
-
-
-def _part(offsets: np.ndarray, i: int) -> slice:
-    """The i-th part of a flat array that is cut by `offsets`."""
-    return slice(int(offsets[i]), int(offsets[i + 1]))
-
-
-def _output(ledger: _Ledger) -> StageOutput:
-    values = np.array([row["value"] for row in ledger.rows], dtype=np.float64)
-    n_undefined, n_infinite = int(np.isnan(values).sum()), int(np.isinf(values).sum())
-    detail = f"{values.size} values, {n_undefined} undefined, {n_infinite} infinite"
-    reasons = "; ".join(f"{reason} ({n} times)" for reason, n in ledger.reasons.most_common())
-    metadata: dict[str, Scalar] = {
-        "rows": len(ledger.rows), "undefined": n_undefined, "infinite": n_infinite,
-        "undefined_reasons": reasons or "none", "table": summary_table(ledger.rows),
-    }  # fmt: skip
-    for row in mean_rows(ledger.rows):
-        if (row["protocol"], row["metric"]) in _HEADLINES and not math.isnan(row["value"]):
-            key = f"{row['recipe']}/{row['protocol']}/{row['sensor']}/{row['metric']}"
-            metadata[key] = float(row["value"])
-    checks = [
-        Check(name="some_frame_was_measured", passed=bool(ledger.rows), detail=detail),
-        Check(
-            name="all_metrics_are_finite",
-            passed=n_undefined + n_infinite == 0,
-            detail=f"{detail}; {reasons}" if reasons else detail,
-        ),
-    ]
-    return StageOutput(metadata=metadata, checks=checks)
+    frame, points_m, error_m = found
+    (task.folder / ERROR_CLOUD_NAME).write_bytes(error_cloud_png(points_m, error_m))
+    output.previews[f"range errors above {WRONG_M:.0f} m in red, frame {frame}"] = ERROR_CLOUD_NAME
+    output.metadata["error_cloud_frame"] = frame
+    output.metadata["error_cloud_wrong_share"] = float(np.mean(~(error_m <= WRONG_M)))
 
 
 def _commit() -> str:
@@ -226,10 +123,11 @@ STAGE = Stage(
     group="report",
     inputs=("frames", "sweeps", "undistorted", "novel_views"),
     description=(
-        "Errors and times of the held-out frames under each protocol, for the trained field "
-        "and for the baselines that learn nothing."
+        "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
+        "the trained field and for the baselines that learn nothing."
     ),
-    version="1",
+    version="2",
     run=_run,
     per_recipe=True,
 )
+"""What is measured and under which protocol."""

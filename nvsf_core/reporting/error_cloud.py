@@ -1,0 +1,40 @@
+"""The paper's error cloud: where a recorded scan was answered wrongly, from above."""
+
+import numpy as np
+
+from nvsf_core.reporting.previews import palette_png
+
+WRONG_M = 1.0
+"""A range error above it is red."""
+WRONG_COLOUR = (255, 45, 45)
+
+_GREYS = 64
+_RED = _GREYS + 1
+_DARKEST, _LIGHTEST = 120.0, 225.0
+
+
+def error_cloud_png(
+    points_m: np.ndarray, range_error_m: np.ndarray, extent_m: float = 40.0, pixels: int = 640
+) -> bytes:
+    """Recorded returns seen from above, forward up: red where the range error exceeds 1 m, else grey.
+
+    The greys run from dark (no error) to light (1 m). A cell shows the worst of its returns.
+
+    Args:
+        points_m: (N, 3) recorded returns in the sensor's frame.
+        range_error_m: (N,) absolute error along each return's own ray; infinite = no answer, which is red.
+        extent_m: From the sensor to the picture's border.
+        pixels: A side of the picture.
+    """
+    cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
+    inside = ((cell >= 0) & (cell < pixels)).all(axis=1)
+    # NaN is no small error: it is drawn red too.
+    wrong = ~(range_error_m[inside] <= WRONG_M)
+    share = np.where(wrong, 0.0, range_error_m[inside] / WRONG_M)
+    level = np.where(wrong, _RED, 1 + np.rint(share * (_GREYS - 1)).astype(np.int64))
+    levels = np.zeros((pixels, pixels), np.int64)
+    np.maximum.at(levels, (cell[inside, 0], cell[inside, 1]), level)
+    palette = np.zeros((256, 3), np.uint8)
+    palette[1:_RED] = np.rint(np.linspace(_DARKEST, _LIGHTEST, _GREYS))[:, None]
+    palette[_RED] = WRONG_COLOUR
+    return palette_png(levels, palette)

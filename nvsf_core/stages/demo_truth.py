@@ -1,0 +1,196 @@
+"""The demo's own views against its exact truth, which no recording has.
+
+The truth of a view is the noise-free scan of the same sensor at the view's own instants, from where the
+demo's car really was (its formula, not the drive's poses), with the demo's own vehicle around the recorded
+sensor. It is taken along the view's own rays, so that no unknown phase of a turn blurs the comparison. A
+ray returns in truth when the demo writer's drop model expects it to (probability at least 1/2); range
+noise and mixed pixels are left out. Rows have the protocol `raw` and the view's name as `split`:
+range errors on the rays that return in truth, hits on all of the view's rays (not on the grid of 2000
+cells, which is the recording sensor's), Chamfer and F of the exported scan against the noise-free one.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.errors import StoreError
+from nvsf_core.kitti360.catalogue import ViewEntry
+from nvsf_core.kitti360.demo import DEMO_SEQUENCE
+from nvsf_core.kitti360.demo_lidar import ExactAnswers, exact_answers
+from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
+from nvsf_core.kitti360.demo_world import DemoWorld
+from nvsf_core.metrics.hit import hit_image_metrics
+from nvsf_core.metrics.intensity import ray_intensity_metrics
+from nvsf_core.metrics.measure import Measure
+from nvsf_core.metrics.point_cloud import point_cloud_metrics
+from nvsf_core.metrics.protocols import Scan, near_returns
+from nvsf_core.metrics.range import ray_range_metrics
+from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
+from nvsf_core.sensors.tables import sensor_table
+from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.view_plan import mount_pose
+from nvsf_core.stages.lidar_metrics import part
+from nvsf_core.stages.metric_ledger import Ledger
+from nvsf_core.stages.stage import Task
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+
+_GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
+_VIEW = ("frame", "time_s", "offsets", "points_m", "intensity", "laser", "lidar_render_seconds", *_GRID)
+_SAMPLE = 4000
+_LARGEST_GAP_M = 0.05
+_LARGEST_TURN_RAD = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class DemoTruth:
+    """The world that a drive of the demo writer was recorded in."""
+
+    world: DemoWorld
+    recorded_sensor: str
+    lasers: np.ndarray
+    """(L,) rows of the recorded sensor's table that the drive has."""
+    period_s: float
+    shift_s: float
+    """Seconds of the world at the drive's time 0."""
+    gap_m: float
+    """Median |recorded - exact range| of one scan: the range noise, if this is the drive's world."""
+
+    @property
+    def is_of_this_drive(self) -> bool:
+        """Whether the drive was recorded in this very world."""
+        return self.gap_m < _LARGEST_GAP_M
+
+
+def read_demo_truth(task: Task) -> DemoTruth | None:
+    """The truth behind the drive; None for a drive that the demo's writer did not write."""
+    path = task.store.path("sweeps") / "returns.zarr"
+    if task.scene.sequence != DEMO_SEQUENCE or not path.is_dir():
+        return None
+    a, attrs = read_arrays(path, "frame", "time_s", "offsets"), read_attrs(path)
+    if a["frame"].size == 0 or not attrs["lasers"]:
+        return None
+    world, period_s = DemoWorld(), float(attrs["sweep_period_s"])
+    shift_s = float(np.median(a["frame"] * FRAME_PERIOD_S - a["time_s"]))
+    return DemoTruth(
+        world=world,
+        recorded_sensor=attrs["sensor"],
+        lasers=np.array(attrs["lasers"], np.int64),
+        period_s=period_s,
+        shift_s=shift_s,
+        gap_m=_gap_m(path, world, a["time_s"][0] + shift_s, part(a["offsets"], 0), period_s, attrs),
+    )
+
+
+def _gap_m(
+    path: Path, world: DemoWorld, time_s: float, cut: slice, period_s: float, attrs: Mapping[str, Any]
+) -> float:
+    """Median |recorded - exact range| over a sample of one scan's returns."""
+    a = read_arrays(path, "origin_m", "direction", "range_m", "sweep_fraction", "is_own_vehicle")
+    others = np.flatnonzero(~a["is_own_vehicle"][cut]) + cut.start
+    taken = others[:: max(1, len(others) // _SAMPLE)]
+    if taken.size == 0:
+        return np.inf
+    origin_m = a["origin_m"][taken].astype(np.float64) + np.array(attrs["scene_origin_m"])
+    times_s = time_s + period_s * a["sweep_fraction"][taken].astype(np.float64)
+    exact = world.cast(origin_m, a["direction"][taken].astype(np.float64), times_s)
+    return float(np.median(np.abs(exact.range_m - a["range_m"][taken])))
+
+
+def measure_demo_view(
+    path: Path, view: ViewEntry, truth: DemoTruth, method: Mapping[str, Any], ledger: Ledger
+) -> Iterator[str]:
+    """Add the rows of one view of the demo, yielding after each sweep.
+
+    Args:
+        path: One method's arrays of the view.
+        view: What was asked for.
+        truth: Of the drive.
+        method: Columns that say who made the prediction.
+        ledger: Takes the rows.
+
+    Raises:
+        StoreError: The stored rays are not those that the view's sensor fires.
+    """
+    a = read_arrays(path, *_VIEW)
+    for i, frame in enumerate(a["frame"].tolist()):
+        own = part(a["offsets"], i)
+        scan = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
+        grid = {name: _without_padding(a, i, name) for name in _GRID}
+        rays = _Rays(truth, view, float(a["time_s"][i]) + truth.shift_s, grid["grid_hit"].shape[1])
+        rays.require_same(path, grid)
+        ledger.add(
+            _against(rays, grid, near_returns(scan)), method, split=view.name, protocol="raw", sensor="lidar",
+            frame=frame, render_seconds=float(a["lidar_render_seconds"][i]),
+        )  # fmt: skip
+        yield f"sweep {i + 1} of {a['frame'].size}"
+
+
+class _Rays:
+    """The rays of one sweep of a view, all (L, F), and what they meet in truth."""
+
+    def __init__(self, truth: DemoTruth, view: ViewEntry, time_s: float, firings: int) -> None:
+        table = sensor_table(view.sensor or truth.recorded_sensor)
+        is_recorded = table.name == truth.recorded_sensor
+        lasers = truth.lasers if is_recorded else np.arange(table.laser_count)
+        azimuth_rad, fraction = firing_grid(table, firings)
+        theta_rad = azimuth_rad[lasers]
+        times_s = np.broadcast_to(time_s + truth.period_s * fraction, theta_rad.shape)
+        self.origin_m, self.direction = sensor_rays(table, theta_rad, lasers[:, None])
+        self.exact: ExactAnswers = exact_answers(
+            truth.world, table, lasers, theta_rad, times_s, mount=mount_pose(view.shift_m, view.yaw_deg),
+            own_vehicle=is_recorded,
+        )  # fmt: skip
+        self.returns = self.exact.chance >= HIT_THRESHOLD
+
+    def points(self, range_m: np.ndarray) -> np.ndarray:
+        """(L, F, 3) as recorded."""
+        found: np.ndarray = self.origin_m + self.direction * range_m[..., None]
+        return found
+
+    def along(self, centre_m: np.ndarray) -> np.ndarray:
+        """Range along the ray of a distance from the sensor's centre; 0 (no answer) becomes infinite."""
+        lever = (self.origin_m * self.direction).sum(axis=-1)
+        square = lever**2 - np.square(self.origin_m).sum(axis=-1) + np.square(centre_m.astype(np.float64))
+        range_m: np.ndarray = np.sqrt(np.maximum(square, 0.0)) - lever
+        return np.where(centre_m > 0.0, range_m, np.inf)
+
+    def require_same(self, path: Path, grid: Mapping[str, np.ndarray]) -> None:
+        """Refuse stored answers that belong to other rays."""
+        answered = grid["grid_range_m"] > 0.0
+        shape = self.returns.shape
+        turned = 0.0
+        if shape == answered.shape and answered.any():
+            points = self.points(np.where(answered, self.along(grid["grid_range_m"]), 0.0))[answered]
+            gap = np.arctan2(points[:, 1], points[:, 0]) - grid["grid_azimuth_rad"][answered]
+            turned = float(np.median(np.abs(np.angle(np.exp(1j * gap)))))
+        if shape != answered.shape or turned > _LARGEST_TURN_RAD:
+            raise StoreError(
+                f"{path}: expected rays {shape} of the view's sensor, found {answered.shape}, turned by "
+                f"{turned:.4f} rad; run novel_views again"
+            )
+
+
+def _without_padding(a: Mapping[str, np.ndarray], i: int, name: str) -> np.ndarray:
+    """One sweep's part of a grid (L, F): sweeps shorter than the longest end in columns of zeros."""
+    used = np.flatnonzero(((a["grid_azimuth_rad"][i] != 0.0) | (a["grid_hit"][i] != 0.0)).any(axis=0))
+    cut: np.ndarray = a[name][i][:, : int(used[-1]) + 1 if used.size else 0]
+    return cut
+
+
+def _against(rays: _Rays, grid: Mapping[str, np.ndarray], exported: Scan) -> dict[str, Measure]:
+    """The exported scan and the answers along its rays, against the truth."""
+    there = rays.returns
+    predicted_m = rays.along(grid["grid_range_m"])
+    answered = np.isfinite(predicted_m[there])
+    hits = hit_image_metrics((grid["grid_hit"] >= HIT_THRESHOLD).astype(np.float64), there)
+    true_m = np.where(there, rays.exact.range_m, 0.0)
+    return {
+        **ray_range_metrics(predicted_m[there], true_m[there]),
+        **ray_intensity_metrics(grid["grid_intensity"][there], rays.exact.intensity[there], answered),
+        "hit_accuracy": hits["hit_accuracy"],
+        "hit_f_score": hits["hit_f_score"],
+        **point_cloud_metrics(exported.points_m, rays.points(true_m)[there]),
+    }

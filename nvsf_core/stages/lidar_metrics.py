@@ -1,0 +1,142 @@
+"""Held-out scans against recorded ones, under every LiDAR protocol."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.errors import StoreError
+from nvsf_core.metrics.foreground import lidar4d_regions, masked_regions
+from nvsf_core.metrics.lpips import Lpips
+from nvsf_core.metrics.measure import Measure
+from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d, project_scan, raw
+from nvsf_core.metrics.table import HELD_OUT
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.stages.metric_ledger import Ledger
+from nvsf_core.stages.moving_boxes import MovingBoxes
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+
+_RECORDED = ("frame", "offsets", "points_m", "intensity", "laser", "range_m")
+_PREDICTED = (
+    "frame", "offsets", "points_m", "intensity", "laser", "pano_range_m", "pano_intensity", "pano_hit",
+    "ray_offsets", "ray_range_m", "ray_intensity", "lidar_render_seconds",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedScans:
+    """The recorded scans, by frame."""
+
+    path: Path
+    arrays: dict[str, np.ndarray]
+    n_lasers: int
+
+    def scan(self, frame: int) -> tuple[Scan, RayAnswers]:
+        """The recorded scan of a frame, and range and intensity along its rays.
+
+        Raises:
+            StoreError: The frame has no valid recorded scan.
+        """
+        a, cut = self.arrays, self._part(frame)
+        scan = Scan(points_m=a["points_m"][cut], intensity=a["intensity"][cut], laser=a["laser"][cut])
+        return scan, RayAnswers(range_m=a["range_m"][cut], intensity=a["intensity"][cut])
+
+    def world_points(self, frame: int) -> np.ndarray:
+        """(N, 3) float64 returns of a frame's scan in the world, each from where it was measured, metres."""
+        rays, cut = read_arrays(self.path, "origin_m", "direction"), self._part(frame)
+        along = rays["direction"][cut].astype(np.float64) * self.arrays["range_m"][cut, None]
+        found: np.ndarray = along + rays["origin_m"][cut] + read_attrs(self.path)["scene_origin_m"]
+        return found
+
+    def _part(self, frame: int) -> slice:
+        found = np.flatnonzero(self.arrays["frame"] == frame)
+        if found.size != 1:
+            raise StoreError(
+                f"frame {frame} is rendered in the view {HELD_OUT!r}, but {self.path} holds it "
+                f"{found.size} times; run novel_views again"
+            )
+        return part(self.arrays["offsets"], int(found[0]))
+
+
+def read_recorded_scans(path: Path) -> RecordedScans | None:
+    """The recorded scans; None for a drive without a LiDAR."""
+    if not path.is_dir() or read_arrays(path, "frame")["frame"].size == 0:
+        return None
+    arrays = read_arrays(path, *_RECORDED)
+    n_lasers = int(arrays["laser"].max()) + 1 if arrays["laser"].size else 0
+    return RecordedScans(path=path, arrays=arrays, n_lasers=n_lasers)
+
+
+def measure_lidar(
+    path: Path,
+    recording: RecordedScans,
+    boxes: MovingBoxes | None,
+    method: Mapping[str, Any],
+    ledger: Ledger,
+    lpips: Lpips | None,
+) -> Iterator[str]:
+    """Add the rows of the LiDAR protocols, yielding after each frame.
+
+    Args:
+        path: One method's arrays of the held-out view.
+        recording: What was recorded then.
+        boxes: Of moving objects; None = no rows of regions.
+        method: Columns that say who made the prediction.
+        ledger: Takes the rows.
+        lpips: The network, or None where its weights are absent.
+    """
+    frames = read_arrays(path, "frame")["frame"]
+    if frames.size == 0:
+        return
+    a = read_arrays(path, *_PREDICTED)
+    pano = LinearPano(quirks=True)
+    for i, frame in enumerate(frames.tolist()):
+        truth, truth_rays = recording.scan(frame)
+        own, rays = part(a["offsets"], i), part(a["ray_offsets"], i)
+        predicted = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
+        answers = RayAnswers(range_m=a["ray_range_m"][rays], intensity=a["ray_intensity"][rays])
+        image = PanoImage(
+            range_m=a["pano_range_m"][i], intensity=a["pano_intensity"][i], hit=a["pano_hit"][i]
+        )
+        panos = {"lidar4d": image, "lidar4d_scan": project_scan(pano, predicted)}
+        true_image = project_scan(pano, truth)
+        found: dict[tuple[str, str], Mapping[str, Measure]] = {
+            (protocol, "all"): lidar4d(side, true_image, pano, lpips) for protocol, side in panos.items()
+        }
+        found["raw", "all"] = raw(predicted, answers, truth, truth_rays, recording.n_lasers)
+        if boxes is not None:
+            here = boxes.in_lidar(frame)
+            for protocol, side in panos.items():
+                regions = lidar4d_regions(side, true_image, pano, here, lpips)
+                found |= {(protocol, region): measures for region, measures in regions.items()}
+            masked = masked_regions(predicted, answers, truth, truth_rays, recording.n_lasers, here)
+            found |= {("masked", region): measures for region, measures in masked.items()}
+        seconds = float(a["lidar_render_seconds"][i])
+        for (protocol, region), measures in found.items():
+            ledger.add(
+                measures, method, protocol=protocol, region=region, sensor="lidar", frame=frame,
+                render_seconds=seconds,
+            )  # fmt: skip
+        yield f"frame {frame} ({i + 1} of {frames.size})"
+
+
+def recorded_range_errors(path: Path, recording: RecordedScans) -> tuple[int, np.ndarray, np.ndarray] | None:
+    """The middle held-out frame: number, recorded points (N, 3), |range error| (N,) in metres, inf = no answer.
+
+    None where a method was not asked for a single frame.
+    """
+    a = read_arrays(path, "frame", "ray_offsets", "ray_range_m")
+    if a["frame"].size == 0:
+        return None
+    row = a["frame"].size // 2
+    frame = int(a["frame"][row])
+    truth, rays = recording.scan(frame)
+    error_m = np.abs(a["ray_range_m"][part(a["ray_offsets"], row)].astype(np.float64) - rays.range_m)
+    return frame, truth.points_m, error_m
+
+
+def part(offsets: np.ndarray, i: int) -> slice:
+    """The i-th part of a flat array that is cut by `offsets`."""
+    return slice(int(offsets[i]), int(offsets[i + 1]))

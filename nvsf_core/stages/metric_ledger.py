@@ -1,0 +1,112 @@
+"""The rows of `scene_metrics` as they are measured, and what the stage says of them."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.metrics.measure import Measure
+from nvsf_core.metrics.table import HELD_OUT, UNITS, mean_rows, summary_table
+from nvsf_core.stages.stage import Check, Scalar, StageOutput
+
+_HEADLINES = {
+    (HELD_OUT, "all"): (
+        ("lidar4d_scan", "chamfer_m2"), ("lidar4d_scan", "f_score"), ("lidar4d_scan", "range_psnr_db"),
+        ("raw", "range_abs_error_median_m"), ("raw", "hit_accuracy"), ("image", "image_psnr_db"),
+    ),
+    (HELD_OUT, "foreground"): (
+        ("lidar4d", "chamfer_m2"), ("lidar4d", "range_rmse_m"), ("image", "image_psnr_db"),
+        ("masked", "chamfer_m2"), ("masked", "f_score"), ("masked", "range_abs_error_median_m"),
+        ("masked", "image_psnr_db"),
+    ),
+}  # fmt: skip
+"""Split and region to the protocols and metrics whose means the asset shows."""
+_EXACT = (("raw", "chamfer_m2"), ("raw", "f_score"), ("raw", "range_abs_error_median_m"), ("raw", "hit_accuracy"))
+"""The same for a view of the demo, measured against its exact truth."""
+
+
+@dataclass(slots=True)
+class Ledger:
+    """Rows of the table, and why values in it are undefined."""
+
+    facts: dict[str, Any]
+    """Columns that are the same for all rows."""
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    undefined: Counter[str] = field(default_factory=Counter)
+    """Why something could not be computed, and how often."""
+    absent: Counter[str] = field(default_factory=Counter)
+    """What was not there to be measured, and how often."""
+
+    def add(
+        self,
+        measures: Mapping[str, Measure],
+        method: Mapping[str, Any],
+        *,
+        split: str = HELD_OUT,
+        protocol: str,
+        region: str = "all",
+        sensor: str,
+        frame: int,
+        render_seconds: float,
+    ) -> None:
+        """Add one row a metric."""
+        for metric, measure in measures.items():
+            if measure.reason:
+                place = "" if region == "all" else f" {region}"
+                reasons = self.absent if measure.is_absent else self.undefined
+                reasons[f"{protocol}{place} {metric}: {measure.reason}"] += 1
+            self.rows.append(
+                {
+                    **self.facts, **method, "split": split, "protocol": protocol, "region": region,
+                    "sensor": sensor, "frame": frame, "metric": metric, "value": measure.value,
+                    "unit": UNITS[metric], "n_valid": measure.n_valid, "render_seconds": render_seconds,
+                }
+            )  # fmt: skip
+
+    def output(self) -> StageOutput:
+        """Counts, reasons, headline means and checks."""
+        values = np.array([row["value"] for row in self.rows], dtype=np.float64)
+        n_infinite, n_absent = int(np.isinf(values).sum()), self.absent.total()
+        n_undefined = int(np.isnan(values).sum()) - n_absent
+        detail = f"{values.size} values, {n_undefined} undefined, {n_infinite} infinite, {n_absent} not measured"
+        reasons = _listing(self.undefined)
+        metadata: dict[str, Scalar] = {
+            "rows": len(self.rows), "undefined": n_undefined, "infinite": n_infinite,
+            "not_measured": n_absent, "undefined_reasons": reasons or "none",
+            "not_measured_reasons": _listing(self.absent) or "none", "table": summary_table(self.rows),
+        }  # fmt: skip
+        metadata |= self._headlines()
+        checks = [
+            Check(name="some_frame_was_measured", passed=bool(self.rows), detail=detail),
+            Check(
+                name="all_metrics_are_finite",
+                passed=n_undefined + n_infinite == 0,
+                detail=f"{detail}; {reasons}" if reasons else detail,
+            ),
+        ]
+        return StageOutput(metadata=metadata, checks=checks)
+
+    def _headlines(self) -> dict[str, Scalar]:
+        shown: dict[str, Scalar] = {}
+        for row in mean_rows(self.rows):
+            is_view = row["split"] != HELD_OUT
+            wanted = _EXACT if is_view else _HEADLINES.get((row["split"], row["region"]), ())
+            if (row["protocol"], row["metric"]) in wanted and not math.isnan(row["value"]):
+                key = f"{row['recipe']}/{row['protocol']}/{row['sensor']}/{row['metric']}"
+                prefix = f"{row['split']}/" if is_view else "" if row["region"] == "all" else f"{row['region']}/"
+                shown[prefix + key] = float(row["value"])
+        return shown
+
+
+def method_columns(name: str, attrs: Mapping[str, Any], recipe: str, seed: int) -> dict[str, Any]:
+    """Columns that say who made the prediction and at what cost; a cost not stated is NaN."""
+    costs = ("train_seconds", "parameters", "model_mb", "peak_memory_mb")
+    found = {cost: math.nan if attrs.get(cost) is None else float(attrs[cost]) for cost in costs}
+    return {"recipe": recipe if name == "model" else name, "seed": seed, **found}
+
+
+def _listing(reasons: Counter[str]) -> str:
+    return "; ".join(f"{reason} ({n} times)" for reason, n in reasons.most_common())
