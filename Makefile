@@ -6,7 +6,7 @@ PYTHON       ?= python3.11
 PORT         ?= 3000
 override NVSF_HOME := $(abspath $(NVSF_HOME))
 override DAGSTER_HOME := $(abspath $(DAGSTER_HOME))
-export NVSF_HOME DAGSTER_HOME SEED SCENES RECIPE NVSF_SCENES NVSF_KITTI360_ROOT NVSF_EXECUTOR
+export NVSF_HOME DAGSTER_HOME SEED SEEDS SCENES RECIPE NVSF_SCENES NVSF_KITTI360_ROOT NVSF_EXECUTOR
 export DAGSTER_MODULE_NAME := pipelines.definitions
 
 BIN   := .venv/bin
@@ -45,8 +45,8 @@ check: install ## ruff, mypy strict on the core, import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: install $(DAGSTER_HOME)/dagster.yaml ## speed beside error of SCENES, measured by running the job
-	$(TRAIN)
+bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPE, SEEDS="0 1 2": measure and write the results
+	$(BIN)/python -m benchmarks.run
 
 ablation: ## not built yet
 	@echo "make ablation: not built yet (the paper's switches come with its recipes)" >&2; exit 2

@@ -21,9 +21,7 @@ def executor_from_environment() -> dg.ExecutorDefinition:
     if name == "in_process":
         return dg.in_process_executor
     if name == "multiprocess":
-        # forkserver with everything imported once: spawn would import torch anew for every step.
-        start = {"forkserver": {"preload_modules": ["pipelines.definitions"]}}
-        return dg.multiprocess_executor.configured({"max_concurrent": _local_steps(), "start_method": start})
+        return _processes(_local_steps())
     # The other two are extras (`pip install -e .[ray]`, `.[k8s]`): imported only where asked for.
     if name == "ray":
         from dagster_ray import ray_executor
@@ -34,6 +32,17 @@ def executor_from_environment() -> dg.ExecutorDefinition:
 
         return k8s_job_executor
     raise RecipeError(f"NVSF_EXECUTOR={name!r}: expected in_process, multiprocess, ray or k8s")
+
+
+def timing_executor() -> dg.ExecutorDefinition:
+    """For what is measured: one step at a time, each in a process of its own, for honest time and memory."""
+    return _processes(1)
+
+
+def _processes(most_steps: int) -> dg.ExecutorDefinition:
+    # forkserver with everything imported once: spawn would import torch anew for every step.
+    start = {"forkserver": {"preload_modules": ["pipelines.definitions"]}}
+    return dg.multiprocess_executor.configured({"max_concurrent": most_steps, "start_method": start})
 
 
 def _local_steps() -> int:

@@ -2,10 +2,20 @@
 
 import dagster as dg
 
+from pipelines.executors import timing_executor
 from pipelines.terminal import TERSE_LOGGING
 from pipelines.train_all import make_train_all_scenes
 
 train_all_scenes = make_train_all_scenes()
+
+# One recipe and one seed a run, like every run: `make bench` (benchmarks/run.py) runs it for each of SEEDS.
+benchmark = make_train_all_scenes(
+    without=["dataset"],
+    name="benchmark",
+    description="Every scene from its recorded drive to its metrics, one step at a time so that seconds are "
+    "comparable; no data sets are made.",
+    executor=timing_executor(),
+)
 
 _up_to_dataset = dg.AssetSelection.assets("dataset").upstream()
 
@@ -24,4 +34,4 @@ regenerate_synthetic = dg.define_asset_job(
     "trained again only where its drive, recipe or code changed.",
 )
 
-JOBS = [train_all_scenes, train_scene, regenerate_synthetic]
+JOBS = [train_all_scenes, train_scene, regenerate_synthetic, benchmark]

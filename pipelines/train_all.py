@@ -4,6 +4,7 @@ A partitioned asset job would need a partition, which `dagster job execute` cann
 job, made from the same stages as the assets, that logs each scene's materialisations and checks.
 """
 
+import functools
 import os
 import re
 import sys
@@ -79,6 +80,12 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
     return f"drive: no data at {entry.root} for {entry.sequence}; set the scene's root or NVSF_KITTI360_ROOT"
 
 
+@functools.cache
+def _stage_ops(stages: tuple[Stage, ...]) -> tuple[dg.OpDefinition, ...]:
+    """Made once for all jobs: a code location refuses two ops of one name."""
+    return tuple(_stage_op(stage, position + 1, stages) for position, stage in enumerate(stages))
+
+
 def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefinition:
     # Later stages first: a scene is finished before the next one is begun, and a first result is early.
     @dg.op(
@@ -149,8 +156,12 @@ def report_all(
 
 
 def _closing_words(
-    workspace: Workspace, measured: list[str], states: list[SceneState], failures: dict[str, str],
-    absent: list[str], report: Path,
+    workspace: Workspace,
+    measured: list[str],
+    states: list[SceneState],
+    failures: dict[str, str],
+    absent: list[str],
+    report: Path,
 ) -> str:
     rows = [row for scene in measured for row in read_rows(_metrics_path(workspace, scene))]
     lines = ["", summary_table(rows) if rows else "no scene was measured", ""]
@@ -183,17 +194,34 @@ def fail_if_any_failed(failures: list[str]) -> None:
         )
 
 
-def make_train_all_scenes(stages: Sequence[Stage] = STAGES) -> dg.JobDefinition:
-    """The job over a list of stages."""
-    ops = [_stage_op(stage, position + 1, stages) for position, stage in enumerate(stages)]
+def make_train_all_scenes(
+    stages: Sequence[Stage] = STAGES,
+    *,
+    without: Sequence[str] = (),
+    name: str = "train_all_scenes",
+    description: str = str(__doc__),
+    executor: dg.ExecutorDefinition | None = None,
+) -> dg.JobDefinition:
+    """The job over a list of stages.
 
-    @dg.graph(description=str(__doc__))
-    def train_all_scenes() -> None:
+    Args:
+        stages: In order, every input before its reader.
+        without: Names of stages to leave out.
+        name: Of the job.
+        description: Of the job.
+        executor: Default: the code location's.
+    """
+    made = zip(stages, _stage_ops(tuple(stages)), strict=True)
+    ops = [op for stage, op in made if stage.name not in without]
+
+    @dg.graph(name=name, description=description)
+    def all_scenes() -> None:
         scenes, absent = choose_scenes()
         for op in ops:
             scenes = scenes.map(op)
         fail_if_any_failed(report_all(states=scenes.collect(), absent=absent))
 
-    return train_all_scenes.to_job(
-        resource_defs=RESOURCES, logger_defs={"terse": terse_logger}, config=TERSE_LOGGING
-    )
+    return all_scenes.to_job(
+        resource_defs=RESOURCES, logger_defs={"terse": terse_logger}, config=TERSE_LOGGING,
+        executor_def=executor,
+    )  # fmt: skip

@@ -48,7 +48,7 @@ def _without_log(text):
 
 def test_the_jobs_that_the_readme_names_exist():
     names = {job.name for job in defs.resolve_all_job_defs()}
-    assert {"train_all_scenes", "train_scene", "regenerate_synthetic"} <= names
+    assert {"train_all_scenes", "train_scene", "regenerate_synthetic", "benchmark"} <= names
 
 
 def test_the_schedule_skips_where_nothing_is_trained(tmp_path, monkeypatch):
@@ -70,3 +70,12 @@ def test_an_unknown_executor_is_refused_by_name(monkeypatch):
     monkeypatch.setenv("NVSF_EXECUTOR", "dask")
     with pytest.raises(RecipeError, match="dask"):
         executor_from_environment()
+
+
+def test_the_benchmark_is_the_same_flow_without_data_sets_one_step_at_a_time():
+    training = defs.resolve_job_def("train_all_scenes")
+    benchmark = defs.resolve_job_def("benchmark")
+    names = {node.name for node in benchmark.nodes}
+    assert {node.name for node in training.nodes} - names == {"dataset_of_scene"}
+    evaluated = benchmark.executor_def.apply_config_mapping({})
+    assert evaluated.value["config"]["max_concurrent"] == 1
