@@ -103,7 +103,7 @@ def exact_answers(
         own_vehicle: Whether the recording car is around the sensor, wherever that is mounted.
     """
     origin, direction = _recorded_rays(table, lasers, theta_rad)
-    tiles = tile_index(*theta_rad.shape, 8)
+    tiles = tile_index(len(lasers), theta_rad.shape[1], 8)
     shapes = _OWN_VEHICLE if own_vehicle else None
     range_m, material, _, cosine = _cast(
         world, table, origin, direction, theta_rad.ravel(), time_s.ravel(), tiles, mount, shapes

@@ -75,18 +75,20 @@ def lidar4d_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background in the protocols `lidar4d` and `lidar4d_scan`, of one frame, as published.
 
-    Region to metrics, all over the full image. One exception: a frame without a moving object has no
-    foreground (published: an error of 0), and is counted as such.
+    Region to metrics, all over the full image; the background without LPIPS, which no table has. One
+    exception: a frame without a moving object has no foreground (published: an error of 0), and is counted
+    as such.
     """
     found: dict[str, Mapping[str, Measure]] = {}
     for region in REGIONS:
         cut = cut_pano(truth, pano, boxes_to_lidar, region)
-        measures = lidar4d(cut_pano(predicted, pano, boxes_to_lidar, region), cut, pano, lpips)
+        network = lpips if region == FOREGROUND else None
+        measures = lidar4d(cut_pano(predicted, pano, boxes_to_lidar, region), cut, pano, network)
         if region == FOREGROUND and len(boxes_to_lidar) == 0:
             measures = dict.fromkeys(measures, absent(NO_BOX))
         elif not (cut.range_m > 0.0).any():
             measures = _explained(measures, NO_RETURN)
-        found[region] = measures
+        found[region] = measures if region == FOREGROUND else _without_lpips(measures)
     return found
 
 
@@ -149,7 +151,7 @@ def image_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background of a camera in the protocol `image`, as published.
 
-    Both images are black outside the region and compared whole.
+    Both images are black outside the region and compared whole; the background without LPIPS.
 
     Args:
         predicted_rgb: (H, W, 3) uint8.
@@ -161,8 +163,11 @@ def image_regions(
     found: dict[str, Mapping[str, Measure]] = {}
     for region, mask in ((FOREGROUND, rectangles), (BACKGROUND, ~rectangles)):
         kept = mask[..., None].astype(truth_rgb.dtype)
-        measures = image_metrics(predicted_rgb * kept, truth_rgb * kept, valid, lpips)
-        found[region] = measures if mask.any() else dict.fromkeys(measures, absent(NO_PIXEL))
+        network = lpips if region == FOREGROUND and mask.any() else None
+        measures = image_metrics(predicted_rgb * kept, truth_rgb * kept, valid, network)
+        if not mask.any():
+            measures = dict.fromkeys(measures, absent(NO_PIXEL))
+        found[region] = measures if region == FOREGROUND else _without_lpips(measures)
     return found
 
 
@@ -198,3 +203,7 @@ def _along_rays(answers: RayAnswers, truth: RayAnswers, which: np.ndarray) -> di
 def _explained(measures: Mapping[str, Measure], reason: str) -> dict[str, Measure]:
     """What is 0/0 because the truth is empty is nobody's fault: said so, and not counted as one."""
     return {name: absent(reason) if m.reason else m for name, m in measures.items()}
+
+
+def _without_lpips(measures: Mapping[str, Measure]) -> dict[str, Measure]:
+    return {name: measure for name, measure in measures.items() if "lpips" not in name}

@@ -41,8 +41,9 @@ class _Recorded:
     def camera(self) -> Pinhole:
         """The rectified camera."""
         facts = read_attrs(self.path)["cameras"][self.name]
-        sides = {side: int(facts[side]) for side in ("width", "height")}
-        return Pinhole(**{key: float(facts[key]) for key in ("fx", "fy", "cx", "cy")}, **sides)
+        fx, fy, cx, cy = (float(facts[key]) for key in ("fx", "fy", "cx", "cy"))
+        width, height = int(facts["width"]), int(facts["height"])
+        return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
     def poses(self) -> np.ndarray:
         """(m, 4, 4) camera to world."""

@@ -123,9 +123,11 @@ def measure_lidar(
 
 
 def recorded_range_errors(path: Path, recording: RecordedScans) -> tuple[int, np.ndarray, np.ndarray] | None:
-    """The middle held-out frame: number, recorded points (N, 3), |range error| (N,) in metres, inf = no answer.
+    """How far a method is off along the recorded rays of the middle held-out frame.
 
-    None where a method was not asked for a single frame.
+    Returns:
+        The frame, its recorded points (N, 3) in the sensor's frame, and their absolute range errors (N,)
+        in metres, infinite where nothing was answered; None where no frame was held out.
     """
     a = read_arrays(path, "frame", "ray_offsets", "ray_range_m")
     if a["frame"].size == 0:

@@ -24,7 +24,12 @@ _HEADLINES = {
     ),
 }  # fmt: skip
 """Split and region to the protocols and metrics whose means the asset shows."""
-_EXACT = (("raw", "chamfer_m2"), ("raw", "f_score"), ("raw", "range_abs_error_median_m"), ("raw", "hit_accuracy"))
+_EXACT = (
+    ("raw", "chamfer_m2"),
+    ("raw", "f_score"),
+    ("raw", "range_abs_error_median_m"),
+    ("raw", "hit_accuracy"),
+)
 """The same for a view of the demo, measured against its exact truth."""
 
 
@@ -71,7 +76,9 @@ class Ledger:
         values = np.array([row["value"] for row in self.rows], dtype=np.float64)
         n_infinite, n_absent = int(np.isinf(values).sum()), self.absent.total()
         n_undefined = int(np.isnan(values).sum()) - n_absent
-        detail = f"{values.size} values, {n_undefined} undefined, {n_infinite} infinite, {n_absent} not measured"
+        detail = (
+            f"{values.size} values, {n_undefined} undefined, {n_infinite} infinite, {n_absent} not measured"
+        )
         reasons = _listing(self.undefined)
         metadata: dict[str, Scalar] = {
             "rows": len(self.rows), "undefined": n_undefined, "infinite": n_infinite,
@@ -95,9 +102,9 @@ class Ledger:
             is_view = row["split"] != HELD_OUT
             wanted = _EXACT if is_view else _HEADLINES.get((row["split"], row["region"]), ())
             if (row["protocol"], row["metric"]) in wanted and not math.isnan(row["value"]):
+                place = row["split"] if is_view else row["region"]
                 key = f"{row['recipe']}/{row['protocol']}/{row['sensor']}/{row['metric']}"
-                prefix = f"{row['split']}/" if is_view else "" if row["region"] == "all" else f"{row['region']}/"
-                shown[prefix + key] = float(row["value"])
+                shown[key if place == "all" else f"{place}/{key}"] = float(row["value"])
         return shown
 
 

@@ -92,9 +92,7 @@ def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
     return method_columns(path.stem, attrs, task.config.recipe.name, task.config.seed), attrs
 
 
-def _draw_error_cloud(
-    task: Task, path: Path, recording: RecordedScans | None, output: StageOutput
-) -> None:
+def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, output: StageOutput) -> None:
     """The middle held-out frame's returns from above, by the model's range error along their rays."""
     found = None if recording is None or not path.is_dir() else recorded_range_errors(path, recording)
     if found is None:
