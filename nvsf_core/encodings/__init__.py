@@ -1,13 +1,22 @@
-"""Positions and directions as features: hash grid, spherical harmonics, frequencies."""
+"""Positions and directions as features: hash grids and planes in space and time, harmonics, frequencies."""
 
 from nvsf_core.encodings.frequency import frequency_encode, frequency_outputs
-from nvsf_core.encodings.hash_grid import HashGrid
+from nvsf_core.encodings.hash_grid import HashGrid, start_alike
+from nvsf_core.encodings.hash_time import HashTime
+from nvsf_core.encodings.hybrid import HybridEncoding
+from nvsf_core.encodings.lagrange import cubic_basis
+from nvsf_core.encodings.planes import Planes4D
 from nvsf_core.encodings.spherical_harmonics import SPHERICAL_HARMONICS_OUTPUTS, spherical_harmonics
 
 __all__ = [
     "SPHERICAL_HARMONICS_OUTPUTS",
     "HashGrid",
+    "HashTime",
+    "HybridEncoding",
+    "Planes4D",
+    "cubic_basis",
     "frequency_encode",
     "frequency_outputs",
     "spherical_harmonics",
+    "start_alike",
 ]

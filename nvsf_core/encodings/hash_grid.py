@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from nvsf_core.kernels import Backend, GridLayout, hash_grid_encode
 
-__all__ = ["INITIAL_BOUND", "HashGrid"]
+__all__ = ["INITIAL_BOUND", "HashGrid", "start_alike"]
 
 INITIAL_BOUND = 1e-4
 """Entries start uniform in plus/minus this (tiny-cuda-nn)."""
@@ -38,8 +38,12 @@ class HashGrid(nn.Module):
         super().__init__()
         self.layout = layout
         self.backend = backend
-        # numpy, unlike torch, asks for huge pages: look-ups in a large table are up to 1.5 times faster
-        table = torch.from_numpy(np.empty((layout.entries, layout.features), dtype=np.float32))
+        shape = (layout.entries, layout.features)
+        if torch.get_default_device().type == "meta":  # shapes without memory, to count parameters
+            table = torch.empty(shape)
+        else:
+            # numpy, unlike torch, asks for huge pages: look-ups in a large table are up to 1.5 times faster
+            table = torch.from_numpy(np.empty(shape, dtype=np.float32))
         self.table = nn.Parameter(table.uniform_(-INITIAL_BOUND, INITIAL_BOUND, generator=generator))
 
     @property
@@ -52,3 +56,12 @@ class HashGrid(nn.Module):
         flat = positions.reshape(-1, self.layout.dimensions)
         encoded = hash_grid_encode(flat, self.table, self.layout, backend=self.backend)
         return encoded.reshape(*positions.shape[:-1], self.outputs)
+
+
+def start_alike(module: nn.Module) -> None:
+    """Give all grids of one layout in a module the same numbers (the authors seed every module with 1337)."""
+    first: dict[GridLayout, Tensor] = {}
+    for grid in module.modules():
+        if isinstance(grid, HashGrid):
+            with torch.no_grad():
+                grid.table.copy_(first.setdefault(grid.layout, grid.table))

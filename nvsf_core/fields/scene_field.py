@@ -1,0 +1,87 @@
+"""The joined field of the paper's Fig. 2: f_lidar(x, θ) = (σ, i, p) and f_camera(x, θ) = (σ, c), Sec. III."""
+
+from typing import Any, Literal, cast
+
+import torch
+from torch import Tensor, nn
+
+from nvsf_core.encodings import SPHERICAL_HARMONICS_OUTPUTS as HARMONICS
+from nvsf_core.encodings import HybridEncoding, frequency_outputs, spherical_harmonics, start_alike
+from nvsf_core.errors import RecipeError
+from nvsf_core.fields.density import Density
+from nvsf_core.fields.flow import FlowField, applied
+from nvsf_core.fields.heads import Head, lidar_direction
+from nvsf_core.recipe import PaperOptimiser, PaperRecipe
+
+Sensor = Literal["lidar", "camera"]
+
+
+class SceneField(nn.Module):
+    """Encodings, flow, density and heads. A batch has one time: frame i of n, 0 to n - 1, or in between.
+
+    Strategies of Sec. III-C: `same`, one encoding; `separate`, one a sensor; `separate_fused`, both read at
+    every point and concatenated, the sensor's own first: the NeRF network's first layer fuses them.
+    """
+
+    def __init__(self, recipe: PaperRecipe, frames: int, generator: torch.Generator) -> None:
+        """Draw all weights; without camera rays there is neither a camera encoder nor a colour head."""
+        super().__init__()
+        self.recipe, self.frames = recipe, frames
+        sensors = 2 if recipe.sampling.camera and recipe.encoders != "same" else 1
+        encoders = [HybridEncoding(recipe.encoder, generator) for _ in range(sensors)]
+        self.encoders = nn.ModuleList(encoders)
+        self.flow = FlowField(recipe.flow, generator)
+        self.read = sensors if recipe.encoders == "separate_fused" else 1
+        features = self.read * sum(encoders[0].outputs)
+        self.density_network = Density(features, recipe.heads, generator)
+        angles = frequency_outputs(3, recipe.heads.lidar_frequencies)
+        self.intensity = Head(angles, 1, recipe.heads, generator)
+        self.hit = Head(angles, 1, recipe.heads, generator)
+        self.colour = Head(HARMONICS, 3, recipe.heads, generator) if recipe.sampling.camera else None
+        if recipe.slips.identical_tables:
+            start_alike(self)
+
+    def density(self, x01: Tensor, frame: float, sensor: Sensor) -> tuple[Tensor, Tensor]:
+        """Points (n, 3) of the unit cube to σ (n,) per scaled unit and geometry features (n, 15)."""
+        moved = self.neighbours(x01, frame) if self.recipe.aggregate and self.frames > 1 else []
+        own_first = cast(list[HybridEncoding], list(self.encoders))[:: -1 if sensor == "camera" else 1]
+        features = [self._encode(encoder, x01, frame, moved) for encoder in own_first[: self.read]]
+        return self.density_network(torch.cat(features, dim=1))
+
+    def neighbours(self, x01: Tensor, frame: float) -> list[tuple[Tensor, float]]:
+        """The points at i + 1 and i - 1 where MLP_flow (eq. 5) puts them, and t; only frames that exist."""
+        flows = zip((1, -1), self.flow(x01, self.time(frame)), strict=True)
+        there = [(step, flow) for step, flow in flows if 0 <= frame + step <= self.frames - 1]
+        return [(x01 + applied(flow, self.recipe.slips), self.time(frame, step)) for step, flow in there]
+
+    def time(self, frame: float, step: int = 0) -> float:
+        """Time t = i / (n - 1) in 0..1; of a neighbour (i ± 1) / n under the authors' slip."""
+        slip = step != 0 and self.recipe.slips.neighbour_times
+        return (frame + step) / (self.frames if slip else max(self.frames - 1, 1))
+
+    def _encode(
+        self, encoder: HybridEncoding, x01: Tensor, frame: float, moved: list[tuple[Tensor, float]]
+    ) -> Tensor:
+        """Static features and d = 0.5 d_0 + 0.25 (d_1 + d_-1); d_0 stands in for a frame that is missing."""
+        dynamic = (1.0 - 0.25 * len(moved)) * encoder.dynamic(x01, self.time(frame))
+        for there, t in moved:
+            dynamic = dynamic + 0.25 * encoder.dynamic(there, t, hash_gradient=False)
+        return torch.cat([encoder.static(x01), dynamic], dim=1)
+
+    def lidar(self, direction: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit directions and geometry features to intensity i and hit probability p, (n,) each in 0..1."""
+        angles = lidar_direction(direction, self.recipe.heads.lidar_frequencies)
+        return self.intensity(angles, geometry)[..., 0], self.hit(angles, geometry)[..., 0]
+
+    def camera(self, direction: Tensor, geometry: Tensor) -> Tensor:
+        """Unit directions and geometry features to colour c, (n, 3) in 0..1."""
+        if self.colour is None:
+            raise RecipeError(f"{self.recipe.name}: no colour without camera rays; set sampling.camera")
+        return self.colour(spherical_harmonics(direction), geometry)
+
+    def parameter_groups(self, optimiser: PaperOptimiser) -> list[dict[str, Any]]:
+        """For Adam: encodings, density, colour at `table_rate`; flow, intensity, hit at `head_rate`."""
+        heads = [p for module in (self.flow, self.intensity, self.hit) for p in module.parameters()]
+        slow = {id(p) for p in heads}
+        tables = [p for p in self.parameters() if id(p) not in slow]
+        return [{"params": tables, "lr": optimiser.table_rate}, {"params": heads, "lr": optimiser.head_rate}]
