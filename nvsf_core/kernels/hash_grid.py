@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.util import find_spec
 from typing import Any, Literal, cast
 
 import torch
@@ -13,7 +15,7 @@ from nvsf_core.kernels.layout import GridLayout
 
 __all__ = ["Backend", "hash_grid_encode"]
 
-Backend = Literal["torch", "numba"]
+Backend = Literal["torch", "numba", "triton"]
 
 
 def hash_grid_encode(
@@ -24,15 +26,15 @@ def hash_grid_encode(
     ``out[:, l*F:(l+1)*F] = sum over the grid points c around x of w_c(x) * table[offset_l + index_l(c)]``,
     8 points c in three dimensions, 4 in two. Positions outside the box are clamped to it: they get the
     encoding of the nearest point of the box, and no gradient along the clamped axes. In a dense level a grid
-    point past the last is the last one. A NaN position yields a NaN encoding. float32 on the CPU runs in
-    numba; anything else in the torch oracle.
+    point past the last is the last one. A NaN position yields a NaN encoding. float32 runs in numba on the
+    CPU and in Triton on CUDA (where Triton is installed); anything else in the torch oracle.
 
     Args:
-        positions: (n, layout.dimensions) in [0, 1], floating; they may require a gradient (the oracle
-            computes that one).
+        positions: (n, layout.dimensions) in [0, 1], floating; they may require a gradient (which
+            numba leaves to the oracle).
         table: (layout.entries, layout.features), floating, on the same device.
         layout: the grid.
-        backend: "torch" or "numba" to override the choice.
+        backend: overrides the choice. "triton" takes CPU tensors only under Triton's interpreter.
 
     Returns:
         (n, levels * features), level by level, of the table's type.
@@ -41,18 +43,12 @@ def hash_grid_encode(
         ShapeError: a shape, type or device does not fit the layout or the backend.
     """
     _require_shapes(positions, table, layout)
-    numba_can = _is_cpu_float32(positions) and _is_cpu_float32(table)
-    if backend is None:
-        backend = "numba" if numba_can else "torch"
+    backend = backend or _backend_for(positions, table)
     if backend == "torch":
         return hash_grid_torch.encode(positions, table, layout)
-    if not numba_can:
-        raise ShapeError(
-            "hash_grid_encode: the numba backend expects float32 tensors on the CPU, found positions "
-            f"{positions.dtype} on {positions.device} and table {table.dtype} on {table.device}; "
-            "leave the backend out"
-        )
-    return cast(Tensor, _NumbaEncode.apply(positions, table, layout))  # type: ignore[no-untyped-call]
+    _require_backend(backend, positions, table)
+    kernel = _NumbaEncode if backend == "numba" else _TritonEncode
+    return cast(Tensor, kernel.apply(positions, table, layout))  # type: ignore[no-untyped-call]
 
 
 class _NumbaEncode(torch.autograd.Function):
@@ -81,8 +77,56 @@ class _NumbaEncode(torch.autograd.Function):
         return grad_positions, grad_table, None
 
 
-def _is_cpu_float32(tensor: Tensor) -> bool:
-    return tensor.device.type == "cpu" and tensor.dtype == torch.float32
+class _TritonEncode(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+        # not every machine has Triton
+        from nvsf_core.kernels import hash_grid_triton
+
+        ctx.save_for_backward(positions, table)
+        ctx.layout = layout
+        return hash_grid_triton.encode(positions, table, layout)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
+        from nvsf_core.kernels import hash_grid_triton
+
+        positions, table = ctx.saved_tensors
+        grad_positions = grad_table = None
+        if ctx.needs_input_grad[0]:
+            grad_positions = hash_grid_triton.position_adjoint(positions, table, grads[0], ctx.layout)
+        if ctx.needs_input_grad[1]:
+            grad_table = hash_grid_triton.adjoint(positions, grads[0], ctx.layout)
+        return grad_positions, grad_table, None
+
+
+def _backend_for(positions: Tensor, table: Tensor) -> Backend:
+    if positions.dtype != torch.float32 or table.dtype != torch.float32:
+        return "torch"
+    if positions.is_cpu:
+        return "numba"
+    return "triton" if positions.is_cuda and _has_triton() else "torch"
+
+
+@cache
+def _has_triton() -> bool:
+    return find_spec("triton") is not None
+
+
+def _require_backend(backend: Backend, positions: Tensor, table: Tensor) -> None:
+    if backend == "numba":
+        expected, fits = "on the CPU", positions.is_cpu
+    else:
+        from nvsf_core.kernels import hash_grid_triton
+
+        expected = "on the CPU, interpreted" if hash_grid_triton.is_interpreted() else "on CUDA"
+        fits = positions.is_cuda or hash_grid_triton.is_interpreted()
+    if not fits or positions.dtype != torch.float32 or table.dtype != torch.float32:
+        raise ShapeError(
+            f"hash_grid_encode: the {backend} backend expects float32 tensors {expected}, found positions "
+            f"{positions.dtype} on {positions.device} and table {table.dtype} on {table.device}; "
+            "leave the backend out"
+        )
 
 
 def _require_shapes(positions: Tensor, table: Tensor, layout: GridLayout) -> None:

@@ -1,0 +1,261 @@
+"""The hash-grid encode and both its adjoints for CUDA, compiled by Triton on first use.
+
+No compiler and no CUDA extension of ours: Triton brings its own. With the environment variable
+TRITON_INTERPRET=1, set before this module is imported, the same kernels run on CPU tensors (slowly, for
+tests).
+
+Cells: the position in grid units is rounded twice, after the product and after the sum, as the oracle's is.
+One rounding (a fused multiply-add) would change last bits of weights and, on the border between the first two
+cells, the cell; so every launch switches fusion off and the forward pass has the oracle's bits.
+
+Bits: the gradient of the table is added up atomically, in the order in which the device happens to run, so
+its last bits differ from run to run; everything else is the same in every run.
+"""
+
+# What Triton compiles is typed by its arguments at launch, and Triton reads annotations its own way.
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from nvsf_core.kernels.layout import PRIMES, GridLayout
+
+__all__ = ["adjoint", "encode", "is_interpreted", "position_adjoint"]
+
+_PRIME_Y = tl.constexpr(PRIMES[1])
+_PRIME_Z = tl.constexpr(PRIMES[2])
+# Points of a program. Programs of points come first in the launch grid, whose first axis holds 2^31 of them:
+# no number of points that fits into memory needs a second launch.
+_BLOCK = 128
+
+
+@triton.jit
+def _cell(positions, point, inside, scale, AXIS: tl.constexpr, DIMENSIONS: tl.constexpr):
+    """Lower grid point and fraction along an axis; NaN reads cell 0 and stays NaN in the fraction."""
+    x = tl.load(positions + point * DIMENSIONS + AXIS, mask=inside, other=0.0)
+    known = tl.where(x == x, x, 0.0)
+    position = tl.minimum(tl.maximum(known, 0.0), 1.0) * scale + 0.5
+    lower = position.to(tl.int32)
+    return lower, tl.where(x == x, position - lower.to(tl.float32), x)
+
+
+@triton.jit
+def _cells(positions, point, inside, scale, DIMENSIONS: tl.constexpr):
+    """`_cell` along x, y and z; in two dimensions z is y again, and unused."""
+    x, fx = _cell(positions, point, inside, scale, 0, DIMENSIONS)
+    y, fy = _cell(positions, point, inside, scale, 1, DIMENSIONS)
+    z, fz = y, fy
+    if DIMENSIONS == 3:
+        z, fz = _cell(positions, point, inside, scale, 2, DIMENSIONS)
+    return x, y, z, fx, fy, fz
+
+
+@triton.jit
+def _entry(
+    x, y, z, resolution, dense, offset, entry_mask, CORNER: tl.constexpr, DIMENSIONS: tl.constexpr
+):  # fmt: skip
+    """Row of the table for a corner of the cell: x fastest where dense, else the XOR hash."""
+    top = resolution - 1
+    cx = x + (CORNER & 1)
+    cy = y + ((CORNER >> 1) & 1)
+    row = tl.minimum(cx, top) + resolution * tl.minimum(cy, top)
+    hashed = cx.to(tl.uint32) ^ (cy.to(tl.uint32) * _PRIME_Y)
+    if DIMENSIONS == 3:
+        cz = z + (CORNER >> 2)
+        row += resolution * resolution * tl.minimum(cz, top)
+        hashed = hashed ^ (cz.to(tl.uint32) * _PRIME_Z)
+    row = tl.where(dense != 0, row, (hashed & entry_mask.to(tl.uint32)).to(tl.int32))
+    return offset + row.to(tl.int64)
+
+
+@triton.jit
+def _weight(fx, fy, fz, CORNER: tl.constexpr, DIMENSIONS: tl.constexpr):
+    """Weight of a corner, multiplied in the oracle's order."""
+    weight = (fx if CORNER & 1 else 1.0 - fx) * (fy if (CORNER >> 1) & 1 else 1.0 - fy)
+    if DIMENSIONS == 3:
+        weight = weight * (fz if CORNER >> 2 else 1.0 - fz)
+    return weight
+
+
+@triton.jit
+def _forward(
+    positions, table, out, points, scales, resolutions, dense, offsets, entry_mask,
+    LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
+    BLOCK: tl.constexpr,
+):  # fmt: skip
+    """A block of points in a level; levels come last in the launch grid, so that one's table stays cached."""
+    level = tl.program_id(1)
+    scale, resolution = tl.load(scales + level), tl.load(resolutions + level)
+    is_dense, offset = tl.load(dense + level), tl.load(offsets + level)
+    point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    inside = point < points
+    feature = tl.arange(0, WIDTH)[None, :]
+    shown = inside[:, None] & (feature < FEATURES)
+    x, y, z, fx, fy, fz = _cells(positions, point, inside, scale, DIMENSIONS)
+    total = tl.full((BLOCK, WIDTH), 0.0, tl.float32)
+    for corner in tl.static_range(1 << DIMENSIONS):
+        entry = _entry(x, y, z, resolution, is_dense, offset, entry_mask, corner, DIMENSIONS)
+        value = tl.load(table + entry[:, None] * FEATURES + feature, mask=shown, other=0.0)
+        total += _weight(fx, fy, fz, corner, DIMENSIONS)[:, None] * value
+    tl.store(out + (point * LEVELS + level)[:, None] * FEATURES + feature, total, mask=shown)
+
+
+@triton.jit
+def _table_adjoint(
+    positions, grad, grad_table, points, scales, resolutions, dense, offsets, entry_mask,
+    LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
+    BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Adds weight * grad of a block of points to a level's entries."""
+    level = tl.program_id(1)
+    scale, resolution = tl.load(scales + level), tl.load(resolutions + level)
+    is_dense, offset = tl.load(dense + level), tl.load(offsets + level)
+    point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    inside = point < points
+    feature = tl.arange(0, WIDTH)[None, :]
+    shown = inside[:, None] & (feature < FEATURES)
+    x, y, z, fx, fy, fz = _cells(positions, point, inside, scale, DIMENSIONS)
+    cotangent = tl.load(
+        grad + (point * LEVELS + level)[:, None] * FEATURES + feature, mask=shown, other=0.0
+    )  # fmt: skip
+    for corner in tl.static_range(1 << DIMENSIONS):
+        entry = _entry(x, y, z, resolution, is_dense, offset, entry_mask, corner, DIMENSIONS)
+        share = _weight(fx, fy, fz, corner, DIMENSIONS)[:, None] * cotangent
+        tl.atomic_add(grad_table + entry[:, None] * FEATURES + feature, share, mask=shown, sem="relaxed")
+
+
+@triton.jit
+def _position_adjoint(
+    positions, table, grad, grad_positions, points, scales, resolutions, dense, offsets, entry_mask,
+    LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
+    BLOCK: tl.constexpr,
+):  # fmt: skip
+    """A block of points through all levels: the product rule over the axes' weights, times the scale."""
+    point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    inside = point < points
+    feature = tl.arange(0, WIDTH)[None, :]
+    shown = inside[:, None] & (feature < FEATURES)
+    grad_x = tl.full((BLOCK,), 0.0, tl.float32)
+    grad_y = tl.full((BLOCK,), 0.0, tl.float32)
+    grad_z = tl.full((BLOCK,), 0.0, tl.float32)
+    for level in range(LEVELS):
+        scale, resolution = tl.load(scales + level), tl.load(resolutions + level)
+        is_dense, offset = tl.load(dense + level), tl.load(offsets + level)
+        x, y, z, fx, fy, fz = _cells(positions, point, inside, scale, DIMENSIONS)
+        cotangent = tl.load(
+            grad + (point * LEVELS + level)[:, None] * FEATURES + feature, mask=shown, other=0.0
+        )  # fmt: skip
+        for corner in tl.static_range(1 << DIMENSIONS):
+            entry = _entry(x, y, z, resolution, is_dense, offset, entry_mask, corner, DIMENSIONS)
+            value = tl.load(table + entry[:, None] * FEATURES + feature, mask=shown, other=0.0)
+            slope = scale * tl.reduce(value * cotangent, 1, _sum)
+            wx = fx if corner & 1 else 1.0 - fx
+            wy = fy if (corner >> 1) & 1 else 1.0 - fy
+            if DIMENSIONS == 3:
+                wz = fz if corner >> 2 else 1.0 - fz
+                grad_z += (slope if corner >> 2 else -slope) * wx * wy
+                slope *= wz
+            grad_x += (slope if corner & 1 else -slope) * wy
+            grad_y += (slope if (corner >> 1) & 1 else -slope) * wx
+    _store_unclamped(positions, grad_positions, grad_x, point, inside, 0, DIMENSIONS)
+    _store_unclamped(positions, grad_positions, grad_y, point, inside, 1, DIMENSIONS)
+    if DIMENSIONS == 3:
+        _store_unclamped(positions, grad_positions, grad_z, point, inside, 2, DIMENSIONS)
+
+
+@triton.jit
+def _sum(a, b):
+    return a + b
+
+
+@triton.jit
+def _store_unclamped(
+    positions, grad_positions, grad, point, inside, AXIS: tl.constexpr, DIMENSIONS: tl.constexpr
+):  # fmt: skip
+    """Stores the gradient along an axis; 0 where the position was clamped along it or is NaN."""
+    x = tl.load(positions + point * DIMENSIONS + AXIS, mask=inside, other=0.0)
+    free = (x >= 0.0) & (x <= 1.0)
+    tl.store(grad_positions + point * DIMENSIONS + AXIS, tl.where(free, grad, 0.0), mask=inside)
+
+
+def is_interpreted() -> bool:
+    """Whether Triton's interpreter runs these kernels, on CPU tensors, instead of a CUDA device."""
+    return not isinstance(_forward, triton.JITFunction)
+
+
+def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """Encode float32 positions (n, dimensions) with a float32 table; no gradient is recorded.
+
+    See `nvsf_core.kernels.hash_grid_encode` for the contract.
+    """
+    out = torch.empty(positions.shape[0], layout.outputs, dtype=torch.float32, device=positions.device)
+    _launch(_forward, layout, layout.levels, positions, table, target=out)
+    return out
+
+
+def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
+    """Gradient with respect to the table, from the gradient with respect to the encoding.
+
+    Args:
+        positions: (n, dimensions) float32 on the device.
+        grad: (n, levels * features) float32 on the same device.
+        layout: the grid.
+
+    Returns:
+        (layout.entries, layout.features) float32, added up atomically: the last bits differ between runs.
+    """
+    out = torch.zeros(layout.entries, layout.features, dtype=torch.float32, device=positions.device)
+    _launch(_table_adjoint, layout, layout.levels, positions, grad, target=out)
+    return out
+
+
+def position_adjoint(positions: Tensor, table: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
+    """Gradient with respect to the positions, (n, dimensions) float32; 0 along clamped axes.
+
+    Args:
+        positions: (n, dimensions) float32 on the device.
+        table: (layout.entries, layout.features) float32 on the same device.
+        grad: (n, levels * features) float32 on the same device.
+        layout: the grid.
+    """
+    out = torch.empty_like(positions, memory_format=torch.contiguous_format)
+    _launch(_position_adjoint, layout, 1, positions, table, grad, target=out)
+    return out
+
+
+def _launch(kernel: Any, layout: GridLayout, parts: int, *sources: Tensor, target: Tensor) -> None:
+    """Run a kernel over all points; the second axis of the launch grid has `parts` programs."""
+    points = sources[0].shape[0]
+    if points == 0:
+        return
+    # the launch goes to the current device, which need not be the tensors'
+    with torch.cuda.device_of(target):  # type: ignore[no-untyped-call]
+        kernel[(triton.cdiv(points, _BLOCK), parts)](
+            *(source.detach().contiguous() for source in sources),
+            target,
+            points,
+            *_level_tensors(layout, target.device),
+            layout.table_entries - 1,
+            LEVELS=layout.levels,
+            DIMENSIONS=layout.dimensions,
+            FEATURES=layout.features,
+            WIDTH=triton.next_power_of_2(layout.features),
+            BLOCK=_BLOCK,
+            enable_fp_fusion=False,
+        )
+
+
+@cache
+def _level_tensors(layout: GridLayout, device: torch.device) -> tuple[Tensor, ...]:
+    return (
+        torch.tensor(layout.scales, dtype=torch.float32, device=device),
+        torch.tensor(layout.resolutions, dtype=torch.int32, device=device),
+        torch.tensor(layout.is_dense, dtype=torch.int32, device=device),
+        torch.tensor(layout.offsets, dtype=torch.int64, device=device),
+    )
