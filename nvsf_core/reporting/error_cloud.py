@@ -2,8 +2,11 @@
 
 import numpy as np
 
+from nvsf_core.reporting.html import image
 from nvsf_core.reporting.previews import palette_png
 
+ERROR_CLOUD_NAME = "error_cloud.png"
+"""File of the picture beside a field's metrics."""
 WRONG_M = 1.0
 """A range error above it is red."""
 WRONG_COLOUR = (255, 45, 45)
@@ -38,3 +41,14 @@ def error_cloud_png(
     palette[1:_RED] = np.rint(np.linspace(_DARKEST, _LIGHTEST, _GREYS))[:, None]
     palette[_RED] = WRONG_COLOUR
     return palette_png(levels, palette)
+
+
+def error_cloud_figure(png: bytes | None) -> str:
+    """The picture of `error_cloud_png` with its legend, as HTML; empty where there is none."""
+    if png is None:
+        return ""
+    return (
+        f"<figure>{image(png, 'range errors from above')}<figcaption>Recorded returns of a held-out frame from"
+        " above, 80 m by 80 m, driving direction up: red where the model’s range along the return’s own ray is"
+        " more than 1 m wrong, else grey, the lighter the worse.</figcaption></figure>"
+    )

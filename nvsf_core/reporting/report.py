@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.reporting import plots
+from nvsf_core.reporting.error_cloud import error_cloud_figure
 from nvsf_core.reporting.html import escape, image, number, page, plain_table, plot
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.reporting.scene_outputs import (
@@ -203,6 +204,7 @@ def _scene(scene: SceneOutputs) -> str:
     ]
     for view in newest.pictures:
         parts.append(_view(view, newest.recipe))
+    parts.append(error_cloud_figure(newest.error_cloud))
     curves = [run for run in scene.runs if run.curve.get("step")]
     if curves:
         parts.append("<h3>Training</h3>")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.metrics.table import BASELINES, mean_rows
+from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows, read_table
 
@@ -70,6 +71,8 @@ class FieldRun:
     curve: dict[str, list[Any]]
     """Training curve by column; empty where there is none."""
     pictures: list[ViewPictures]
+    error_cloud: bytes | None = None
+    """PNG of where the model is wrong; only of the newest run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,6 +114,7 @@ def collect_scene(
                 means=mean_rows(rows),
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, root / "novel_views" / recipe / seed) if position == 0 else [],
+                error_cloud=_error_cloud(table.parent) if position == 0 else None,
             )
         )
     return SceneOutputs(
@@ -144,6 +148,11 @@ def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
         if record.stage == "evidence":
             return dict(record.metadata)
     return {}
+
+
+def _error_cloud(metrics: Path) -> bytes | None:
+    path = metrics / ERROR_CLOUD_NAME
+    return path.read_bytes() if path.is_file() else None
 
 
 def _pictures(root: Path, views: Path) -> list[ViewPictures]:

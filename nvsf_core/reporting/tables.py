@@ -157,7 +157,7 @@ def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
     values = [
         float(row[key])
         for row in rows
-        if row["split"] == TEST_VIEW and (kind is None or (row["protocol"] == "image") == (kind == "image"))
+        if row["split"] == TEST_VIEW and (kind is None or (row["sensor"] != "lidar") == (kind == "image"))
         if row[key] is not None and not math.isnan(row[key])
     ]
     return sum(values) / len(values) if values else math.nan

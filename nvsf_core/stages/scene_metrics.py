@@ -9,7 +9,7 @@ import numpy as np
 
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT, summary_table
-from nvsf_core.reporting.error_cloud import WRONG_M, error_cloud_png
+from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.stages.camera_metrics import measure_camera
 from nvsf_core.stages.demo_truth import measure_demo_view, read_demo_truth
 from nvsf_core.stages.lidar_metrics import (
@@ -27,7 +27,6 @@ from nvsf_core.stores.tables import write_rows
 METHODS = ("model", "reproject", "copy_nearest")
 """Stored predictions of a view, in the order in which they are measured."""
 TABLE_NAME = "metrics.parquet"
-ERROR_CLOUD_NAME = "error_cloud.png"
 
 
 def _run(task: Task) -> StageOutput:
