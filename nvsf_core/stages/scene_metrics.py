@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.metrics.lpips import load_lpips
-from nvsf_core.metrics.table import COLUMNS, HELD_OUT, summary_table
+from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.stages.camera_metrics import measure_camera
 from nvsf_core.stages.demo_truth import measure_demo_view, read_demo_truth
@@ -37,8 +37,6 @@ def _run(task: Task) -> StageOutput:
     about = _measure_held_out(task, views / HELD_OUT, recording, ledger)
     about |= _measure_demo_views(task, views, ledger)
     write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
-    for line in summary_table(ledger.rows).splitlines():
-        task.progress(line)
     output = ledger.output()
     output.metadata |= about
     _draw_error_cloud(task, views / HELD_OUT / "model.zarr", recording, output)
