@@ -48,7 +48,7 @@ def error_cloud_figure(png: bytes | None) -> str:
     if png is None:
         return ""
     return (
-        f"<figure>{image(png, 'range errors from above')}<figcaption>Recorded returns of a held-out frame from"
-        " above, 80 m by 80 m, driving direction up: red where the model’s range along the return’s own ray is"
-        " more than 1 m wrong, else grey, the lighter the worse.</figcaption></figure>"
+        f"<figure>{image(png, 'range errors from above')}<figcaption>Recorded returns of a held-out frame"
+        " from above, 80 m by 80 m, driving direction up: red where the model’s range along the return’s own"
+        " ray is more than 1 m wrong, else grey, the lighter the worse.</figcaption></figure>"
     )
