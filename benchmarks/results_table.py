@@ -98,8 +98,9 @@ def write(home: Path, root: Path) -> str:
         target = results / f"{recipe}.json"
         old = json.loads(target.read_text())["rows"] if target.is_file() else []
         target.write_text(json.dumps({"rows": merged(old, rows)}, indent=1) + "\n")
-    files = [json.loads(path.read_text())["rows"] for path in sorted(results.glob("*.json"))]
-    everything = [row for rows in files for row in rows]
+    files = [json.loads(path.read_text()) for path in sorted(results.glob("*.json"))]
+    # What is a list there is no recipe's results but another measurement: masks, an ablation.
+    everything = [row for found in files if isinstance(found, dict) for row in found["rows"]]
     table = as_markdown(everything)
     readme = root / "README.md"
     head, rest = readme.read_text().split(BEGIN)
