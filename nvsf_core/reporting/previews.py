@@ -1,6 +1,7 @@
 """Small pictures of a stage's output, each a PNG below 100 kB so that it fits in an event log."""
 
 import io
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import colormaps
@@ -10,6 +11,10 @@ from PIL import Image
 
 MAX_BYTES = 100_000
 MAX_RANGE_M = 80.0
+_SPLIT_COLOURS = {"train": "#2a6f97", "test": "#d9822b"}
+_SPLIT_WORDS = {"train": "training", "test": "held out"}
+_USE_MARKS = {"whole": ("o", True), "part": ("o", False), "none": ("x", True)}
+_USE_WORDS = {"whole": "", "part": ", something left out", "none": ", nothing usable"}
 
 
 def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_repeat: int = 4) -> bytes:
@@ -60,6 +65,46 @@ def curve_preview(x: np.ndarray, y: np.ndarray, x_label: str, y_label: str) -> b
     if len(y) and np.min(y) > 0:
         axes.set_yscale("log")
     axes.grid(alpha=0.3)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def path_preview(
+    path_m: np.ndarray, frames: Sequence[int], splits: Sequence[str], uses: Sequence[str]
+) -> bytes:
+    """The drive from above: where each frame was taken, its split as colour, its use as mark.
+
+    Args:
+        path_m: (N, 2) scene-local positions, x to the right, y up.
+        frames: Their numbers; the first and the last are written beside their marks.
+        splits: `train` or `test` of each.
+        uses: `whole` (all of the frame can be used), `part` or `none`, of each.
+    """
+    figure = Figure(figsize=(6.0, 4.0), dpi=90, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(path_m[:, 0], path_m[:, 1], color="#c3cad3", linewidth=1.0, zorder=1)
+    for split, colour in _SPLIT_COLOURS.items():
+        for use, (mark, filled) in _USE_MARKS.items():
+            mine = [row for row in range(len(path_m)) if (splits[row], uses[row]) == (split, use)]
+            if mine:
+                axes.plot(
+                    path_m[mine, 0], path_m[mine, 1], mark, color=colour, markersize=6.0,
+                    markerfacecolor=colour if filled else "white",
+                    label=f"{_SPLIT_WORDS[split]}{_USE_WORDS[use]}: {len(mine)}",
+                )  # fmt: skip
+    for row in {0, len(path_m) - 1} if len(path_m) else ():
+        axes.annotate(
+            f"frame {frames[row]}", path_m[row], xytext=(5, 7), textcoords="offset points", fontsize=8
+        )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.15)
+    axes.set_xlabel("x [m], scene-local")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.3)
+    if len(path_m):
+        axes.legend(fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()

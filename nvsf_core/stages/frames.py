@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.kitti360.validation import Drive, read_drive
+from nvsf_core.reporting.previews import path_preview
 from nvsf_core.stages.stage import Check, Progress, Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.tables import write_rows
 
 FRAME_COLUMNS = (
-    "frame", "time_s", "split", "lidar_to_world", "pose_valid", "scan_valid", "reason", "checksum",
+    "frame",
+    "time_s",
+    "split",
+    "lidar_to_world",
+    "pose_valid",
+    "scan_valid",
+    "reason",
+    "checksum",
 )
 CAMERA_COLUMNS = ("frame", "camera", "camera_to_world", "image_valid", "reason", "checksum")
 BOX_COLUMNS = ("frame", "object_id", "label", "dynamic", "box_to_world")
@@ -29,7 +37,8 @@ _MAX_SPEED_M_S = 70.0
 def _run(task: Task) -> StageOutput:
     drive = read_drive(task.scene, _sparse(task.progress, task.scene.name))
     _write(task.folder, drive)
-    return StageOutput(metadata=_metadata(drive), checks=_checks(drive))
+    (task.folder / "path.png").write_bytes(_path_picture(drive))
+    return StageOutput(metadata=_metadata(drive), checks=_checks(drive), previews={"path": "path.png"})
 
 
 def _write(folder: Path, drive: Drive) -> None:
@@ -37,9 +46,14 @@ def _write(folder: Path, drive: Drive) -> None:
         folder / "frames.parquet",
         [
             {
-                "frame": row.frame, "time_s": row.time_s, "split": row.split,
-                "lidar_to_world": _flat(row.lidar_to_world), "pose_valid": row.pose_valid,
-                "scan_valid": row.scan_valid, "reason": row.reason, "checksum": row.checksum,
+                "frame": row.frame,
+                "time_s": row.time_s,
+                "split": row.split,
+                "lidar_to_world": _flat(row.lidar_to_world),
+                "pose_valid": row.pose_valid,
+                "scan_valid": row.scan_valid,
+                "reason": row.reason,
+                "checksum": row.checksum,
             }
             for row in drive.frames
         ],
@@ -49,8 +63,12 @@ def _write(folder: Path, drive: Drive) -> None:
         folder / "cameras.parquet",
         [
             {
-                "frame": row.frame, "camera": row.camera, "camera_to_world": _flat(row.camera_to_world),
-                "image_valid": row.image_valid, "reason": row.reason, "checksum": row.checksum,
+                "frame": row.frame,
+                "camera": row.camera,
+                "camera_to_world": _flat(row.camera_to_world),
+                "image_valid": row.image_valid,
+                "reason": row.reason,
+                "checksum": row.checksum,
             }
             for row in drive.images
         ],
@@ -60,7 +78,10 @@ def _write(folder: Path, drive: Drive) -> None:
         folder / "boxes.parquet",
         [
             {
-                "frame": box.frame, "object_id": box.object_id, "label": box.label, "dynamic": box.dynamic,
+                "frame": box.frame,
+                "object_id": box.object_id,
+                "label": box.label,
+                "dynamic": box.dynamic,
                 "box_to_world": _flat(box.box_to_world),
             }
             for box in drive.boxes
@@ -102,6 +123,23 @@ def _metadata(drive: Drive) -> dict[str, Scalar]:
     if drive.notes:
         metadata["notes"] = "; ".join(drive.notes)
     return metadata
+
+
+def _path_picture(drive: Drive) -> bytes:
+    images: dict[int, list[bool]] = {}
+    for row in drive.images:
+        images.setdefault(row.frame, []).append(row.image_valid)
+    scanned = any(row.checksum for row in drive.frames)
+    path_m, frames, splits, uses = [], [], [], []
+    for frame in drive.frames:
+        if frame.lidar_to_world is None:
+            continue
+        parts = images.get(frame.frame, []) + ([frame.scan_valid] if scanned else [])
+        path_m.append((frame.lidar_to_world[:3, 3] - drive.scene_origin_m)[:2])
+        frames.append(frame.frame)
+        splits.append(frame.split)
+        uses.append("whole" if all(parts) else "part" if any(parts) else "none")
+    return path_preview(np.array(path_m).reshape(-1, 2), frames, splits, uses)
 
 
 def _checks(drive: Drive) -> list[Check]:
@@ -193,7 +231,7 @@ STAGE = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="1",
+    version="2",
     run=_run,
     reads_drive=True,
 )

@@ -33,3 +33,18 @@ def test_a_ray_without_return_is_black() -> None:
 def test_from_above_forward_is_up_and_left_is_left() -> None:
     levels = previews.top_view_levels(np.array([[39.0, 0.0, 0.0], [0.0, 39.0, 0.0]]), 40.0, 80)
     assert np.argwhere(levels).tolist() == [[1, 40], [40, 1]]
+
+
+def test_the_path_shows_each_split_and_what_cannot_be_used_in_its_own_way() -> None:
+    path_m = np.column_stack([np.arange(200.0), 5.0 * np.sin(np.arange(200) / 30.0)])
+
+    def picture(splits: list[str], uses: list[str]) -> np.ndarray:
+        return _open(previews.path_preview(path_m, list(range(200)), splits, uses))
+
+    plain = picture(["train"] * 200, ["whole"] * 200)
+    held_out = picture(["train"] * 199 + ["test"], ["whole"] * 200)
+    unusable = picture(["train"] * 199 + ["test"], ["whole"] * 199 + ["none"])
+    orange = np.array([0xD9, 0x82, 0x2B])
+    assert not (plain == orange).all(axis=2).any()
+    assert 0 < (unusable == orange).all(axis=2).sum() < (held_out == orange).all(axis=2).sum()
+    _open(previews.path_preview(path_m[:1], [0], ["train"], ["part"]))

@@ -60,6 +60,7 @@ def test_a_clean_drive_is_all_usable_and_placed(tmp_path: Path) -> None:
     rows = read_rows(outcome.path / "frames.parquet")
     assert all(check.passed for check in outcome.checks)
     assert [row["split"] for row in rows] == ["train", "train", "test", "train", "train", "train"]
+    assert 0 < outcome.previews["path"].stat().st_size < 100_000
     lidar_to_world = np.array(rows[1]["lidar_to_world"]).reshape(4, 4)
     # Pose frame z down, LiDAR z up: the LiDAR's axes are the world's; the camera is 1.5 m up,
     # and the LiDAR 0.5 m above the camera.
