@@ -26,7 +26,7 @@ from torch import Tensor
 
 from nvsf_core.kernels.layout import PRIMES, GridLayout
 
-__all__ = ["adjoint", "encode", "is_interpreted", "position_adjoint"]
+__all__ = ["add", "adjoint", "encode", "is_interpreted", "position_adjoint", "store_unclamped"]
 
 _PRIME_Y = tl.constexpr(PRIMES[1])
 _PRIME_Z = tl.constexpr(PRIMES[2])
@@ -70,7 +70,7 @@ def _entry(
         cz = z + (CORNER >> 2)
         row += resolution * resolution * tl.minimum(cz, top)
         hashed = hashed ^ (cz.to(tl.uint32) * _PRIME_Z)
-    row = tl.where(dense != 0, row, (hashed & entry_mask.to(tl.uint32)).to(tl.int32))
+    row = tl.where(dense != 0, row, (hashed & entry_mask).to(tl.int32))
     return offset + row.to(tl.int64)
 
 
@@ -154,7 +154,7 @@ def _position_adjoint(
         for corner in tl.static_range(1 << DIMENSIONS):
             entry = _entry(x, y, z, resolution, is_dense, offset, entry_mask, corner, DIMENSIONS)
             value = tl.load(table + entry[:, None] * FEATURES + feature, mask=shown, other=0.0)
-            slope = scale * tl.reduce(value * cotangent, 1, _sum)
+            slope = scale * tl.reduce(value * cotangent, 1, add)
             wx = fx if corner & 1 else 1.0 - fx
             wy = fy if (corner >> 1) & 1 else 1.0 - fy
             if DIMENSIONS == 3:
@@ -163,19 +163,20 @@ def _position_adjoint(
                 slope *= wz
             grad_x += (slope if corner & 1 else -slope) * wy
             grad_y += (slope if (corner >> 1) & 1 else -slope) * wx
-    _store_unclamped(positions, grad_positions, grad_x, point, inside, 0, DIMENSIONS)
-    _store_unclamped(positions, grad_positions, grad_y, point, inside, 1, DIMENSIONS)
+    store_unclamped(positions, grad_positions, grad_x, point, inside, 0, DIMENSIONS)
+    store_unclamped(positions, grad_positions, grad_y, point, inside, 1, DIMENSIONS)
     if DIMENSIONS == 3:
-        _store_unclamped(positions, grad_positions, grad_z, point, inside, 2, DIMENSIONS)
+        store_unclamped(positions, grad_positions, grad_z, point, inside, 2, DIMENSIONS)
 
 
 @triton.jit
-def _sum(a, b):
+def add(a, b):
+    """The sum that a reduction is made of."""
     return a + b
 
 
 @triton.jit
-def _store_unclamped(
+def store_unclamped(
     positions, grad_positions, grad, point, inside, AXIS: tl.constexpr, DIMENSIONS: tl.constexpr
 ):  # fmt: skip
     """Stores the gradient along an axis; 0 where the position was clamped along it or is NaN."""

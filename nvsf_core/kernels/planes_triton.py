@@ -1,0 +1,174 @@
+"""Bilinear samples of a feature plane and both adjoints for CUDA, compiled by Triton on first use.
+
+The kernels read and write planes as (height, width, features), so that the features of a grid point are one
+fetch; the transpose passes over the plane once a call. Interpreter, rounding and the bits of the atomic sum:
+as in `hash_grid_triton`.
+"""
+
+# What Triton compiles is typed by its arguments at launch, and Triton reads annotations its own way.
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from nvsf_core.kernels.hash_grid_triton import add, is_interpreted, store_unclamped
+
+__all__ = ["adjoint", "coordinate_adjoint", "is_interpreted", "sample"]
+
+_BLOCK = 128
+_AXES = tl.constexpr(2)
+
+
+@triton.jit
+def _cell(coordinates, point, inside, cells, AXIS: tl.constexpr):
+    """Lower grid point and fraction along an axis; NaN reads grid point 0 and stays NaN in the fraction."""
+    x = tl.load(coordinates + point * _AXES + AXIS, mask=inside, other=0.0)
+    known = tl.where(x == x, x, 0.0)
+    position = tl.minimum(tl.maximum(known, 0.0), 1.0) * cells
+    lower = position.to(tl.int32)
+    return lower, tl.where(x == x, position - lower.to(tl.float32), x)
+
+
+@triton.jit
+def _entry(u, v, height, width, CORNER: tl.constexpr):
+    """Grid point of a corner of the cell; the border's where the cell ends beyond it (with weight 0)."""
+    column = tl.minimum(u + (CORNER & 1), width - 1)
+    row = tl.minimum(v + (CORNER >> 1), height - 1)
+    return (row * width + column).to(tl.int64)
+
+
+@triton.jit
+def _forward(
+    coordinates, plane, out, points, height, width, rows, columns,
+    FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    inside = point < points
+    feature = tl.arange(0, WIDTH)[None, :]
+    shown = inside[:, None] & (feature < FEATURES)
+    u, fu = _cell(coordinates, point, inside, columns, 0)
+    v, fv = _cell(coordinates, point, inside, rows, 1)
+    total = tl.full((BLOCK, WIDTH), 0.0, tl.float32)
+    for corner in tl.static_range(4):
+        entry = _entry(u, v, height, width, corner)
+        value = tl.load(plane + entry[:, None] * FEATURES + feature, mask=shown, other=0.0)
+        weight = (fu if corner & 1 else 1.0 - fu) * (fv if corner >> 1 else 1.0 - fv)
+        total += weight[:, None] * value
+    tl.store(out + point[:, None] * FEATURES + feature, total, mask=shown)
+
+
+@triton.jit
+def _plane_adjoint(
+    coordinates, grad, grad_plane, points, height, width, rows, columns,
+    FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Adds weight * grad of a block of points to the plane's grid points."""
+    point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    inside = point < points
+    feature = tl.arange(0, WIDTH)[None, :]
+    shown = inside[:, None] & (feature < FEATURES)
+    u, fu = _cell(coordinates, point, inside, columns, 0)
+    v, fv = _cell(coordinates, point, inside, rows, 1)
+    cotangent = tl.load(grad + point[:, None] * FEATURES + feature, mask=shown, other=0.0)
+    for corner in tl.static_range(4):
+        entry = _entry(u, v, height, width, corner)
+        weight = (fu if corner & 1 else 1.0 - fu) * (fv if corner >> 1 else 1.0 - fv)
+        target = grad_plane + entry[:, None] * FEATURES + feature
+        tl.atomic_add(target, weight[:, None] * cotangent, mask=shown, sem="relaxed")
+
+
+@triton.jit
+def _coordinate_adjoint(
+    coordinates, plane, grad, grad_coordinates, points, height, width, rows, columns,
+    FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """The product rule over both axes' weights, times the cells along the axis."""
+    point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    inside = point < points
+    feature = tl.arange(0, WIDTH)[None, :]
+    shown = inside[:, None] & (feature < FEATURES)
+    u, fu = _cell(coordinates, point, inside, columns, 0)
+    v, fv = _cell(coordinates, point, inside, rows, 1)
+    cotangent = tl.load(grad + point[:, None] * FEATURES + feature, mask=shown, other=0.0)
+    grad_u = tl.full((BLOCK,), 0.0, tl.float32)
+    grad_v = tl.full((BLOCK,), 0.0, tl.float32)
+    for corner in tl.static_range(4):
+        entry = _entry(u, v, height, width, corner)
+        value = tl.load(plane + entry[:, None] * FEATURES + feature, mask=shown, other=0.0)
+        slope = tl.reduce(value * cotangent, 1, add)
+        grad_u += (slope if corner & 1 else -slope) * (fv if corner >> 1 else 1.0 - fv)
+        grad_v += (slope if corner >> 1 else -slope) * (fu if corner & 1 else 1.0 - fu)
+    store_unclamped(coordinates, grad_coordinates, grad_u * columns, point, inside, 0, _AXES)
+    store_unclamped(coordinates, grad_coordinates, grad_v * rows, point, inside, 1, _AXES)
+
+
+def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
+    """Sample a float32 plane (features, height, width) at float32 (n, 2); no gradient is recorded.
+
+    See `nvsf_core.kernels.planes_sample` for the contract.
+    """
+    out = torch.empty(coordinates.shape[0], plane.shape[0], dtype=torch.float32, device=plane.device)
+    _launch(_forward, plane.shape, coordinates, _features_last(plane), target=out)
+    return out
+
+
+def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
+    """Gradient with respect to the plane, from the gradient with respect to the samples.
+
+    Args:
+        coordinates: (n, 2) float32 on the device.
+        grad: (n, features) float32 on the same device.
+        shape: the plane's: (features, height, width).
+
+    Returns:
+        A view of that shape, float32, added up atomically: the last bits differ between runs.
+    """
+    features, height, width = shape
+    out = torch.zeros(height, width, features, dtype=torch.float32, device=grad.device)
+    _launch(_plane_adjoint, shape, coordinates, grad, target=out)
+    return out.permute(2, 0, 1)
+
+
+def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tensor:
+    """Gradient with respect to the coordinates, (n, 2) float32; 0 along clamped axes.
+
+    Args:
+        coordinates: (n, 2) float32 on the device.
+        plane: (features, height, width) float32 on the same device.
+        grad: (n, features) float32 on the same device.
+    """
+    out = torch.empty_like(coordinates, memory_format=torch.contiguous_format)
+    _launch(_coordinate_adjoint, plane.shape, coordinates, _features_last(plane), grad, target=out)
+    return out
+
+
+def _features_last(plane: Tensor) -> Tensor:
+    return plane.permute(1, 2, 0)
+
+
+def _launch(kernel: Any, shape: torch.Size, *sources: Tensor, target: Tensor) -> None:
+    """Run a kernel over all points."""
+    points = sources[0].shape[0]
+    if points == 0:
+        return
+    features, height, width = shape
+    # the launch goes to the current device, which need not be the tensors'
+    with torch.cuda.device_of(target):  # type: ignore[no-untyped-call]
+        kernel[(triton.cdiv(points, _BLOCK),)](
+            *(source.detach().contiguous() for source in sources),
+            target,
+            points,
+            height,
+            width,
+            float(height - 1),
+            float(width - 1),
+            FEATURES=features,
+            WIDTH=triton.next_power_of_2(features),
+            BLOCK=_BLOCK,
+            enable_fp_fusion=False,
+        )
