@@ -110,7 +110,7 @@ def write_image(path: Path, rgb: np.ndarray) -> None:
             f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype} for {path}; convert it"
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Level 1: a demo's images are written once and read often, and smooth ones hardly shrink further.
+    # Level 1: images are written once and read often, and smooth ones hardly shrink further.
     if not cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1]):
         raise DataError(f"expected to write {path}, found that the disk refuses it; check space and rights")
 

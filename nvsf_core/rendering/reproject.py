@@ -1,8 +1,10 @@
 """The training-free LiDAR: surfels composited along the ray, hits by the vote of the nearest scans."""
 
 import numpy as np
+import torch
 
 from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.rendering.accumulate import weighted_median_index
 from nvsf_core.rendering.answers import RayAnswers
 
 NEAR_M = 0.9
@@ -14,12 +16,6 @@ def composite(candidates: Candidates) -> np.ndarray:
     light = np.cumprod(1.0 - candidates.opacity, axis=1)
     before = np.concatenate([np.ones_like(light[:, :1]), light[:, :-1]], axis=1)
     return np.asarray(candidates.opacity * before)
-
-
-def median_index(weights: np.ndarray) -> np.ndarray:
-    """Index (r,) of the candidate at which half of a ray's total weight (r, k) is reached."""
-    total = np.cumsum(weights, axis=1)
-    return np.asarray((total < 0.5 * total[:, -1:]).sum(axis=1).clip(max=weights.shape[1] - 1))
 
 
 def reproject_rays(
@@ -40,7 +36,7 @@ def reproject_rays(
     weights = composite(candidates)
     rows = np.arange(len(weights))
     answered = candidates.voxel[:, 0] >= 0
-    chosen = median_index(weights)
+    chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
     total = weights.sum(axis=1)
     intensity = (weights * surfels.intensity[candidates.voxel]).sum(axis=1) / np.where(answered, total, 1.0)
     return RayAnswers(

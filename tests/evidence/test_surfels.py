@@ -6,7 +6,7 @@ import pytest
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.surfels import build_surfels, candidates_of
 from nvsf_core.evidence.voxels import index_points
-from nvsf_core.rendering.reproject import composite, median_index, reproject_rays
+from nvsf_core.rendering.reproject import composite, reproject_rays
 
 WALL_X_M = 10.03
 
@@ -121,8 +121,3 @@ def test_candidates_come_in_order_and_weights_never_exceed_one(wall) -> None:
     weights = composite(found)
     assert (weights.sum(axis=1) <= 1 + 1e-6).all()
     assert (weights[~there] == 0).all()
-
-
-def test_the_median_candidate_is_where_half_the_weight_is_reached() -> None:
-    weights = np.array([[0.2, 0.2, 0.6], [0.9, 0.05, 0.05], [0.0, 0.0, 0.0]], np.float32)
-    assert median_index(weights).tolist() == [2, 0, 0]
