@@ -11,7 +11,7 @@ from nvsf_core.stages import SceneRun, find_scene, plan_run
 
 
 class Workspace(dg.ConfigurableResource):
-    """ResidualRecipe, seeds and places of a run; what is left empty comes from the environment."""
+    """Recipe, seeds and places of a run; what is left empty comes from the environment."""
 
     recipe: str = ""
     """Preset; empty = RECIPE, else the catalogue's choice for the scene, else `quick`."""

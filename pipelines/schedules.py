@@ -38,7 +38,7 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
 
 
 def newest_field(scene_root: Path) -> tuple[str, int] | None:
-    """ResidualRecipe and seed of the scene's latest published field, or None where there is none."""
+    """Recipe and seed of the scene's latest published field, or None where there is none."""
     records = sorted(
         scene_root.glob(f"field/*/*/{RECORD_NAME}"), key=lambda path: (path.stat().st_mtime, str(path))
     )

@@ -127,8 +127,14 @@ def file_checksum(path: Path) -> str:
 
 
 def _frame_row(
-    layout: DriveLayout, frame: int, time_s: float, split: str, pose: np.ndarray | None,
-    calibration: Calibration, *, has_scans: bool,
+    layout: DriveLayout,
+    frame: int,
+    time_s: float,
+    split: str,
+    pose: np.ndarray | None,
+    calibration: Calibration,
+    *,
+    has_scans: bool,
 ) -> FrameRow:
     reasons = [] if pose is not None else [_NO_POSE]
     checksum, n_returns, n_dropped = "", 0, 0

@@ -43,9 +43,7 @@ def sensor_rays(
     elevation = table.elevation_rad[laser]
     origin_m = _origins(table, azimuth_rad, laser)
     flat = np.cos(elevation)
-    direction = np.stack(
-        [flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation)], axis=-1
-    )
+    direction = np.stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation)], axis=-1)
     return origin_m, direction
 
 
@@ -187,6 +185,4 @@ def _lever_m(table: LaserTable, laser: np.ndarray) -> np.ndarray:
 def _origins(table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray) -> np.ndarray:
     height_m = table.vertical_offset_m[laser] / np.cos(table.elevation_rad[laser])
     aside_m = table.horizontal_offset_m[laser]
-    return np.stack(
-        [-aside_m * np.sin(azimuth_rad), aside_m * np.cos(azimuth_rad), height_m], axis=-1
-    )
+    return np.stack([-aside_m * np.sin(azimuth_rad), aside_m * np.cos(azimuth_rad), height_m], axis=-1)

@@ -73,9 +73,7 @@ def test_compensated_returns_lie_where_the_moving_sensor_saw_them():
     range_m, fraction = rng.uniform(3.0, 70.0, 5000), sweep_fraction(azimuth)
     origin_s, direction_s = sensor_rays(HDL_64E, azimuth, laser)
     recorded_m = origin_s + range_m[:, None] * direction_s
-    origin_m, direction, found_m = compensate(
-        HDL_64E, recorded_m, laser, fraction, 0.2, PERIOD_S, trajectory
-    )
+    origin_m, direction, found_m = compensate(HDL_64E, recorded_m, laser, fraction, 0.2, PERIOD_S, trajectory)
     # The same rays fired from the pose of each one's own time.
     true_origin_m, true_direction = rays_to_local(
         *corrected_rays(HDL_64E, azimuth, laser), fraction, 2, trajectory.lidar_to_world,

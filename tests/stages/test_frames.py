@@ -21,7 +21,12 @@ FRAMES = range(10, 16)
 def drive(root: Path) -> SceneEntry:
     """Six frames, one camera of 64x48, 1 m a frame along x; the LiDAR 2 m above the pose frame's origin."""
     entry = SceneEntry(
-        name="tiny", root=root, sequence="s_sync", first_frame=10, last_frame=15, test_frames=(12,),
+        name="tiny",
+        root=root,
+        sequence="s_sync",
+        first_frame=10,
+        last_frame=15,
+        test_frames=(12,),
         sweep_period_s=0.1,
     )
     layout = DriveLayout(root, entry.sequence)
