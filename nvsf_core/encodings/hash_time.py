@@ -13,8 +13,8 @@ from nvsf_core.recipe import TimeGridSpec
 
 __all__ = ["SPACE_PLANES", "HashTime", "contract_nodes", "two_slices"]
 
-SPACE_PLANES = ((0, 1), (0, 2), (1, 2))
-"""Axes of the planes xy, xz, yz."""
+SPACE_PLANES = (slice(0, 2), slice(0, 3, 2), slice(1, 3))
+"""Axes of the planes xy, xz, yz, as views of positions (n, 3)."""
 
 
 def two_slices(t: float, slices: int) -> list[tuple[int, float]]:
@@ -23,7 +23,7 @@ def two_slices(t: float, slices: int) -> list[tuple[int, float]]:
     A slice without weight is left out: it gets no gradient instead of a zero one, and an optimiser with
     momentum then leaves it alone.
     """
-    place = min(max(t, 0.0), 1.0) * (slices - 1)
+    place = t * (slices - 1)
     lower = int(place)
     share = place - lower
     return [(lower, 1.0 - share)] + ([(lower + 1, share)] if share > 0.0 else [])

@@ -22,7 +22,12 @@ def cubic_basis(t: float) -> Tensor:
 
     Returns:
         (4,) float64.
+
+    Raises:
+        ValueError: The time is outside the clip, where a cubic means nothing.
     """
+    if not 0.0 <= t <= 1.0:
+        raise ValueError(f"cubic_basis: expected a time in [0, 1], found {t}; frames are 0 to n - 1")
     values = []
     for j, node in enumerate(NODES):
         value = 1.0

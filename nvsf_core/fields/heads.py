@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
 
-from nvsf_core.encodings.frequency import frequency_encode
+from nvsf_core.encodings import SPHERICAL_HARMONICS_OUTPUTS, frequency_encode, frequency_outputs
+from nvsf_core.errors import RecipeError
 from nvsf_core.fields.layers import bias_free
 from nvsf_core.recipe import HeadsSpec
 
@@ -32,6 +33,22 @@ class Head(nn.Module):
         return torch.sigmoid(self.network[1:](hidden))
 
 
-def lidar_direction(direction: Tensor, frequencies: int) -> Tensor:
-    """Unit vectors (..., 3), moved into 0..1, as (..., 6 * frequencies) sines and cosines of octaves."""
-    return frequency_encode(0.5 * (direction + 1.0), frequencies)
+def lidar_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
+    """Intensity or hit probability, from frequencies of the direction."""
+    return Head(frequency_outputs(3, spec.lidar_frequencies), 1, spec, generator)
+
+
+def colour_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
+    """Red, green, blue, from spherical harmonics of the direction.
+
+    Raises:
+        RecipeError: The harmonics' degree is not 4, the only one there is.
+    """
+    if spec.camera_degree**2 != SPHERICAL_HARMONICS_OUTPUTS:
+        raise RecipeError(f"heads.camera_degree: expected 4, found {spec.camera_degree}; correct the recipe")
+    return Head(SPHERICAL_HARMONICS_OUTPUTS, 3, spec, generator)
+
+
+def lidar_direction(direction: Tensor, spec: HeadsSpec) -> Tensor:
+    """Unit vectors (..., 3), moved into 0..1, as (..., 72) sines and cosines of octaves."""
+    return frequency_encode(0.5 * (direction + 1.0), spec.lidar_frequencies)

@@ -50,7 +50,8 @@ def bias_free(
         layer = undrawn(nn.Linear, fan_in, fan_out, bias=False)
         bound = math.sqrt(6.0 / (fan_in + fan_out)) if start == "xavier" else 1.0 / math.sqrt(fan_in)
         nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
-        layers += [layer, nn.ReLU()]
+        # In place: a product needs its inputs for the gradient, never its result.
+        layers += [layer, nn.ReLU(inplace=True)]
     return nn.Sequential(*layers[:-1])
 
 

@@ -5,15 +5,15 @@ from typing import Any, Literal, cast
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.encodings import SPHERICAL_HARMONICS_OUTPUTS as HARMONICS
-from nvsf_core.encodings import HybridEncoding, frequency_outputs, spherical_harmonics, start_alike
+from nvsf_core.encodings import HybridEncoding, spherical_harmonics, start_alike
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.density import Density
 from nvsf_core.fields.flow import FlowField, applied
-from nvsf_core.fields.heads import Head, lidar_direction
+from nvsf_core.fields.heads import colour_head, lidar_direction, lidar_head
 from nvsf_core.recipe import PaperOptimiser, PaperRecipe
 
-Sensor = Literal["lidar", "camera"]
+Moved = tuple[Tensor, float]
+"""Points (n, 3) in another frame, and its time t."""
 
 
 class SceneField(nn.Module):
@@ -32,24 +32,22 @@ class SceneField(nn.Module):
         self.encoders = nn.ModuleList(encoders)
         self.flow = FlowField(recipe.flow, generator)
         self.read = sensors if recipe.encoders == "separate_fused" else 1
-        features = self.read * sum(encoders[0].outputs)
-        self.density_network = Density(features, recipe.heads, generator)
-        angles = frequency_outputs(3, recipe.heads.lidar_frequencies)
-        self.intensity = Head(angles, 1, recipe.heads, generator)
-        self.hit = Head(angles, 1, recipe.heads, generator)
-        self.colour = Head(HARMONICS, 3, recipe.heads, generator) if recipe.sampling.camera else None
+        self.density_network = Density(self.read * sum(encoders[0].outputs), recipe.heads, generator)
+        self.intensity = lidar_head(recipe.heads, generator)
+        self.hit = lidar_head(recipe.heads, generator)
+        self.colour = colour_head(recipe.heads, generator) if recipe.sampling.camera else None
         if recipe.slips.identical_tables:
             start_alike(self)
 
-    def density(self, x01: Tensor, frame: float, sensor: Sensor) -> tuple[Tensor, Tensor]:
+    def density(self, x01: Tensor, frame: float, sensor: Literal["lidar", "camera"]) -> tuple[Tensor, Tensor]:
         """Points (n, 3) of the unit cube to σ (n,) per scaled unit and geometry features (n, 15)."""
         moved = self.neighbours(x01, frame) if self.recipe.aggregate and self.frames > 1 else []
         own_first = cast(list[HybridEncoding], list(self.encoders))[:: -1 if sensor == "camera" else 1]
         features = [self._encode(encoder, x01, frame, moved) for encoder in own_first[: self.read]]
         return self.density_network(torch.cat(features, dim=1))
 
-    def neighbours(self, x01: Tensor, frame: float) -> list[tuple[Tensor, float]]:
-        """The points at i + 1 and i - 1 where MLP_flow (eq. 5) puts them, and t; only frames that exist."""
+    def neighbours(self, x01: Tensor, frame: float) -> list[Moved]:
+        """The points at i + 1 and i - 1, where MLP_flow (eq. 5) puts them; only in frames that exist."""
         flows = zip((1, -1), self.flow(x01, self.time(frame)), strict=True)
         there = [(step, flow) for step, flow in flows if 0 <= frame + step <= self.frames - 1]
         return [(x01 + applied(flow, self.recipe.slips), self.time(frame, step)) for step, flow in there]
@@ -59,18 +57,16 @@ class SceneField(nn.Module):
         slip = step != 0 and self.recipe.slips.neighbour_times
         return (frame + step) / (self.frames if slip else max(self.frames - 1, 1))
 
-    def _encode(
-        self, encoder: HybridEncoding, x01: Tensor, frame: float, moved: list[tuple[Tensor, float]]
-    ) -> Tensor:
+    def _encode(self, encoder: HybridEncoding, x01: Tensor, frame: float, moved: list[Moved]) -> Tensor:
         """Static features and d = 0.5 d_0 + 0.25 (d_1 + d_-1); d_0 stands in for a frame that is missing."""
         dynamic = (1.0 - 0.25 * len(moved)) * encoder.dynamic(x01, self.time(frame))
         for there, t in moved:
-            dynamic = dynamic + 0.25 * encoder.dynamic(there, t, hash_gradient=False)
+            dynamic = torch.add(dynamic, encoder.dynamic(there, t, hash_gradient=False), alpha=0.25)
         return torch.cat([encoder.static(x01), dynamic], dim=1)
 
     def lidar(self, direction: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor]:
         """Unit directions and geometry features to intensity i and hit probability p, (n,) each in 0..1."""
-        angles = lidar_direction(direction, self.recipe.heads.lidar_frequencies)
+        angles = lidar_direction(direction, self.recipe.heads)
         return self.intensity(angles, geometry)[..., 0], self.hit(angles, geometry)[..., 0]
 
     def camera(self, direction: Tensor, geometry: Tensor) -> Tensor:
@@ -82,6 +78,5 @@ class SceneField(nn.Module):
     def parameter_groups(self, optimiser: PaperOptimiser) -> list[dict[str, Any]]:
         """For Adam: encodings, density, colour at `table_rate`; flow, intensity, hit at `head_rate`."""
         heads = [p for module in (self.flow, self.intensity, self.hit) for p in module.parameters()]
-        slow = {id(p) for p in heads}
-        tables = [p for p in self.parameters() if id(p) not in slow]
+        tables = [p for p in self.parameters() if not any(p is head for head in heads)]
         return [{"params": tables, "lr": optimiser.table_rate}, {"params": heads, "lr": optimiser.head_rate}]

@@ -40,6 +40,12 @@ def test_the_basis_reproduces_every_cubic(t: float) -> None:
         assert (cubic_basis(t) @ nodes**power).item() == pytest.approx(t**power, abs=1e-12)
 
 
+@pytest.mark.parametrize("t", [-0.01, 1.01, float("nan")])
+def test_there_is_no_time_outside_the_clip(t: float) -> None:
+    with pytest.raises(ValueError, match=r"\[0, 1\]"):
+        cubic_basis(t)
+
+
 @pytest.mark.parametrize("t", TIMES)
 def test_contracting_the_dynamic_hash_over_time_first_changes_nothing(t: float) -> None:
     encoding = HashTime(TIME, _generator())
