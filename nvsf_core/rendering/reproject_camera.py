@@ -41,7 +41,8 @@ class SweepOptions:
     beyond_px: float = 3.0
     """Pixels nearer than this to a return keep the LiDAR's depth."""
     pull: float = 0.15
-    """Cost of leaving the filled depth, grey values (0..1) for the whole span of inverse depths."""
+    """Cost of leaving the filled depth, grey values (0..1) for the whole span of inverse depths; where no
+    point is seen at all there is no depth to leave."""
 
 
 def render_by_warping(
@@ -144,6 +145,8 @@ def _sweep(
     size = (small.height, small.width)
     prior = functional.interpolate(inverse[None, None], size, mode="nearest")[0, 0]
     rays = _rays(small)
+    # Without a single return the fill is a placeholder: pulling towards it cost 0.6 dB on a real street.
+    pull = options.pull if bool(torch.isfinite(gap_px).any()) else 0.0
     span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
     best_cost = torch.full_like(prior, torch.inf)
     best = prior
@@ -156,7 +159,7 @@ def _sweep(
             warped.append(_sample(image, grid)[0])
             seen_by_both &= seen
         difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), _UNSEEN_COST)
-        cost = _box_mean(difference, options.window_px) + options.pull * (plane - prior).abs() / span
+        cost = _box_mean(difference, options.window_px) + pull * (plane - prior).abs() / span
         better = cost < best_cost
         best_cost = torch.where(better, cost, best_cost)
         best = torch.where(better, candidate, best)

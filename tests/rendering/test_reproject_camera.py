@@ -114,3 +114,13 @@ def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(ShapeError, match="source images"):
         nothing = np.zeros((0, 64, 128, 3), np.uint8)
         render_by_warping(pose(0.0), CAMERA, wall_points(), nothing, np.zeros((0, 4, 4)))
+
+
+def test_without_any_return_the_plane_sweep_alone_finds_the_wall() -> None:
+    sources = [pose(-0.6), pose(0.6)]
+    images = np.stack([photograph(place) for place in sources])
+    nothing = np.zeros((0, 3), np.float32)
+    truth = photograph(pose(0.1))
+    flat, _ = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources), sweep=None)
+    swept, _ = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources))
+    assert psnr_db(swept, truth) > psnr_db(flat, truth) + 3.0
