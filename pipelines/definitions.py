@@ -9,6 +9,7 @@ from assets.synthesis import synthesis_assets
 from assets.train import train_assets
 from pipelines.executors import executor_from_environment
 from pipelines.jobs import JOBS
+from pipelines.reaper import stale_run_reaper
 from pipelines.resources import RESOURCES
 from pipelines.schedules import weekly_regeneration
 from pipelines.terminal import terse_logger
@@ -17,6 +18,7 @@ defs = dg.Definitions(
     assets=[*ingest_assets, *prepare_assets, *train_assets, *synthesis_assets, *report_assets],
     jobs=JOBS,
     schedules=[weekly_regeneration],
+    sensors=[stale_run_reaper],
     resources=RESOURCES,
     executor=executor_from_environment(),
     loggers={"terse": terse_logger},

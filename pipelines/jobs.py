@@ -3,6 +3,7 @@
 import dagster as dg
 
 from pipelines.executors import timing_executor
+from pipelines.reaper import host_tags
 from pipelines.terminal import TERSE_LOGGING
 from pipelines.train_all import make_train_all_scenes
 
@@ -23,6 +24,7 @@ train_scene = dg.define_asset_job(
     "train_scene",
     selection=_up_to_dataset,
     config=TERSE_LOGGING,
+    tags=host_tags(),
     description="One scene, from its recorded drive to its data set; what is up to date is skipped.",
 )
 
@@ -30,6 +32,7 @@ regenerate_synthetic = dg.define_asset_job(
     "regenerate_synthetic",
     selection=_up_to_dataset,
     config=TERSE_LOGGING,
+    tags=host_tags(),
     description="A new version of a scene's synthetic data sets, drawn with a seed of its own; the scene is "
     "trained again only where its drive, recipe or code changed.",
 )

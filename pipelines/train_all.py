@@ -25,6 +25,7 @@ from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.flow import DEMO_SCENE, write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
+from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
 
@@ -223,5 +224,5 @@ def make_train_all_scenes(
 
     return all_scenes.to_job(
         resource_defs=RESOURCES, logger_defs={"terse": terse_logger}, config=TERSE_LOGGING,
-        executor_def=executor,
+        executor_def=executor, tags=host_tags(),
     )  # fmt: skip
