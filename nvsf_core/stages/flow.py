@@ -119,7 +119,7 @@ def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
     """Write the embedded drive, if this is the scene it belongs to and it is not there yet."""
     if scene.name != DEMO_SCENE or has_data(scene):
         return
-    # The writer ray-casts with torch and numba: imported only where a drive is written.
+    # The writer loads scipy and cv2: imported only where a drive is written.
     from nvsf_core.kitti360.demo import write_demo
 
     progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
