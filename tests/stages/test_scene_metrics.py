@@ -12,13 +12,14 @@ from nvsf_core.recipe import preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.scene_metrics import STAGE, TABLE_NAME
 from nvsf_core.stages.stage import RunConfig, StageOutput, Task
-from nvsf_core.stores.arrays import read_arrays, write_arrays
+from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
-from nvsf_core.stores.tables import read_rows
+from nvsf_core.stores.tables import read_rows, write_rows
 
 FRAMES = (10, 11)
 N_RETURNS = 3000
 Measured = tuple[StageOutput, list[dict[str, Any]]]
+Moving = tuple[StageOutput, list[dict[str, Any]], Path]
 
 
 def _task(tmp_path: Path) -> Task:
@@ -61,15 +62,37 @@ def _image(frame: int) -> np.ndarray:
     return np.random.default_rng(frame).integers(0, 200, (40, 48, 3)).astype(np.uint8)
 
 
+def _write_frames(store: SceneStore, *, moving: bool) -> None:
+    """Poses, and in the first held-out frame a moving box in front of LiDAR and camera."""
+    pose = np.eye(4)
+    pose[:3, 3] = (1000.0, 3700.0, 100.0)
+    placed = {"pose_valid": True, "lidar_to_world": pose.ravel().tolist()}
+    posed = [{"frame": frame, **placed} for frame in (9, *FRAMES)]
+    box = np.diag([6.0, 8.0, 6.0, 1.0])
+    box[:3, 3] = pose[:3, 3] + (14.0, 0.0, -2.0)
+    boxes = [
+        {"frame": FRAMES[0], "object_id": 7, "dynamic": moving, "box_to_world": box.ravel().tolist()},
+        {"frame": -1, "object_id": 8, "dynamic": False, "box_to_world": box.ravel().tolist()},
+    ]
+    store.path("frames").mkdir(parents=True)
+    write_rows(store.path("frames") / "frames.parquet", posed, list(posed[0]))
+    write_rows(store.path("frames") / "boxes.parquet", boxes, list(boxes[0]))
+
+
 def _write_images(store: SceneStore) -> None:
     frames = (9, *FRAMES)
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    pose[:3, 3] = (1000.0, 3700.0, 100.0)
     write_arrays(
         store.path("undistorted") / "images.zarr",
         {
             "image_00_rgb": np.stack([_image(frame) for frame in frames]),
             "image_00_valid": np.ones((40, 48), dtype=bool),
             "image_00_frame": np.array(frames),
+            "image_00_camera_to_world": np.stack([pose] * 3),
         },
+        {"cameras": {"image_00": {"fx": 30, "fy": 30, "cx": 23.5, "cy": 19.5, "width": 48, "height": 40}}},
     )
 
 
@@ -105,7 +128,8 @@ def _write_prediction(store: SceneStore, name: str, stretch: float, frames: tupl
     write_arrays(store.path("novel_views/smoke/3/test") / f"{name}.zarr", arrays, attrs)
 
 
-def _prepare(task: Task, frames: tuple[int, ...]) -> None:
+def _prepare(task: Task, frames: tuple[int, ...], *, moving: bool = False) -> None:
+    _write_frames(task.store, moving=moving)
     _write_recording(task.store, frames)
     _write_images(task.store)
     _write_prediction(task.store, "model", 1.001, frames)
@@ -120,9 +144,14 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
     return output, read_rows(task.folder / TABLE_NAME)
 
 
-def _value(rows: list[dict[str, Any]], recipe: str, protocol: str, metric: str) -> float:
-    wanted = (recipe, protocol, metric, FRAMES[0])
-    (row,) = [r for r in rows if (r["recipe"], r["protocol"], r["metric"], r["frame"]) == wanted]
+def _value(
+    rows: list[dict[str, Any]], recipe: str, protocol: str, metric: str, region: str = "all", frame: int = 10
+) -> float:
+    wanted = (recipe, protocol, metric, region, frame)
+    keys = ("recipe", "protocol", "metric", "region", "frame")
+    found = [row for row in rows if tuple(row[key] for key in keys) == wanted]
+    # The protocol `masked` has the LiDAR's and the camera's rows; no metric is of both.
+    (row,) = found
     return float(row["value"])
 
 
@@ -181,13 +210,91 @@ def test_a_drive_without_a_lidar_is_measured_by_its_images(tmp_path: Path) -> No
     task = _task(tmp_path)
     _prepare(task, ())
     STAGE.run(task)
-    assert {row["protocol"] for row in read_rows(task.folder / TABLE_NAME)} == {"image"}
+    rows = read_rows(task.folder / TABLE_NAME)
+    assert {row["sensor"] for row in rows} == {"image_00"}
+    # Published camera depth is the one camera metric of that protocol.
+    assert {row["metric"] for row in rows if row["protocol"] == "lidar4d"} == {"image_depth_rmse_m"}
 
 
 def test_a_rendered_frame_that_was_never_recorded_is_an_error(tmp_path: Path) -> None:
     task = _task(tmp_path)
+    _write_frames(task.store, moving=False)
     _write_recording(task.store, (11,))
     _write_images(task.store)
     _write_prediction(task.store, "model", 1.0, FRAMES)
     with pytest.raises(StoreError, match="frame 10"):
         STAGE.run(task)
+
+
+def test_a_drive_without_moving_boxes_has_no_rows_of_regions_and_says_why(measured: Measured) -> None:
+    output, rows = measured
+    assert {row["region"] for row in rows} == {"all"}
+    assert "no box of a moving object" in str(output.metadata["foreground"])
+
+
+def test_what_nobody_could_measure_is_nan_on_nothing_and_fails_no_check(measured: Measured) -> None:
+    output, rows = measured
+    for metric in ("range_lpips_alex", "intensity_lpips_alex", "image_lpips_alex", "image_depth_rmse_m"):
+        mine = [row for row in rows if row["metric"] == metric]
+        assert mine
+        assert all(math.isnan(row["value"]) and row["n_valid"] == 0 for row in mine)
+    assert "LPIPS-Alex: no weights at hand" in str(output.metadata["not_measured_reasons"])
+    assert "this model stores no camera depth" in str(output.metadata["not_measured_reasons"])
+    assert "lpips_alex" not in str(output.metadata["undefined_reasons"])
+    assert "lpips_alex" not in next(c for c in output.checks if c.name == "all_metrics_are_finite").detail
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Moving:
+    """A drive with a moving box in the first held-out frame, and a model that stores camera depth."""
+    task = _task(tmp_path_factory.mktemp("moving"))
+    _prepare(task, FRAMES, moving=True)
+    returns = task.store.path("sweeps") / "returns.zarr"
+    arrays = read_arrays(returns)
+    direction = arrays["points_m"] / arrays["range_m"][:, None]
+    rays = {"direction": direction, "origin_m": np.zeros_like(direction)}
+    write_arrays(returns, arrays | rays, {"scene_origin_m": [1000.0, 3700.0, 100.0]})
+    model = task.store.path("novel_views/smoke/3/test") / "model.zarr"
+    # The recorded walls lie 8 to 16 m away; a depth of 12 m everywhere is off by less than 4 m.
+    stored = read_arrays(model) | {"image_00_depth_m": np.full((2, 40, 48), 12.0, np.float32)}
+    write_arrays(model, stored, read_attrs(model))
+    output = STAGE.run(task)
+    return output, read_rows(task.folder / TABLE_NAME), task.folder
+
+
+def test_the_error_cloud_is_a_preview_that_fits_into_an_event_log(moving: Moving) -> None:
+    output, _, folder = moving
+    (name,) = output.previews.values()
+    assert 200 < (folder / name).stat().st_size < 100_000
+    assert output.metadata["error_cloud_wrong_share"] == 0.0
+
+
+def test_moving_boxes_give_foreground_and_background_of_their_very_frame(moving: Moving) -> None:
+    output, rows, _ = moving
+    assert output.metadata["foreground"] == "1 moving objects, by their boxes"
+    for region in ("foreground", "background"):
+        found = {(row["protocol"], row["sensor"]) for row in rows if row["region"] == region}
+        protocols = [(protocol, "lidar") for protocol in ("lidar4d", "lidar4d_scan", "masked")]
+        assert found == {*protocols, ("image", "image_00"), ("masked", "image_00")}
+        better, worse = (
+            _value(rows, who, "masked", "chamfer_m2", region) for who in ("smoke", "copy_nearest")
+        )
+        assert better < 0.1 * worse
+    inside, outside = (
+        [row["n_valid"] for row in rows if row["metric"] == "range_missing" and row["region"] == region]
+        for region in ("foreground", "background")
+    )
+    # The box stands in one frame only; the other has no foreground.
+    assert 0 == min(inside) < max(inside) < min(outside)
+    assert math.isnan(_value(rows, "smoke", "masked", "chamfer_m2", "foreground", frame=11))
+    assert not math.isnan(_value(rows, "smoke", "masked", "chamfer_m2", "background", frame=11))
+
+
+def test_stored_camera_depth_is_measured_against_the_scan_of_its_frame(moving: Moving) -> None:
+    _, rows, _ = moving
+    ours, published = (
+        _value(rows, "smoke", protocol, "image_depth_rmse_m") for protocol in ("image", "lidar4d")
+    )
+    assert 0.5 < ours < 4.1
+    assert 0.0 < published < ours, "zeros of all other pixels are in the published mean"
+    assert math.isnan(_value(rows, "copy_nearest", "image", "image_depth_rmse_m"))
