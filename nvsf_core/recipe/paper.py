@@ -112,6 +112,10 @@ class RefinementSpec:
     """Highest step size of the one-cycle schedule."""
     frames_a_step: int = 0
     """Panos a step, drawn in turn; 0 = all of them, accumulated one after the other."""
+    panos: int = 0
+    """Training panos that are rendered for it, evenly chosen; 0 = all."""
+    column_step: int = 1
+    """It is trained on, and applied to, every so many columns of a pano."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -56,7 +56,7 @@ _PAPER_CPU = PaperRecipe(
     ),
     sampling=PaperSampling(rays=256, samples=96),
     optimiser=PaperOptimiser(steps=300, checkpoint_s=10.0),
-    refinement=RefinementSpec(channels=8, steps=30, frames_a_step=1),
+    refinement=RefinementSpec(channels=8, steps=30, frames_a_step=1, panos=6, column_step=4),
 )
 
 

@@ -42,6 +42,18 @@ class ImageRenderer(Protocol):
         """
 
 
+class PanoRenderer(Protocol):
+    """Shows what the papers' range image sees, along its own rays."""
+
+    def __call__(self, pose: np.ndarray, time_s: float, /) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Range in metres, intensity, hit probability (66, 1030), all rays from one pose at one time.
+
+        Args:
+            pose: (4, 4) float64 LiDAR to scene-local.
+            time_s: Seconds since the first frame.
+        """
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneModel:
     """A scene that can be rendered: a trained field of any family, or a baseline."""
@@ -50,5 +62,7 @@ class SceneModel:
     """None where the drive has no LiDAR."""
     camera: ImageRenderer | None
     """None where the drive has no camera."""
+    pano: PanoRenderer | None = None
+    """None where a pano is the projection of the simulated scan, and not a view of its own."""
     votes: int = VOTES
     """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""

@@ -5,11 +5,16 @@ Here, and nowhere else, a family of recipes is chosen: how it is trained and how
 
 import json
 import resource
+from pathlib import Path
 
 import torch
 
+from nvsf_core.errors import RecipeError
+from nvsf_core.recipe import PaperRecipe, ResidualRecipe
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.fitting import Trained
+from nvsf_core.stages.paper_model import load_paper_model
+from nvsf_core.stages.paper_training import train_paper
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.residual_training import train_residual
@@ -24,13 +29,30 @@ def load_model(task: Task, recording: Recording) -> SceneModel:
     Raises:
         StoreError: It was never published, or its weights cannot be read.
     """
-    return load_residual_model(task.store.require(STAGE.location(task.config)), recording)
+    folder = task.store.require(STAGE.location(task.config))
+    if isinstance(task.config.recipe, PaperRecipe):
+        return load_paper_model(folder, recording)
+    return load_residual_model(folder, recording)
+
+
+def train_model(task: Task, recording: Recording, work: Path) -> Trained:
+    """Train the recipe's family of models, resuming from the checkpoints in `work`.
+
+    Raises:
+        RecipeError: Nothing here trains such a recipe.
+    """
+    recipe = task.config.recipe
+    if isinstance(recipe, PaperRecipe):
+        return train_paper(task, recipe, recording, work)
+    if isinstance(recipe, ResidualRecipe):
+        return train_residual(task, recipe, recording, work)
+    raise RecipeError(f"expected a recipe of the family residual or paper, found {type(recipe).__name__}")
 
 
 def _run(task: Task) -> StageOutput:
     recording = read_recording(task.store)
     location = STAGE.location(task.config)
-    trained = train_residual(task, recording, task.store.work_dir(location))
+    trained = train_model(task, recording, task.store.work_dir(location))
     _write(task, trained, recording)
     task.store.drop_work_dir(location)
     finite = all(bool(torch.isfinite(value).all()) for value in trained.tensors.values())
@@ -80,7 +102,7 @@ def _lowered(trained: Trained) -> list[Check]:
 
 
 def _write(task: Task, trained: Trained, recording: Recording) -> None:
-    facts = {"has_lidar": recording.lidar is not None, "has_camera": bool(recording.cameras)}
+    facts = trained.facts | {"has_lidar": recording.lidar is not None, "has_camera": bool(recording.cameras)}
     save_tensors(task.folder / "weights.safetensors", trained.tensors, facts)
     recipe = task.config.recipe
     (task.folder / "recipe.json").write_text(json.dumps(recipe.to_json(), indent=1, sort_keys=True))
@@ -93,7 +115,7 @@ def _write(task: Task, trained: Trained, recording: Recording) -> None:
 STAGE = Stage(
     name="field",
     group="train",
-    inputs=("frames", "sweeps", "undistorted", "evidence"),
+    inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
     version="2",

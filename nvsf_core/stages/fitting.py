@@ -1,17 +1,15 @@
 """Training one network of a scene from where it was killed, and what a family of recipes hands back."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from nvsf_core.errors import DivergedError, StoreError
-from nvsf_core.recipe import ResidualRecipe, TrainingSpec
+from nvsf_core.recipe import TrainingSpec
 from nvsf_core.stages.stage import Scalar, Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
-from nvsf_core.training.loop import Step, TrainingState, make_optimiser, train
+from nvsf_core.training.loop import Step, TrainingState, train
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,48 +19,50 @@ class Trained:
     tensors: dict[str, Tensor]
     """All weights."""
     curves: dict[str, list[dict[str, float]]]
-    """Sensor to its training curve."""
+    """Part of the model (a sensor, a phase) to its training curve."""
     seconds: float
     """All that it took, preparation included."""
     metadata: dict[str, Scalar]
     """What else is worth knowing, units in the keys."""
+    facts: dict[str, object] = field(default_factory=dict)
+    """What rendering needs beside the weights."""
 
 
 def fit(
-    task: Task, work: Path, sensor: str, model: torch.nn.Module, spec: TrainingSpec, step: Step
+    task: Task, work: Path, part: str, state: TrainingState, spec: TrainingSpec, step: Step
 ) -> TrainingState:
-    """Train one network, from its checkpoint in `work` where there is one of this recipe.
+    """Train one part of a scene's model, from its checkpoint in `work` where there is one of this recipe.
 
     Raises:
-        DivergedError: A loss or a weight is not finite; scene, recipe, sensor and step are named.
+        DivergedError: A loss or a weight is not finite; scene, recipe, part and step are named.
     """
     recipe = task.config.recipe
-    generator = torch.Generator().manual_seed(task.config.seed * 2 + (sensor == "camera"))
-    state = TrainingState(model, make_optimiser(model, spec), generator)
-    path = work / f"{sensor}.safetensors"
+    path = work / f"{part}.safetensors"
 
     def say(line: str) -> None:
-        task.progress(f"[{task.scene.name}] field, {sensor}: {line}")
+        task.progress(f"[{task.scene.name}] field, {part}: {line}")
 
     def save(tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
         save_tensors(path, tensors, facts | {"recipe": recipe.identity()})
 
-    _resume(state, path, recipe, say)
+    resume(task, state, path)
     try:
         train(state, spec, step, save, say)
     except DivergedError as error:
-        raise DivergedError(f"scene {task.scene.name}, recipe {recipe.name}, {sensor}: {error}") from error
+        raise DivergedError(f"scene {task.scene.name}, recipe {recipe.name}, {part}: {error}") from error
     return state
 
 
-def _resume(state: TrainingState, path: Path, recipe: ResidualRecipe, say: Callable[[str], None]) -> None:
+def resume(task: Task, state: TrainingState, path: Path) -> None:
+    """Go on from a checkpoint, if there is a readable one of the task's recipe."""
     if not path.is_file():
         return
     try:
         tensors, facts = load_tensors(path)
     except StoreError as error:
-        say(f"checkpoint left aside: {error}")
+        task.progress(f"[{task.scene.name}] field: checkpoint left aside: {error}")
         return
-    if facts.get("recipe") == recipe.identity():
+    if facts.get("recipe") == task.config.recipe.identity():
         state.restore(tensors, facts)
-        say(f"resumed from the checkpoint at step {state.step}")
+        place = f"[{task.scene.name}] field, {path.stem}"
+        task.progress(f"{place}: resumed from the checkpoint at step {state.step}")

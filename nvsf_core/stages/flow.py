@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.errors import DataError, RecipeError, StoreError
+from nvsf_core.errors import DataError, StoreError
 from nvsf_core.kitti360.catalogue import (
     SceneEntry,
     catalogue_from_environment,
     has_data,
     home_from_environment,
 )
-from nvsf_core.recipe import Recipe, ResidualRecipe, preset
+from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.lease import device_lease
 from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, read_record, run_stage
 from nvsf_core.stores.scene_store import SceneStore
@@ -47,8 +47,6 @@ def plan_run(
     """
     if not isinstance(recipe, Recipe):
         recipe = preset(recipe or scene.recipe or DEFAULT_RECIPE)
-    if not isinstance(recipe, ResidualRecipe):
-        raise RecipeError(f"recipe {recipe.name} cannot be trained yet: ask for quick")
     config = RunConfig(recipe=recipe, seed=seed, draw_seed=draw_seed, dataset_label=dataset_label)
     return SceneRun(scene=scene, store=SceneStore(home=home.resolve(), scene=scene.name), config=config)
 

@@ -12,7 +12,7 @@ from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.stage import Stage, StageOutput, Task
 from nvsf_core.stages.view_camera import copied_images, image_arrays
 from nvsf_core.stages.view_files import describe_view, export_files, write_method
-from nvsf_core.stages.view_lidar import along_recorded_rays, copied_scans, sweep_arrays, warm_up
+from nvsf_core.stages.view_lidar import along_recorded_rays, copied_scans, own_panos, sweep_arrays, warm_up
 from nvsf_core.stages.view_planning import View, asked_view, held_out_view, reference_poses, to_world
 
 MODEL, REPROJECT, COPY = "model", "reproject", "copy_nearest"
@@ -66,6 +66,8 @@ def _rendered(
     arrays: dict[str, np.ndarray] = {}
     if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
         arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model.lidar, model.votes, method)
+        if model.pano is not None and view.sweeps.is_recorded_sensor:
+            arrays |= own_panos(task, reference_poses(recording, view.plan), view.sweeps, model.pano)
     if model.camera is not None:
         arrays |= image_arrays(task, recording, view.images, model.camera, method)
     return arrays

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 from nvsf_core.stages.fitting import Trained, fit
 from nvsf_core.stages.recording import LidarRecording, Recording
 from nvsf_core.stages.residual_model import camera_surfaces, make_fields
@@ -14,13 +14,12 @@ from nvsf_core.stages.stage import Scalar, Task
 from nvsf_core.training.camera_step import camera_step
 from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 from nvsf_core.training.lidar_step import lidar_step
-from nvsf_core.training.loop import TrainingState
+from nvsf_core.training.loop import TrainingState, make_optimiser
 
 
-def train_residual(task: Task, recording: Recording, work: Path) -> Trained:
+def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, work: Path) -> Trained:
     """Train, resuming from the checkpoints in `work`."""
     started = time.perf_counter()
-    recipe = task.config.recipe
     torch.set_num_threads(recipe.lidar_training.threads)
     fields = make_fields(recipe, recording, task.config.seed)
     states: dict[str, TrainingState] = {}
@@ -32,16 +31,16 @@ def train_residual(task: Task, recording: Recording, work: Path) -> Trained:
         metadata["training_rays"] = len(rays)
         seconds = time.perf_counter() - started
         states["lidar"] = fit(
-            task, work, "lidar", field, recipe.lidar_training,
-            lambda generator: lidar_step(field, evidence.surfels, rays, recipe, far_m, generator),
+            task, work, "lidar", _state(task, field, recipe.lidar_training, 0), recipe.lidar_training,
+            lambda _, generator: [lidar_step(field, evidence.surfels, rays, recipe, far_m, generator)],
         )  # fmt: skip
     if fields.camera is not None:
         camera, propose = fields.camera, camera_surfaces(recipe, recording)
         images = [one.training for one in recording.cameras.values()]
         metadata["training_pixels"] = sum(len(one.rgb) * len(one.pixel) for one in images)
         states["camera"] = fit(
-            task, work, "camera", camera, recipe.camera_training,
-            lambda generator: camera_step(camera, propose, images, recipe, generator),
+            task, work, "camera", _state(task, camera, recipe.camera_training, 1), recipe.camera_training,
+            lambda _, generator: [camera_step(camera, propose, images, recipe, generator)],
         )  # fmt: skip
     for sensor, state in states.items():
         metadata[f"{sensor}_seconds"] = state.seconds
@@ -51,6 +50,12 @@ def train_residual(task: Task, recording: Recording, work: Path) -> Trained:
         seconds=seconds + sum(state.seconds for state in states.values()),
         metadata=metadata,
     )
+
+
+def _state(task: Task, model: torch.nn.Module, spec: TrainingSpec, number: int) -> TrainingState:
+    """A field before its first step; each of a scene draws rays of its own."""
+    generator = torch.Generator().manual_seed(task.config.seed * 2 + number)
+    return TrainingState(model, make_optimiser(model, spec), generator)
 
 
 def _training_rays(lidar: LidarRecording, recipe: ResidualRecipe) -> LidarRays:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from nvsf_core.errors import CheckFailedError
 from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recipe import Recipe
 from nvsf_core.stores.scene_store import SceneStore
 
 RECORD_NAME = "stage.json"
@@ -28,7 +28,7 @@ class Progress(Protocol):
 class RunConfig:
     """What a run was asked for, beside the scene."""
 
-    recipe: ResidualRecipe
+    recipe: Recipe
     """What is trained and rendered."""
     seed: int = 0
     """Seed of training."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
-from nvsf_core.simulation.scene_model import RayRenderer
+from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answer_in_chunks, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
@@ -50,6 +51,27 @@ def sweep_arrays(
         padded = [np.pad(s.grid[name], ((0, 0), (0, firings - s.grid[name].shape[1]))) for s in sweeps]
         arrays[name] = np.stack(padded)
     return arrays
+
+
+def own_panos(
+    task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRenderer
+) -> dict[str, np.ndarray]:
+    """The panos of a model that renders the range image's own rays; empty where it expects no return.
+
+    Args:
+        task: Takes the progress.
+        poses: (n, 4, 4) LiDAR to scene-local.
+        plan: The sweeps of the view.
+        render: Of the model.
+    """
+    panos = []
+    for number, (pose, instant) in enumerate(zip(poses, plan.time_s, strict=True)):
+        range_m, intensity, hit = render(pose, float(instant))
+        expected = hit > HIT_THRESHOLD
+        panos.append((range_m * expected, intensity * expected, hit))
+        task.progress(f"[{task.scene.name}] novel_views: {plan.name}, pano {number + 1}/{len(poses)}")
+    names = ("pano_range_m", "pano_intensity", "pano_hit")
+    return {name: np.stack(columns) for name, columns in zip(names, zip(*panos, strict=True), strict=True)}
 
 
 def along_recorded_rays(

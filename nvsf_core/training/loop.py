@@ -1,7 +1,7 @@
 """The resumable loop: the same bits whether or not it was killed in between."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import torch
@@ -10,11 +10,13 @@ from torch import Tensor, nn
 from nvsf_core.errors import DivergedError
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import TrainingSpec
+from nvsf_core.training.ema import WeightAverage
 
 _SAY_EVERY_S = 4.0
 _RECORD_EVERY = 10
 
-Step = Callable[[torch.Generator], LossBreakdown]
+Step = Callable[[int, torch.Generator], Iterable[LossBreakdown]]
+"""From the step's number to its loss, in parts whose gradients add up."""
 Save = Callable[[dict[str, Tensor], dict[str, object]], None]
 
 
@@ -28,6 +30,8 @@ class TrainingState:
     step: int = 0
     seconds: float = 0.0
     curve: list[dict[str, float]] = field(default_factory=list)
+    average: WeightAverage | None = None
+    """Of the model's weights, where a recipe renders with averaged ones."""
 
     def tensors(self) -> dict[str, Tensor]:
         """Model, optimiser and generator as named tensors."""
@@ -36,7 +40,7 @@ class TrainingState:
             for key, value in self.optimiser.state.get(parameter, {}).items():
                 named[f"adam.{index}.{key}"] = value
         named["generator"] = self.generator.get_state()
-        return named
+        return named if self.average is None else named | self.average.tensors()
 
     def facts(self) -> dict[str, object]:
         """What is no tensor."""
@@ -50,8 +54,11 @@ class TrainingState:
             prefix = f"adam.{index}."
             found = {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
             if found:
-                self.optimiser.state[parameter] = found
+                # Files are read to the CPU; a fused step wants its state beside the weights.
+                self.optimiser.state[parameter] = {k: v.to(parameter.device) for k, v in found.items()}
         self.generator.set_state(tensors["generator"])
+        if self.average is not None:
+            self.average.restore(tensors)
         self.step = int(facts["step"])  # type: ignore[call-overload]
         self.seconds = float(facts["seconds"])  # type: ignore[arg-type]
         self.curve = list(facts["curve"])  # type: ignore[call-overload]
@@ -86,12 +93,11 @@ def train(
     started = time.perf_counter()
     while state.step < spec.steps:
         _set_rates(state.optimiser, spec, state.step)
+        state.optimiser.zero_grad(set_to_none=True)
         try:
-            loss = step(state.generator)
+            loss, terms = _descend(step(state.step, state.generator))
         except DivergedError as error:
             raise DivergedError(f"step {state.step}: {error}") from error
-        state.optimiser.zero_grad(set_to_none=True)
-        loss.total.backward()  # type: ignore[no-untyped-call]
         state.optimiser.step()
         state.step += 1
         now = time.perf_counter()
@@ -102,22 +108,33 @@ def train(
                 {
                     "step": state.step,
                     "seconds": state.seconds,
-                    "loss": float(loss.total.detach()),
+                    "loss": loss,
                     "rays_per_s": rays_per_s,
                 }
-                | loss.terms
+                | terms
             )
         if now - said >= _SAY_EVERY_S:
             said = now
             left_s = (spec.steps - state.step) * spec.rays / rays_per_s
             say(
-                f"step {state.step}/{spec.steps}, loss {float(loss.total.detach()):.4f}, "
+                f"step {state.step}/{spec.steps}, loss {loss:.4f}, "
                 f"{rays_per_s:,.0f} rays/s, {left_s:.0f} s left"
             )
         if now - saved >= spec.checkpoint_s or state.step == spec.steps:
             require_finite_parameters(state.model, state.step)
             save(state.tensors(), state.facts())
             saved = time.perf_counter()
+
+
+def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
+    """Add up the gradients of a step's parts; its loss and its terms."""
+    loss, terms = 0.0, dict[str, float]()
+    for part in parts:
+        part.total.backward()  # type: ignore[no-untyped-call]
+        loss += float(part.total.detach())
+        for name, value in part.terms.items():
+            terms[name] = terms.get(name, 0.0) + value
+    return loss, terms
 
 
 def require_finite_parameters(model: nn.Module, step: int) -> None:

@@ -8,6 +8,7 @@ from nvsf_core.errors import DivergedError
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
+from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import TrainingState, make_optimiser, train
 
 SPEC = TrainingSpec(steps=40, rays=8, checkpoint_s=0.0)
@@ -23,9 +24,9 @@ def fresh_state() -> TrainingState:
 
 
 def step_of(state: TrainingState):
-    def step(generator: torch.Generator) -> LossBreakdown:
+    def step(_: int, generator: torch.Generator) -> list[LossBreakdown]:
         x = torch.randn(8, 4, generator=generator)
-        return total_loss({"fit": (state.model(x)[:, 0] - x.sum(dim=1)) ** 2}, {"fit": 1.0})
+        return [total_loss({"fit": (state.model(x)[:, 0] - x.sum(dim=1)) ** 2}, {"fit": 1.0})]
 
     return step
 
@@ -70,8 +71,8 @@ def test_a_nan_names_step_and_term_and_saves_nothing() -> None:
     state = fresh_state()
     saved = []
 
-    def step(_: torch.Generator) -> LossBreakdown:
-        return total_loss({"fit": state.model(torch.full((2, 4), torch.nan))[:, 0]}, {"fit": 1.0})
+    def step(number: int, generator: torch.Generator) -> list[LossBreakdown]:
+        return [total_loss({"fit": state.model(torch.full((2, 4), torch.nan))[:, 0]}, {"fit": 1.0})]
 
     with pytest.raises(DivergedError, match=r"step 0: loss term 'fit'"):
         train(state, SPEC, step, lambda tensors, facts: saved.append(facts), ignore)
@@ -83,8 +84,37 @@ def test_weights_that_are_not_finite_are_never_saved() -> None:
     with torch.no_grad():
         state.model.bias.fill_(torch.inf)
 
-    def step(_: torch.Generator) -> LossBreakdown:
-        return total_loss({"fit": state.model.weight.sum()[None]}, {"fit": 1.0})
+    def step(number: int, generator: torch.Generator) -> list[LossBreakdown]:
+        return [total_loss({"fit": state.model.weight.sum()[None]}, {"fit": 1.0})]
 
     with pytest.raises(DivergedError, match="bias"):
         train(state, SPEC, step, ignore, ignore)
+
+
+def test_the_parts_of_a_step_add_up_to_the_whole() -> None:
+    whole, parted = fresh_state(), fresh_state()
+
+    def in_parts(_: int, generator: torch.Generator) -> list[LossBreakdown]:
+        x = torch.randn(8, 4, generator=generator)
+        return [
+            total_loss({"fit": (parted.model(part)[:, 0] - part.sum(dim=1)) ** 2}, {"fit": 0.5})
+            for part in (x[:4], x[4:])
+        ]
+
+    train(whole, SPEC, step_of(whole), ignore, ignore)
+    train(parted, SPEC, in_parts, ignore, ignore)
+    assert torch.allclose(parted.model.weight, whole.model.weight, atol=1e-5)
+
+
+def test_the_averaged_weights_survive_a_checkpoint(tmp_path) -> None:
+    state = fresh_state()
+    state.average = WeightAverage(state.model, 0.95)
+    train(state, SPEC, step_of(state), ignore, ignore)
+    state.average.update()
+    path = tmp_path / "checkpoint.safetensors"
+    save_tensors(path, state.tensors(), state.facts())
+    again = fresh_state()
+    again.average = WeightAverage(again.model, 0.95)
+    again.restore(*load_tensors(path))
+    with state.average.in_place(), again.average.in_place():
+        assert torch.equal(again.model.weight, state.model.weight)

@@ -1,0 +1,72 @@
+"""Rays in the units that the paper's field is trained in."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.geometry.bounds import Bounds
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledRays:
+    """Rays in scaled units: metres from the scene's centre, divided by half the edge of its cube."""
+
+    origin: Tensor
+    """(r, 3)."""
+    direction: Tensor
+    """(r, 3) unit."""
+    near: Tensor
+    """(r,) where the first sample lies."""
+    far: Tensor
+    """(r,) where the last sample lies."""
+
+    def __len__(self) -> int:
+        """Number of rays."""
+        return len(self.near)
+
+    def part(self, rays: slice) -> "ScaledRays":
+        """Some of them."""
+        return ScaledRays(self.origin[rays], self.direction[rays], self.near[rays], self.far[rays])
+
+    def to(self, device: torch.device) -> "ScaledRays":
+        """The same rays elsewhere."""
+        return ScaledRays(*(x.to(device) for x in (self.origin, self.direction, self.near, self.far)))
+
+
+def lidar_rays(
+    bounds: Bounds, origin_m: np.ndarray, direction: np.ndarray, *, near_m: float, far_m: float
+) -> ScaledRays:
+    """Rays of scene-local origins (r, 3) and unit directions (r, 3), all from `near_m` to `far_m`."""
+    origin, towards = _scaled(bounds, origin_m), torch.from_numpy(direction.astype(np.float32))
+    near = torch.full((len(towards),), bounds.scaled(near_m))
+    return ScaledRays(origin, towards, near, torch.full_like(near, bounds.scaled(far_m)))
+
+
+def camera_rays(bounds: Bounds, origin_m: np.ndarray, direction: np.ndarray, *, near_m: float) -> ScaledRays:
+    """Rays of scene-local origins (r, 3) and unit directions (r, 3), each to where it leaves the unit cube.
+
+    A ray that starts outside the cube is followed for one hundredth of `near_m`: it sees nothing.
+    """
+    origin, towards = _scaled(bounds, origin_m), torch.from_numpy(direction.astype(np.float32))
+    near = torch.full((len(towards),), bounds.scaled(near_m))
+    far = torch.maximum(leave_box(origin, towards, bounds.bound), near * 1.01)
+    return ScaledRays(origin, towards, near, far)
+
+
+def leave_box(origin: Tensor, direction: Tensor, bound: float) -> Tensor:
+    """Where rays (r, 3) leave the cube of plus/minus `bound`: (r,), at least 0.
+
+    An axis that a ray does not move along never ends it.
+    """
+    moving = direction.abs() > 1e-12
+    step = torch.where(moving, direction, torch.ones_like(direction))
+    exits = torch.where(moving, (torch.sign(step) * bound - origin) / step, torch.inf)
+    return exits.amin(dim=1).clamp_min(0.0)
+
+
+def _scaled(bounds: Bounds, points_m: np.ndarray) -> Tensor:
+    # The centre goes off in float64: scene-local coordinates may be hundreds of metres.
+    centred = points_m.astype(np.float64) - np.array(bounds.centre_m)
+    return torch.from_numpy((centred / bounds.half_m).astype(np.float32))

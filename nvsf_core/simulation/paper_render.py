@@ -1,0 +1,125 @@
+"""The paper's trained field as a scene model: LiDAR rays, its own panos, and images."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from nvsf_core.fields.scene_field import SceneField
+from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recipe import PaperRecipe
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.scaled_rays import ScaledRays, camera_rays, lidar_rays
+from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
+from nvsf_core.sensors.linear_pano import LinearPano
+
+_SAMPLES_AT_ONCE = 1 << 18
+"""Points in memory together: each costs about a kilobyte in features."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperModel:
+    """A trained scene, ready to render."""
+
+    recipe: PaperRecipe
+    field: SceneField
+    bounds: Bounds
+    frame_at: Callable[[float], float]
+    """Seconds since the first frame to the field's frame coordinate."""
+    unet: nn.Module | None
+    """Corrects the hit probabilities of panos; None where there is none, or before it is trained."""
+
+    def answer_rays(
+        self, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
+        """Answer LiDAR rays; all at the mean of their times, because the field has one time a batch."""
+        frame = self.frame_at(float(time_s.mean())) if len(time_s) else 0.0
+        range_m, intensity, hit = self._lidar(origin_m, direction, frame)
+        return RayAnswers(range_m=range_m.numpy(), hit=hit.numpy(), intensity=intensity.numpy())
+
+    def render_pano(
+        self, pose: np.ndarray, time_s: float, *, column_step: int = 1
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Range in metres, intensity and hit probability (h, w) along the pano's own rays from one pose.
+
+        Args:
+            pose: (4, 4) LiDAR to scene-local.
+            time_s: Seconds since the first frame.
+            column_step: Render every so many columns only; more than the U-Net was trained on skips none.
+        """
+        image = self.raw_pano(pose, self.frame_at(time_s), column_step)
+        range_m, intensity, hit = image[2] * self.bounds.half_m, image[1], image[0]
+        if self.unet is not None:
+            hit = self._refined(image, max(1, self.recipe.refinement.column_step // column_step))
+        return range_m.numpy(), intensity.numpy(), hit.numpy()
+
+    def raw_pano(self, pose: np.ndarray, frame: float, column_step: int = 1) -> Tensor:
+        """What the U-Net is given: hit probability, intensity, range in scaled units (3, h, w)."""
+        direction = LinearPano().directions()[:, ::column_step] @ pose[:3, :3].T
+        origin = np.broadcast_to(pose[:3, 3], direction.shape)
+        found = self._lidar(origin.reshape(-1, 3), direction.reshape(-1, 3), frame)
+        range_m, intensity, hit = (values.reshape(direction.shape[:2]) for values in found)
+        return torch.stack([hit, intensity, range_m / self.bounds.half_m])
+
+    def render_image(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
+        """The view (h, w, 3) uint8 of a camera at `pose` (4, 4), camera to scene-local."""
+        direction = (pinhole.rays(pinhole.pixels()) @ pose[:3, :3].T).reshape(-1, 3)
+        origin = np.broadcast_to(pose[:3, 3], direction.shape)
+        rays = camera_rays(self.bounds, origin, direction, near_m=self.recipe.sampling.near_m)
+        frame = self.frame_at(time_s)
+        colour = self._in_parts(
+            rays, lambda x01: self.field.density(x01, frame, "camera"), self.field.camera, on_white
+        )
+        image = (colour.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
+        return image.reshape(pinhole.height, pinhole.width, 3).numpy()
+
+    def _lidar(
+        self, origin_m: np.ndarray, direction: np.ndarray, frame: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Range in metres, intensity, hit probability (r,)."""
+        spec = self.recipe.sampling
+        rays = lidar_rays(self.bounds, origin_m, direction, near_m=spec.near_m, far_m=spec.far_m)
+        found = self._in_parts(
+            rays,
+            lambda x01: self.field.density(x01, frame, "lidar"),
+            lambda towards, geometry: torch.stack(self.field.lidar(towards, geometry), dim=1),
+            lambda render: torch.cat([render.range_scaled[:, None], render.attributes], dim=1),
+        )
+        return found[:, 0] * self.bounds.half_m, found[:, 1], found[:, 2].clamp(0.0, 1.0)
+
+    @torch.no_grad()
+    def _in_parts(
+        self, rays: ScaledRays, density: Callable[[Tensor], tuple[Tensor, Tensor]],
+        attributes: Callable[[Tensor, Tensor], Tensor], result: Callable[[VolumeRender], Tensor],
+    ) -> Tensor:
+        """Results (r, c) on the CPU, rendered in bounded memory."""
+        device = next(self.field.parameters()).device
+        samples = self.recipe.sampling.samples
+        at_once = max(1, _SAMPLES_AT_ONCE // samples)
+        parts = []
+        for first in range(0, max(1, len(rays)), at_once):
+            render = render_volume(
+                density,
+                attributes,
+                rays.part(slice(first, first + at_once)).to(device),
+                samples=samples,
+                bound=self.bounds.bound,
+                optical_factor=2.0 if self.recipe.slips.active_sensor else 1.0,
+            )
+            parts.append(result(render).cpu())
+        return torch.cat(parts)
+
+    @torch.no_grad()
+    def _refined(self, image: Tensor, phases: int) -> Tensor:
+        """The U-Net's hit probability (h, w); it sees columns as far apart as those it was trained on."""
+        assert self.unet is not None
+        device = next(self.unet.parameters()).device
+        self.unet.eval()
+        hit = torch.empty_like(image[0])
+        for phase in range(phases):
+            part = image[None, :, :, phase::phases].to(device)
+            hit[:, phase::phases] = torch.sigmoid(self.unet(part))[0].cpu()
+        return hit

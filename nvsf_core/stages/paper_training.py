@@ -1,0 +1,151 @@
+"""Training the paper's system: the field on rays of one frame a step, then the U-Net on whole panos."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.fields.raydrop_unet import RaydropUnet
+from nvsf_core.losses.total import LossBreakdown
+from nvsf_core.recipe import PaperRecipe, TrainingSpec
+from nvsf_core.simulation.paper_render import PaperModel
+from nvsf_core.stages.fitting import Trained, fit, resume
+from nvsf_core.stages.paper_model import device, frame_at, read_frames
+from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.stores.checkpoints import save_tensors
+from nvsf_core.training.ema import WeightAverage
+from nvsf_core.training.loop import Step, TrainingState
+from nvsf_core.training.paper_frames import Panos, PaperFrames
+from nvsf_core.training.paper_trainee import PaperTrainee
+from nvsf_core.training.refine import refine, refinement_state
+from nvsf_core.training.step import paper_step
+
+
+def train_paper(task: Task, recipe: PaperRecipe, recording: Recording, work: Path) -> Trained:
+    """Read the training frames and train on them, resuming from the checkpoints in `work`."""
+    started = time.perf_counter()
+    frames = read_frames(recipe, recording, task.store)
+    prepared_s = time.perf_counter() - started
+    trained = train_on_frames(task, recipe, recording, frames, work)
+    return replace(trained, seconds=trained.seconds + prepared_s)
+
+
+def train_on_frames(
+    task: Task, recipe: PaperRecipe, recording: Recording, frames: PaperFrames, work: Path
+) -> Trained:
+    """Train on frames that are in memory; many runs may share them."""
+    torch.set_num_threads(recipe.optimiser.threads)
+    seed = task.config.seed
+    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(device())
+    state = _state(trainee, recipe, seed)
+    state = fit(task, work, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
+    assert state.average is not None
+    curves, seconds = {"field": state.curve}, state.seconds
+    tensors: dict[str, Tensor] = {}
+    with state.average.in_place():
+        if recipe.refinement.channels and frames.panos is not None:
+            refined = _refine(task, recipe, recording, frames, trainee, work)
+            curves["refinement"], seconds = refined.curve, seconds + refined.seconds
+            tensors = {f"unet.{name}": value for name, value in refined.model.state_dict().items()}
+        tensors |= {f"field.{name}": value.clone() for name, value in trainee.field.state_dict().items()}
+    return Trained(
+        tensors={name: value.cpu() for name, value in tensors.items()},
+        curves=curves,
+        seconds=seconds,
+        metadata=_metadata(frames, state),
+        facts={
+            "centre_m": list(frames.bounds.centre_m),
+            "half_m": frames.bounds.half_m,
+            "bound": frames.bounds.bound,
+        },
+    )
+
+
+def _state(trainee: PaperTrainee, recipe: PaperRecipe, seed: int) -> TrainingState:
+    """Adam with the paper's groups, and the average that is rendered with."""
+    groups = trainee.field.parameter_groups(recipe.optimiser)
+    for group in groups:
+        group["initial_lr"] = group["lr"]
+    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    average = WeightAverage(trainee.field, recipe.optimiser.ema_decay)
+    return TrainingState(trainee, optimiser, torch.Generator().manual_seed(seed), average=average)
+
+
+def _loop_spec(recipe: PaperRecipe) -> TrainingSpec:
+    spec = recipe.optimiser
+    return TrainingSpec(
+        steps=spec.steps,
+        rays=recipe.sampling.rays * (2 if recipe.sampling.camera else 1),
+        final_share=spec.final_share,
+        checkpoint_s=spec.checkpoint_s,
+        threads=spec.threads,
+    )
+
+
+def _step(state: TrainingState, trainee: PaperTrainee, frames: PaperFrames, seed: int) -> Step:
+    def step(number: int, generator: torch.Generator) -> Iterable[LossBreakdown]:
+        # Before the first step of an epoch, so that a run resumed there takes the average once.
+        if number and number % len(frames.frames) == 0 and state.average is not None:
+            state.average.update()
+        return paper_step(trainee, frames, seed, number, generator)
+
+    return step
+
+
+def _refine(
+    task: Task, recipe: PaperRecipe, recording: Recording, frames: PaperFrames, trainee: PaperTrainee,
+    work: Path,
+) -> TrainingState:
+    """Render training panos with the averaged weights, and train the U-Net on them."""
+    panos, spec, started = frames.panos, recipe.refinement, time.perf_counter()
+    assert panos is not None
+    model = PaperModel(
+        recipe=recipe, field=trainee.field, bounds=frames.bounds, frame_at=frame_at(recording), unet=None
+    )
+    chosen = _evenly(len(panos.frame), spec.panos)
+    renders = []
+    for k in chosen.tolist():
+        renders.append(model.raw_pano(panos.pose[k], float(panos.frame[k]), spec.column_step))
+        done = f"pano {len(renders)} of {len(chosen)} rendered for the U-Net"
+        task.progress(f"[{task.scene.name}] field, refinement: {done}")
+    generator = torch.Generator().manual_seed(task.config.seed)
+    unet = RaydropUnet(spec.channels, generator).to(device())
+    state = refinement_state(unet, spec, generator)
+    path = work / "refinement.safetensors"
+    resume(task, state, path)
+    refine(
+        state,
+        spec,
+        torch.stack(renders),
+        panos.range_m[chosen][:, :, :: spec.column_step] > 0,
+        lambda tensors, facts: save_tensors(path, tensors, facts | {"recipe": recipe.identity()}),
+        lambda line: task.progress(f"[{task.scene.name}] field, refinement: {line}"),
+        checkpoint_s=recipe.optimiser.checkpoint_s,
+    )
+    state.seconds = time.perf_counter() - started
+    return state
+
+
+def _evenly(count: int, wanted: int) -> np.ndarray:
+    """`wanted` of `count` numbers, evenly spread; 0 = all."""
+    if wanted == 0 or wanted >= count:
+        return np.arange(count)
+    return np.round(np.linspace(0, count - 1, wanted)).astype(np.int64)
+
+
+def _metadata(frames: PaperFrames, state: TrainingState) -> dict[str, Scalar]:
+    panos: Panos | None = frames.panos
+    found: dict[str, Scalar] = {
+        "training_panos": 0 if panos is None else len(panos.frame),
+        "training_images": sum(len(camera.frame) for camera in frames.cameras),
+        "scene_half_edge_m": frames.bounds.half_m,
+        "seconds_a_step": state.seconds / max(1, state.step),
+    }
+    if torch.cuda.is_available():
+        found["peak_gpu_memory_mb"] = torch.cuda.max_memory_allocated() / 2**20
+    return found
