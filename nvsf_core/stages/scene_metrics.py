@@ -55,7 +55,7 @@ def _measure_held_out(
             task.progress(f"[{task.scene.name}] scene_metrics: no {path.name} in {view}, not measured")
             continue
         method, attrs = _method(task, path)
-        if recording is not None:
+        if recording is not None and _holds_sweeps(attrs):
             for done in measure_lidar(path, recording, boxes, method, ledger, lpips):
                 task.progress(f"[{task.scene.name}] scene_metrics: {name}, lidar {done}")
         for camera in attrs.get("cameras", []):
@@ -89,9 +89,16 @@ def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
     return method_columns(path.stem, attrs, task.config.recipe.name, task.config.seed), attrs
 
 
+def _holds_sweeps(attrs: Mapping[str, Any]) -> bool:
+    """Whether a LiDAR took part: of held-out frames whose scans are all unusable there are images alone."""
+    return attrs.get("sensor") != ""
+
+
 def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, output: StageOutput) -> None:
     """The middle held-out frame's returns from above, by the model's range error along their rays."""
-    found = None if recording is None or not path.is_dir() else recorded_range_errors(path, recording)
+    if recording is None or not path.is_dir() or not _holds_sweeps(read_attrs(path)):
+        return
+    found = recorded_range_errors(path, recording)
     if found is None:
         return
     frame, points_m, error_m = found

@@ -1,0 +1,212 @@
+"""A drive with cameras alone, or with a LiDAR alone, goes through the whole lineage."""
+
+import json
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
+from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
+from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.residual_model import CAMERA_REACH_M, scene_bounds
+from nvsf_core.stages.view_planning import held_out_view
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.checkpoints import load_tensors
+from nvsf_core.stores.schemas import spec_of, violations
+from nvsf_core.stores.tables import read_rows
+
+VIEWS = (
+    ViewEntry(name="shift_1m", shift_m=(0.0, 1.0, 0.0), frames=(1,)),
+    ViewEntry(name="vlp16", sensor="VLP-16", frames=(1,)),
+)
+_GRID = FieldSpec(levels=2, log2_table=8)
+SMOKE = replace(
+    preset("smoke"),
+    lidar_field=_GRID,
+    camera_field=_GRID,
+    lidar_training=TrainingSpec(steps=20, rays=128, threads=1),
+    camera_training=TrainingSpec(steps=20, rays=128, threads=1),
+)
+"""The recipe `smoke` with smaller tables, for speed."""
+METHODS = ("copy_nearest", "model", "reproject")
+SCANNED = ("points", "intensity", "pano", "ray", "grid", "lidar_render")
+VIEW_SPEC = spec_of("novel_views/<recipe>/<seed>/<view>/<method>.zarr")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A scene that went through the lineage."""
+
+    home: Path
+    outcomes: dict[str, Outcome]
+    said: list[str]
+
+    @property
+    def root(self) -> Path:
+        return self.home / "tiny"
+
+    def arrays(self, view: str, method: str = "model") -> dict[str, np.ndarray]:
+        return read_arrays(self.root / "novel_views/smoke/0" / view / f"{method}.zarr")
+
+    def metric_rows(self) -> list[dict[str, object]]:
+        return read_rows(self.root / "scene_metrics/smoke/0/metrics.parquet")
+
+    def data_set(self, view: str) -> Path:
+        (version,) = (self.root / "dataset" / view).iterdir()
+        return version
+
+    def report(self) -> str:
+        return make_benchmark_report(self.home, ["tiny"], {}, []).read_text(encoding="utf-8")
+
+
+def scene_of(root: Path, test_frames: tuple[int, ...] = (2,)) -> SceneEntry:
+    return SceneEntry(
+        name="tiny", root=root, sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3,
+        test_frames=test_frames, views=VIEWS,
+    )  # fmt: skip
+
+
+def run_whole(root: Path, home: Path) -> Run:
+    said: list[str] = []
+    outcomes = run_scene(scene_of(root), home, recipe=SMOKE, progress=said.append)
+    return Run(home=home, outcomes={one.stage: one for one in outcomes}, said=said)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("both") / "drive"
+    write_demo(root, size=DemoSize.tiny())
+    return root
+
+
+@pytest.fixture(scope="module")
+def camera_only(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("camera_only")
+    shutil.copytree(drive, folder / "drive", ignore=shutil.ignore_patterns("data_3d_raw", "*_velo.txt"))
+    return run_whole(folder / "drive", folder / "home")
+
+
+@pytest.fixture(scope="module")
+def lidar_only(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("lidar_only")
+    shutil.copytree(drive, folder / "drive", ignore=shutil.ignore_patterns("data_2d_raw", "perspective.txt"))
+    return run_whole(folder / "drive", folder / "home")
+
+
+def test_a_camera_only_drive_passes_every_stage_and_ends_with_image_rows_alone(camera_only: Run) -> None:
+    assert tuple(camera_only.outcomes) == STAGE_NAMES
+    rows = camera_only.metric_rows()
+    assert {row["sensor"] for row in rows} == {"image_00"}
+    assert {row["protocol"] for row in rows if np.isfinite(row["value"])} <= {"image", "masked"}
+    assert {row["recipe"] for row in rows} == {"smoke", "reproject", "copy_nearest"}
+    whole = [row for row in rows if (row["protocol"], row["region"]) == ("image", "all")]
+    psnr = [row["value"] for row in whole if row["metric"] == "image_psnr_db"]
+    assert len(psnr) == 3 and np.isfinite(np.array(psnr, np.float64)).all()
+
+
+def test_without_lidar_nothing_is_proven_and_only_the_camera_is_trained(camera_only: Run) -> None:
+    assert "nothing is proven" in str(camera_only.outcomes["evidence"].metadata["profile"])
+    tensors, facts = load_tensors(camera_only.root / "field/smoke/0/weights.safetensors")
+    assert facts["has_lidar"] is False and facts["has_camera"] is True
+    assert tensors and all(name.startswith("camera.") for name in tensors)
+
+
+def test_a_camera_only_view_holds_poses_and_images_and_no_scan(camera_only: Run) -> None:
+    for view, methods in (("test", METHODS), ("shift_1m", ("model",))):
+        for method in methods:
+            arrays = camera_only.arrays(view, method)
+            assert not [
+                name for name in arrays if name.startswith(("points", "pano", "ray", "grid", "lidar_r"))
+            ]
+            assert violations(VIEW_SPEC, arrays) == []
+    recorded = read_arrays(camera_only.root / "undistorted/images.zarr", "image_00_camera_to_world")
+    shown = camera_only.arrays("test")["image_00_camera_to_world"]
+    np.testing.assert_allclose(shown[0], recorded["image_00_camera_to_world"][2], atol=1e-6)
+    moved = camera_only.arrays("shift_1m")["image_00_camera_to_world"][0]
+    apart = np.linalg.norm(moved[:3, 3] - recorded["image_00_camera_to_world"][1][:3, 3])
+    assert apart == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_view_of_another_lidar_is_told_of_and_not_made_on_a_camera_only_drive(camera_only: Run) -> None:
+    words = "not rendered: this drive has no LiDAR"
+    assert camera_only.outcomes["novel_views"].metadata["vlp16"] == words
+    assert camera_only.outcomes["dataset"].metadata["vlp16"] == words
+    assert f"[tiny] novel_views: vlp16 {words}" in camera_only.said
+    assert not (camera_only.root / "novel_views/smoke/0/vlp16").exists()
+    assert not (camera_only.root / "dataset/vlp16").exists()
+
+
+def test_a_camera_only_data_set_holds_pictures_with_their_poses(camera_only: Run) -> None:
+    folder = camera_only.data_set("shift_1m")
+    assert (folder / "image_00/data_rect/0000000001.png").read_bytes().startswith(b"\x89PNG")
+    assert not (folder / "velodyne_points").exists()
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["scans"] == [] and len(manifest["images"][0]["camera_to_world"]) == 16
+    assert manifest["drawn"]["hits"] == "nothing: no LiDAR"
+
+
+def test_the_report_of_a_camera_only_drive_has_no_scan_in_it(camera_only: Run) -> None:
+    page = camera_only.report()
+    assert "Camera image_00, frame 2" in page
+    assert "What the laser scanner sees, unrolled" not in page
+
+
+def test_without_lidar_the_bounds_are_the_path_and_its_reach(camera_only: Run) -> None:
+    recording = read_recording(plan_run(scene_of(camera_only.home), camera_only.home).store)
+    path = recording.cameras["image_00"].training.pose[:, :3, 3]
+    extent_m = float((path.max(axis=0) - path.min(axis=0)).max())
+    assert recording.lidar is None
+    assert scene_bounds(recording).edge_m == pytest.approx(extent_m + 2.0 * CAMERA_REACH_M)
+
+
+def test_a_lidar_only_drive_passes_every_stage_and_ends_with_lidar_rows_alone(lidar_only: Run) -> None:
+    assert tuple(lidar_only.outcomes) == STAGE_NAMES
+    rows = lidar_only.metric_rows()
+    assert {row["sensor"] for row in rows} == {"lidar"}
+    assert {row["recipe"] for row in rows} == {"smoke", "reproject", "copy_nearest"}
+    tensors, facts = load_tensors(lidar_only.root / "field/smoke/0/weights.safetensors")
+    assert facts["has_lidar"] is True and facts["has_camera"] is False
+    assert tensors and all(name.startswith("lidar.") for name in tensors)
+
+
+def test_a_lidar_only_view_holds_scans_and_no_image(lidar_only: Run) -> None:
+    for view, methods in (("test", METHODS), ("shift_1m", ("model",)), ("vlp16", ("model",))):
+        for method in methods:
+            arrays = lidar_only.arrays(view, method)
+            assert not [name for name in arrays if name.startswith("image_")]
+            assert violations(VIEW_SPEC, arrays) == []
+    assert read_attrs(lidar_only.root / "novel_views/smoke/0/vlp16/model.zarr")["sensor"] == "VLP-16"
+
+
+def test_a_lidar_only_data_set_and_report_hold_scans_alone(lidar_only: Run) -> None:
+    folder = lidar_only.data_set("shift_1m")
+    assert (folder / "velodyne_points/data/0000000001.bin").stat().st_size > 0
+    assert not (folder / "image_00").exists()
+    page = lidar_only.report()
+    assert "What the laser scanner sees, unrolled" in page and "Camera image_" not in page
+
+
+def test_each_sensor_is_asked_for_the_held_out_frames_that_it_recorded(drive: Path, tmp_path: Path) -> None:
+    shutil.copytree(drive, tmp_path / "drive")
+    layout = DriveLayout(tmp_path / "drive", DEMO_SEQUENCE)
+    layout.scan_path(1).write_bytes(layout.scan_path(1).read_bytes()[:-3])
+    layout.image_path("image_00", 2).write_bytes(b"no picture")
+    scene = scene_of(tmp_path / "drive", test_frames=(1, 2))
+    run = plan_run(scene, tmp_path / "home", recipe=SMOKE)
+    for stage in ("frames", "sweeps", "undistorted", "evidence"):
+        run_named_stage(stage, run, lambda line: None)
+    recording = read_recording(run.store)
+    view = held_out_view(recording, scene.test_frames)
+    assert view is not None and view.sweeps is not None
+    assert view.sweeps.frame.tolist() == [2]
+    assert view.images["image_00"].frame.tolist() == [1]
+    alone = held_out_view(replace(recording, lidar=None), scene.test_frames)
+    assert alone is not None and alone.sweeps is None and alone.plan.frame.tolist() == [1]
+    assert held_out_view(recording, ()) is None
