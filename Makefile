@@ -48,8 +48,8 @@ check: install ## ruff, mypy strict on the core, import contracts
 bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPE, SEEDS="0 1 2": measure and write the results
 	$(BIN)/python -m benchmarks.run
 
-ablation: ## not built yet
-	@echo "make ablation: not built yet (the paper's switches come with its recipes)" >&2; exit 2
+ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md
+	$(BIN)/python -m benchmarks.ablation
 
 stability: ## not built yet
 	@echo "make stability: not built yet (comes with docs/numerical_stability.md)" >&2; exit 2

@@ -7,12 +7,12 @@ was measured elsewhere or earlier stays, unless the same scene, method and seed 
 
 import json
 import os
-import platform
 import statistics
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from benchmarks.machine import machine
 from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, mean_rows
 from nvsf_core.stores.tables import read_rows
@@ -22,12 +22,6 @@ LIDAR = ("chamfer_m2", "f_score", "range_psnr_db", "hit_accuracy")
 BEGIN, END = "<!-- results -->\n", "<!-- end of results -->"
 
 Row = dict[str, Any]
-
-
-def machine() -> str:
-    """Processor family and cores."""
-    python = platform.python_version()
-    return f"{platform.machine()}, {os.cpu_count()} CPU cores, Python {python}, not run on a GPU"
 
 
 def collect(home: Path) -> dict[str, list[Row]]:
