@@ -1,0 +1,70 @@
+"""The training returns that motion is read from: where and when each was measured, and by which laser."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.errors import ShapeError
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import LaserTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedReturns:
+    """N returns of n scans, in the order of the scans' times."""
+
+    point_m: np.ndarray
+    """(N, 3) float32, scene-local."""
+    recorded_m: np.ndarray
+    """(N, 3) float32, in the moving sensor's frame, as the files have them."""
+    laser: np.ndarray
+    """(N,) int16, -1 where unknown."""
+    is_own_vehicle: np.ndarray
+    """(N,) bool: the recording car itself, which moves with the sensor."""
+    time_s: np.ndarray
+    """(N,) float64, each return's own instant."""
+    offsets: np.ndarray
+    """(n + 1,) int64: scan k's returns are offsets[k] .. offsets[k + 1] - 1."""
+    scan_time_s: np.ndarray
+    """(n,) float64, ascending instants of the scans' poses."""
+    trajectory: Trajectory
+    """Where the sensor was; scene-local."""
+    period_s: float
+    """Seconds over which a turn's rays are spread; 0 where all were put at the pose's instant."""
+    table: LaserTable
+    """The sensor."""
+    elevation_correction_rad: float
+    """How far rays were turned up on their way into the world."""
+
+    def __post_init__(self) -> None:
+        """Check that everything speaks of the same returns.
+
+        Raises:
+            ShapeError: It does not.
+        """
+        n, count = len(self.scan_time_s), len(self.point_m)
+        lengths = (len(self.recorded_m), len(self.laser), len(self.time_s))
+        if self.offsets.shape != (n + 1,) or lengths != (count, count, count) or self.offsets[-1] != count:
+            raise ShapeError(
+                f"expected {count} returns in {n} scans, found lengths {lengths} and offsets "
+                f"{self.offsets.shape} up to {self.offsets[-1:]}; pass arrays of the same scans"
+            )
+
+    @property
+    def scan_count(self) -> int:
+        """Number of scans n."""
+        return len(self.scan_time_s)
+
+    @property
+    def frame_s(self) -> float:
+        """Seconds from frame to frame, held-out frames counted: the unit of all motion constants."""
+        steps_s = np.diff(self.trajectory.times_s)
+        return float(np.median(steps_s)) if len(steps_s) else 0.1
+
+    def scan_of(self, index: np.ndarray) -> np.ndarray:
+        """Scan (k,) int64 of the returns `index` (k,)."""
+        return np.searchsorted(self.offsets, index, side="right") - 1
+
+    def part(self, scan: int) -> slice:
+        """Where a scan's returns lie."""
+        return slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))

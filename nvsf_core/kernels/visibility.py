@@ -1,0 +1,146 @@
+"""What every other scan says about a return: seen through, hidden, confirmed, or nothing; in numba."""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+_UNKNOWN, _THROUGH, _HIDDEN, _CONFIRMED = 0, 1, 2, 3
+_LEAST_FILLED = 5
+_CHUNK = 1024
+_OFF_ROW_SHARE = 0.75
+
+
+@njit(inline="always", fastmath=True)
+def _angle(y, x):  # type: ignore[no-untyped-def]
+    """Angle atan2(y, x) to 2e-6 rad (Abramowitz and Stegun 4.4.49, rearranged): five times as fast."""
+    along, across = abs(x), abs(y)
+    most = max(along, across)
+    t = min(along, across) / most if most > 0.0 else np.float32(0.0)
+    q = t * t
+    a = t * (
+        np.float32(0.99997726)
+        + q * (
+            np.float32(-0.33262347)
+            + q * (
+                np.float32(0.19354346)
+                + q * (
+                    np.float32(-0.11643287) + q * (np.float32(0.05265332) - q * np.float32(0.01172120))
+                )
+            )
+        )
+    )  # fmt: skip
+    if across > along:
+        a = np.float32(0.5 * math.pi) - a
+    if x < 0.0:
+        a = np.float32(math.pi) - a
+    return -a if y < 0.0 else a
+
+
+@njit(inline="always")
+def _cell(azimuth, count):  # type: ignore[no-untyped-def]
+    """Which of a turn's `count` cells looks at an azimuth: -a / 2 pi of a sweep after its middle."""
+    return min(max(int((np.float32(0.5) - azimuth * np.float32(0.5 / math.pi)) * count), 0), count - 1)
+
+
+@njit(inline="always")
+def _row(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[no-untyped-def]
+    """The laser that looks at this elevation at this range; -1 beyond the outermost ones."""
+    nearness = np.float32(1.0) / range_m
+    low, high = 0, len(laser_elevation) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if laser_elevation[middle] + laser_offset_m[middle] * nearness > elevation:
+            low = middle
+        else:
+            high = middle
+    above = laser_elevation[low] + laser_offset_m[low] * nearness - elevation
+    below = elevation - laser_elevation[high] - laser_offset_m[high] * nearness
+    spacing = above + below
+    if above < -_OFF_ROW_SHARE * spacing or below < -_OFF_ROW_SHARE * spacing:
+        return -1
+    return low if above < below else high
+
+
+@njit(inline="always")
+def _look(image, row, column, range_m, margin_m):  # type: ignore[no-untyped-def]
+    """What 3 x 3 cells around say about a surface at this range."""
+    lasers, cells = image.shape
+    filled, farther, nearer = 0, 0, 0
+    for i in range(max(row - 1, 0), min(row + 2, lasers)):
+        for k in range(column - 1, column + 2):
+            found = image[i, k % cells]
+            if found > 0.0:
+                filled += 1
+                if found > range_m + margin_m:
+                    farther += 1
+                elif found < range_m - margin_m:
+                    nearer += 1
+    if filled < _LEAST_FILLED:
+        return _UNKNOWN
+    if farther == filled:
+        return _THROUGH
+    if nearer == filled:
+        return _HIDDEN
+    return _CONFIRMED if farther + nearer < filled else _UNKNOWN
+
+
+@njit(parallel=True, cache=True)
+def look_back(  # type: ignore[no-untyped-def]
+    points, scans, images, to_sensor, laser_elevation, laser_offset_m, turn_down_rad, near_m, per_range
+):  # fmt: skip
+    """Walk from each point's own scan outwards in time, in both directions.
+
+    points (m, 3) float32 scene-local; scans (m,) int32; images (n, lasers, cells) float32 range from the
+    sensor's centre, 0 where nothing; to_sensor (n, k, 3, 4) float32 from the scene at k moments of each
+    turn; laser tables (lasers,) from the top, at least two. Surfaces within near_m + per_range * range
+    are one.
+
+    Returns:
+        (m, 3) int16: scans that saw through the point; scans that confirmed it although one nearer to it
+        in time, in that direction, had seen through; scans that confirmed it.
+    """
+    n, _, cells = images.shape
+    moments = to_sensor.shape[1]
+    sine, cosine = np.float32(math.sin(turn_down_rad)), np.float32(math.cos(turn_down_rad))
+    counts = np.zeros((len(points), 3), np.int16)
+    for chunk in prange((len(points) + _CHUNK - 1) // _CHUNK):
+        for point in range(chunk * _CHUNK, min(len(points), (chunk + 1) * _CHUNK)):
+            px, py, pz = points[point, 0], points[point, 1], points[point, 2]
+            for direction in (-1, 1):
+                moment = moments // 2
+                gone = False
+                scan = scans[point] + direction
+                while 0 <= scan < n:
+                    # The moment depends on where the point is seen, which depends on the moment.
+                    for _ in range(3 if scan == scans[point] + direction else 2):
+                        a = to_sensor[scan, moment]
+                        x = a[0, 0] * px + a[0, 1] * py + a[0, 2] * pz + a[0, 3]
+                        y = a[1, 0] * px + a[1, 1] * py + a[1, 2] * pz + a[1, 3]
+                        moment = _cell(_angle(y, x), moments)
+                    a = to_sensor[scan, moment]
+                    x = a[0, 0] * px + a[0, 1] * py + a[0, 2] * pz + a[0, 3]
+                    y = a[1, 0] * px + a[1, 1] * py + a[1, 2] * pz + a[1, 3]
+                    z = a[2, 0] * px + a[2, 1] * py + a[2, 2] * pz + a[2, 3]
+                    flat = math.sqrt(x * x + y * y)
+                    range_m = math.sqrt(x * x + y * y + z * z)
+                    elevation = _angle(z * cosine - flat * sine, flat * cosine + z * sine)
+                    row = _row(elevation, range_m, laser_elevation, laser_offset_m)
+                    if row >= 0:
+                        column = _cell(_angle(y, x), cells)
+                        seen = _look(
+                            images[scan],
+                            row,
+                            column,
+                            range_m,
+                            np.float32(near_m) + np.float32(per_range) * range_m,
+                        )
+                        if seen == _THROUGH:
+                            gone = True
+                            counts[point, 0] += 1
+                        elif seen == _CONFIRMED:
+                            counts[point, 2] += 1
+                            if gone:
+                                counts[point, 1] += 1
+                    scan += direction
+    return counts
