@@ -148,8 +148,9 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
     scene.run.store.drop_work_dir(f"ablation/{recipe.name}/{seed}")
 
     def row(region: str, metric: str, value: float) -> Row:
+        name = scene.run.scene.name
         return Row(
-            variant=recipe.name, scene=scene.run.scene.name, seed=seed, region=region, metric=metric, value=value
+            variant=recipe.name, scene=name, seed=seed, region=region, metric=metric, value=value
         )  # fmt: skip
 
     means = [row(region, metric, float(np.mean(found))) for (region, metric), found in values.items()]

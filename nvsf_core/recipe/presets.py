@@ -1,4 +1,4 @@
-"""The presets by name: `quick` and `smoke`, the paper's recipes, and the rows of its ablation."""
+"""The presets by name: `quick`, the paper's recipes and its ablation; `smoke` ones show that all runs."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,6 +15,7 @@ from nvsf_core.recipe.paper import (
     PaperOptimiser,
     PaperRecipe,
     PaperSampling,
+    PlanesSpec,
     RefinementSpec,
     TimeGridSpec,
 )
@@ -58,6 +59,22 @@ _PAPER_CPU = PaperRecipe(
     optimiser=PaperOptimiser(steps=300, checkpoint_s=10.0),
     refinement=RefinementSpec(channels=8, steps=30, frames_a_step=1, panos=6, column_step=4),
 )
+_TINY_GRID = GridSpec(levels=2, features=4, log2_table=8, base_resolution=16, finest_resolution=64)
+_PAPER_SMOKE = replace(
+    _PAPER_CPU,
+    name="paper_smoke",
+    encoder=EncoderSpec(
+        static=_TINY_GRID,
+        dynamic=TimeGridSpec(
+            slices=3, levels=2, log2_tables=(8, 8, 8), base_resolution=16, finest_resolution=64
+        ),
+        planes=PlanesSpec(scales=(1,), space_resolution=8, time_resolution=4),
+    ),
+    flow=FlowSpec(grid=replace(_TINY_GRID, features=8), hidden=16, points=64),
+    sampling=PaperSampling(rays=64, rays_at_once=48, samples=12),
+    optimiser=PaperOptimiser(steps=12, checkpoint_s=0.0, threads=1),
+    refinement=RefinementSpec(channels=8, steps=3, frames_a_step=1, panos=2, column_step=4),
+)
 
 
 def _ablation_row(
@@ -99,6 +116,7 @@ _PRESETS: dict[str, Recipe] = {
         replace(_PAPER, name="paper_separate_fused", encoders="separate_fused"),
         _PAPER_AUTHORS,
         _PAPER_CPU,
+        _PAPER_SMOKE,
         *ABLATION,
         *ENCODINGS,
     )

@@ -79,16 +79,13 @@ def _run(task: Task) -> StageOutput:
 
 
 def _ends(trained: Trained) -> dict[str, Scalar]:
-    """First and last recorded loss and the speed, by sensor."""
-    return {
-        f"{sensor}_{name}": value
-        for sensor, curve in trained.curves.items()
-        for name, value in (
-            ("loss_first", curve[0]["loss"]),
-            ("loss_last", curve[-1]["loss"]),
-            ("rays_per_s", curve[-1]["rays_per_s"]),
-        )
-    }
+    """First and last recorded loss, and the speed where rays are drawn, by part of the model."""
+    found: dict[str, Scalar] = {}
+    for part, curve in trained.curves.items():
+        found |= {f"{part}_loss_first": curve[0]["loss"], f"{part}_loss_last": curve[-1]["loss"]}
+        if "rays_per_s" in curve[-1]:
+            found[f"{part}_rays_per_s"] = curve[-1]["rays_per_s"]
+    return found
 
 
 def _lowered(trained: Trained) -> list[Check]:

@@ -1,0 +1,137 @@
+"""The paper's recipes go through the whole lineage, and a killed training ends as if it had not been."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.kitti360.catalogue import SceneEntry
+from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.recipe import AuthorsSlips, PaperLosses, PaperRecipe, Recipe, preset
+from nvsf_core.stages import plan_run, run_named_stage, run_scene
+from nvsf_core.stages.field import load_model
+from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.stage import Task
+from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.checkpoints import load_tensors
+from nvsf_core.stores.tables import read_rows, read_table
+
+UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
+
+
+def smoke(**changes: object) -> PaperRecipe:
+    recipe = preset("paper_smoke")
+    assert isinstance(recipe, PaperRecipe)
+    return replace(recipe, **changes)
+
+
+def entry(root: Path) -> SceneEntry:
+    return SceneEntry(
+        name="tiny", root=root, sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3, test_frames=(2,)
+    )
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("paper") / "drive"
+    write_demo(root, size=DemoSize.tiny())
+    return root
+
+
+@pytest.fixture(scope="module")
+def home(drive) -> Path:
+    """A home in which everything before `field` is published."""
+    path = drive.parent / "home"
+    run = plan_run(entry(drive), path, recipe=smoke())
+    for stage in UPSTREAM:
+        run_named_stage(stage, run, lambda line: None)
+    return path
+
+
+def train(drive: Path, home: Path, recipe: Recipe, said: list[str] | None = None) -> Path:
+    run = plan_run(entry(drive), home, recipe=recipe)
+    return run_named_stage("field", run, (said if said is not None else []).append).path
+
+
+def test_every_stage_runs_with_the_papers_recipe(drive, home):
+    outcomes = {
+        one.stage: one for one in run_scene(entry(drive), home, recipe=smoke(), progress=lambda _: None)
+    }
+    rows = read_rows(outcomes["scene_metrics"].path / "metrics.parquet")
+    model = [row for row in rows if row["recipe"] == "paper_smoke"]
+    assert {row["protocol"] for row in model} >= {"lidar4d", "lidar4d_scan", "raw", "image"}
+    panos = read_arrays(outcomes["novel_views"].path / "test" / "model.zarr", "pano_range_m", "pano_hit")
+    assert panos["pano_range_m"].shape[1:] == (66, 1030)
+    # Its own panos, thresholded: empty exactly where no return is expected.
+    assert np.array_equal(panos["pano_range_m"] > 0, panos["pano_hit"] > 0.5)
+
+
+def test_the_training_curve_shows_every_term(drive, home):
+    recipe = smoke(
+        name="all_terms",
+        losses=PaperLosses(chamfer=1.0, flow_magnitude=1.0, line_of_sight=0.1),
+        optimiser=replace(smoke().optimiser, steps=30),
+    )
+    curve = read_table(train(drive, home, recipe) / "curve.parquet")
+    for term in ("flow", "depth", "intensity", "raydrop", "gradient", "colour", "chamfer", "line_of_sight"):
+        assert any(value is not None and value >= 0.0 for value in curve[term]), term
+
+
+@pytest.mark.parametrize("encoders", ["same", "separate_fused"])
+def test_each_way_of_encoding_trains(drive, home, encoders):
+    tensors, _ = load_tensors(
+        train(drive, home, smoke(name=encoders, encoders=encoders)) / "weights.safetensors"
+    )
+    assert all(bool(torch.isfinite(value).all()) for value in tensors.values())
+
+
+def test_the_authors_slips_train(drive, home):
+    slips = AuthorsSlips(
+        flow_unit=True, neighbour_times=True, bound=2.0, minmax_box=True, half_precision_truth=True,
+        active_sensor=True, identical_tables=True,
+    )  # fmt: skip
+    _, facts = load_tensors(train(drive, home, smoke(name="slips", slips=slips)) / "weights.safetensors")
+    assert facts["bound"] == 2.0
+
+
+def test_lidar_rays_alone_build_nothing_of_the_camera(drive, home):
+    recipe = smoke(name="alone", sampling=replace(smoke().sampling, camera=False))
+    tensors, _ = load_tensors(train(drive, home, recipe) / "weights.safetensors")
+    both, _ = load_tensors(train(drive, home, smoke()) / "weights.safetensors")
+    assert not any("colour" in name for name in tensors)
+    assert sum("encoders" in name for name in both) == 2 * sum("encoders" in name for name in tensors)
+    run = plan_run(entry(drive), home, recipe=recipe)
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=home, progress=lambda _: None)
+    assert load_model(task, read_recording(run.store)).camera is None
+
+
+def test_a_stopped_training_ends_with_the_same_bits(drive, home):
+    recipe = smoke(name="stopped", optimiser=replace(smoke().optimiser, steps=40))
+    run = plan_run(entry(drive), home, recipe=recipe)
+
+    class Stopped(Exception):
+        pass
+
+    def stop_at(step: str):
+        def say(line: str) -> None:
+            if step in line:
+                raise Stopped
+
+        return say
+
+    whole, _ = load_tensors(train(drive, home, replace(recipe, name="whole")) / "weights.safetensors")
+    # Once while rays are trained on (every checkpoint is kept), once between the phases.
+    checkpoint = run.store.work_dir("field/stopped/0") / "field.safetensors"
+    stopping = smoke(name="stopped", optimiser=replace(recipe.optimiser, steps=40))
+    with pytest.raises(Stopped):
+        run_named_stage(
+            "field", plan_run(entry(drive), home, recipe=stopping), stop_at("rendered for the U-Net")
+        )
+    assert load_tensors(checkpoint)[1]["step"] == 40
+    said: list[str] = []
+    again, _ = load_tensors(train(drive, home, recipe, said) / "weights.safetensors")
+    assert any("resumed from the checkpoint at step 40" in line for line in said)
+    assert whole.keys() == again.keys()
+    assert all(torch.equal(whole[name], again[name]) for name in whole)
