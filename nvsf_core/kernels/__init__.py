@@ -1,4 +1,4 @@
-"""Raw arrays in, raw arrays out: the hash-grid encode and its adjoint; torch oracle and numba (CPU)."""
+"""Raw arrays in, raw arrays out: encodings and adjoints, by torch (oracle), numba (CPU), Triton (CUDA)."""
 
 import os
 
@@ -9,5 +9,6 @@ os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
 
 from nvsf_core.kernels.hash_grid import Backend, hash_grid_encode
 from nvsf_core.kernels.layout import GridLayout
+from nvsf_core.kernels.planes import PlanesBackend, planes_sample
 
-__all__ = ["Backend", "GridLayout", "hash_grid_encode"]
+__all__ = ["Backend", "GridLayout", "PlanesBackend", "hash_grid_encode", "planes_sample"]
