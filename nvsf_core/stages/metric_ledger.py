@@ -44,6 +44,8 @@ class Ledger:
     """Why something could not be computed, and how often."""
     absent: Counter[str] = field(default_factory=Counter)
     """What was not there to be measured, and how often."""
+    n_undefined_whole: int = 0
+    """Values of whole held-out frames that could not be computed."""
 
     def add(
         self,
@@ -63,6 +65,8 @@ class Ledger:
                 place = "" if region == "all" else f" {region}"
                 reasons = self.absent if measure.is_absent else self.undefined
                 reasons[f"{protocol}{place} {metric}: {measure.reason}"] += 1
+                is_whole = (split, region) == (HELD_OUT, "all")
+                self.n_undefined_whole += int(is_whole and not measure.is_absent)
             self.rows.append(
                 {
                     **self.facts, **method, "split": split, "protocol": protocol, "region": region,
@@ -74,6 +78,7 @@ class Ledger:
     def output(self) -> StageOutput:
         """Counts, reasons, headline means and checks."""
         values = np.array([row["value"] for row in self.rows], dtype=np.float64)
+        is_whole = np.array([(row["split"], row["region"]) == (HELD_OUT, "all") for row in self.rows], bool)
         n_infinite, n_absent = int(np.isinf(values).sum()), self.absent.total()
         n_undefined = int(np.isnan(values).sum()) - n_absent
         detail = (
@@ -89,8 +94,9 @@ class Ledger:
         checks = [
             Check(name="some_frame_was_measured", passed=bool(self.rows), detail=detail),
             Check(
-                name="all_metrics_are_finite",
-                passed=n_undefined + n_infinite == 0,
+                name="all_metrics_of_whole_frames_are_finite",
+                # A lost object, or a sky that the recording sensor never saw, is a finding and no fault.
+                passed=self.n_undefined_whole == 0 and not np.isinf(values[is_whole]).any(),
                 detail=f"{detail}; {reasons}" if reasons else detail,
             ),
         ]

@@ -49,3 +49,19 @@ def test_undefined_means_are_dashes_and_partial_ones_are_starred() -> None:
 
 def test_every_headline_has_a_unit() -> None:
     assert {metric for metrics in HEADLINES.values() for metric in metrics} <= set(UNITS)
+
+
+def test_the_terminal_shows_the_masked_foreground_and_each_view_below_the_held_out_frames() -> None:
+    rows = [
+        _row(split="shift_1m", protocol="raw", value=0.06),
+        _row(protocol="masked", region="foreground", value=0.11),
+        _row(protocol="masked", region="background", value=0.22),
+        _row(region="foreground", value=0.33),
+        _row(),
+        _row(protocol="lidar4d", sensor="image_00", metric="image_depth_rmse_m", unit="m", value=0.44),
+    ]
+    blocks = summary_table(rows).split("\n\n")
+    assert ["held-out" in block for block in blocks] == [True, True, False]
+    assert "foreground" in blocks[1]
+    assert "view shift_1m" in blocks[2]
+    assert not any(hidden in "".join(blocks) for hidden in ("0.22", "0.33", "0.44"))

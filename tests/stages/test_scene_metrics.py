@@ -199,7 +199,7 @@ def test_undefined_values_are_nan_counted_and_explained(tmp_path: Path) -> None:
     output = STAGE.run(task)
     rows = read_rows(task.folder / TABLE_NAME)
     assert math.isnan(_value(rows, "smoke", "raw", "hit_accuracy"))
-    check = next(check for check in output.checks if check.name == "all_metrics_are_finite")
+    check = next(check for check in output.checks if check.name == "all_metrics_of_whole_frames_are_finite")
     assert not check.passed
     assert not check.blocking
     assert "laser of 3000 returns is unknown" in check.detail
@@ -241,7 +241,7 @@ def test_what_nobody_could_measure_is_nan_on_nothing_and_fails_no_check(measured
     assert "LPIPS-Alex: no weights at hand" in str(output.metadata["not_measured_reasons"])
     assert "this model stores no camera depth" in str(output.metadata["not_measured_reasons"])
     assert "lpips_alex" not in str(output.metadata["undefined_reasons"])
-    assert "lpips_alex" not in next(c for c in output.checks if c.name == "all_metrics_are_finite").detail
+    assert "lpips_alex" not in next(c for c in output.checks if c.name == "all_metrics_of_whole_frames_are_finite").detail
 
 
 @pytest.fixture(scope="module")
