@@ -1,0 +1,110 @@
+"""Grid points around a block of positions and their linear weights, in loops that the compiler vectorises.
+
+What the loops need for that: one axis after the other in float32 and 32-bit integers, unsigned indices
+(numba would test a signed one for being negative), blocks of constant length. No fast-math flag is set: a
+fused multiply-add would put a point on a cell border into another cell than the oracle's, and numba hands a
+caller's flags down to what it calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+__all__ = ["BLOCK", "block_axes", "combine", "compiled", "neutral_axes", "place", "use_threads_of_torch"]
+
+BLOCK = 256
+"""Points whose corners are worked out before their rows are fetched: fetches of many points overlap in
+flight, and the scratch of 28 KiB stays in the first cache."""
+
+
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
+def neutral_axes() -> Any:
+    """Scratch of `place`: two rows (lower and upper point) for each of three axes, keys and shares.
+
+    An axis that is never placed has key 0 and share 1, which change nothing in `combine`.
+    """
+    return np.zeros(6 * BLOCK, np.uint32), np.ones(6 * BLOCK, np.float32)
+
+
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
+def place(
+    coordinates: Any, first: Any, axis: Any, scale: Any, shift: Any, last: Any, factor: Any,
+    key: Any, share: Any,
+) -> None:  # fmt: skip
+    """Lower and upper grid point along an axis of BLOCK coordinates from `first` on.
+
+    A coordinate x, clamped to [0, 1], lies at ``x * scale + shift``. The keys are the two points (at most
+    `last`) times `factor`, the shares 1 - fraction and fraction. NaN reads point 0; its shares are NaN.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    begin = np.uint64(first)
+    low = np.uint64(2 * axis * BLOCK)
+    high = np.uint64((2 * axis + 1) * BLOCK)
+    for k in range(BLOCK):
+        i = np.uint64(k)
+        x = coordinates[begin + i]
+        known = x if x == x else zero
+        position = min(max(known, zero), one) * scale + shift
+        lower = np.int32(position)
+        fraction = position - np.float32(lower)
+        fraction = fraction if x == x else x
+        share[low + i] = one - fraction
+        share[high + i] = fraction
+        key[low + i] = np.uint32(np.uint32(lower) * factor)
+        key[high + i] = np.uint32(min(np.uint32(lower + np.int32(1)), last) * factor)
+
+
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
+def combine(
+    key: Any, share: Any, corners: Any, dense: Any, mask: Any, entry: Any, weight: Any
+) -> None:  # fmt: skip
+    """Entries and weights of the corners: sums of keys where dense, else their masked XOR; share products.
+
+    Fills the first `corners` (4 or 8) rows of BLOCK in entry (uint32) and weight (float32); x varies fastest.
+    """
+    for corner in range(corners):
+        x = np.uint64((corner & 1) * BLOCK)
+        y = np.uint64((2 + ((corner >> 1) & 1)) * BLOCK)
+        z = np.uint64((4 + (corner >> 2)) * BLOCK)
+        to = np.uint64(corner * BLOCK)
+        if dense:
+            for k in range(BLOCK):
+                i = np.uint64(k)
+                entry[to + i] = np.uint32(key[x + i] + key[y + i] + key[z + i])
+        else:
+            for k in range(BLOCK):
+                i = np.uint64(k)
+                entry[to + i] = np.uint32((key[x + i] ^ key[y + i] ^ key[z + i]) & mask)
+        for k in range(BLOCK):
+            i = np.uint64(k)
+            weight[to + i] = share[x + i] * share[y + i] * share[z + i]
+
+
+def block_axes(positions: Tensor) -> Any:
+    """Positions (n, d) axis by axis, each padded with zeros to whole blocks: flat float32 (d * padded,)."""
+    points, axes = positions.shape
+    padded = np.zeros((axes, -(-points // BLOCK) * BLOCK), dtype=np.float32)
+    padded[:, :points] = positions.detach().numpy().T
+    return padded.reshape(-1)
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile lazily; cache beside the source or in the user's cache, nowhere if neither is writable."""
+    options: dict[str, Any] = {"parallel": True, "nogil": True, "error_model": "numpy"}
+    try:
+        return numba.njit(function, cache=True, **options)
+    except RuntimeError:
+        return numba.njit(function, **options)
+
+
+def use_threads_of_torch() -> int:
+    """One thread count for torch and numba, so that a run's thread count is set in one place."""
+    threads = int(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(threads)
+    return threads
