@@ -1,0 +1,78 @@
+"""Poses are checked against the scans; where open3d cannot be loaded, that is said and nothing fails."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from nvsf_core.clouds.open3d_room import load_open3d
+from nvsf_core.errors import MissingLibraryError
+from nvsf_core.stages.registration_check import registration_check
+
+_OPEN3D_LIBRARIES = ("libEGL.so.1", "libGL.so.1", "libX11.so.6")
+_SLIM_RUN = """
+import sys
+from pathlib import Path
+from tests.stages.test_registration_check import street
+from nvsf_core.stages import run_scene
+from nvsf_core.stages.registration_check import registration_check
+print(registration_check(street(0.0)).detail)
+outcomes = run_scene("tiny", Path(sys.argv[1]), recipe="smoke", progress=lambda line: None)
+print(len(outcomes), "stages")
+"""
+
+
+def street(shift_m: float) -> dict[str, np.ndarray]:
+    """Two scans of a street corner, the second wrongly moved to the side and forward."""
+    draws = np.random.default_rng(0)
+    ground = np.stack([draws.uniform(-20, 20, 6000), draws.uniform(-8, 8, 6000), np.full(6000, -1.7)], axis=1)
+    wall = np.stack([draws.uniform(-20, 20, 6000), np.full(6000, 8.0), draws.uniform(-1.7, 5, 6000)], axis=1)
+    front = np.stack([np.full(3000, 18.0), draws.uniform(-8, 8, 3000), draws.uniform(-1.7, 5, 3000)], axis=1)
+    points = np.concatenate([ground, wall, front]).astype(np.float32)
+    scans = np.concatenate([points, points + np.float32([shift_m, shift_m, 0.0])])
+    range_m = np.linalg.norm(scans, axis=1)
+    return {
+        "frame": np.arange(2),
+        "offsets": np.array([0, len(points), 2 * len(points)]),
+        "origin_m": np.zeros_like(scans),
+        "direction": scans / range_m[:, None],
+        "range_m": range_m,
+        "is_own_vehicle": np.zeros(len(scans), bool),
+    }
+
+
+def _require_open3d() -> None:
+    try:
+        load_open3d()
+    except MissingLibraryError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize(("shift_m", "passed"), [(0.0, True), (0.25, False)])
+def test_a_wrong_pose_is_found(shift_m, passed):
+    _require_open3d()
+    check = registration_check(street(shift_m))
+    assert check.passed is passed
+    assert not check.blocking
+
+
+def test_a_single_scan_has_no_neighbour():
+    arrays = street(0.0)
+    arrays["frame"] = arrays["frame"][:1]
+    assert registration_check(arrays).detail.startswith("not run: no two neighbouring scans")
+
+
+def test_training_runs_where_open3ds_system_libraries_are_missing(tmp_path, tiny_catalogue, run_process):
+    slim = tmp_path / "slim"
+    slim.mkdir()
+    # An empty file in the loader's way is a library that cannot be loaded.
+    for name in _OPEN3D_LIBRARIES:
+        (slim / name).touch()
+    done = run_process(
+        sys.executable, "-c", _SLIM_RUN, str(tmp_path / "home"),
+        NVSF_SCENES=str(tiny_catalogue), LD_LIBRARY_PATH=str(slim), OMP_NUM_THREADS="1",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "not run: open3d cannot be loaded" in done.stdout
+    assert "apt-get install" in done.stdout
+    assert "9 stages" in done.stdout
