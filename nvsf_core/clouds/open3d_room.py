@@ -9,6 +9,8 @@ import numpy as np
 
 from nvsf_core.errors import MissingLibraryError, StoreError
 
+_LEAST_FACED = 0.02
+"""Mean squared cosine between normals and a direction, below which ICP cannot tell a shift along it."""
 _SYSTEM_PACKAGES = "libegl1 libgl1 libx11-6 libudev1 libidn2-0 libusb-1.0-0"
 
 
@@ -69,7 +71,9 @@ def registration_shift(
         max_distance_m: Pairs farther apart are not matched.
 
     Returns:
-        Shift of the source's centroid in metres, turn in degrees, and the share of matched points.
+        Shift of the source's centroid in metres, turn in degrees, and the share of matched points. Along a
+        direction that hardly any surface faces (a straight tunnel's) clouds slide freely: that part of the
+        shift says nothing and is left out.
 
     Raises:
         MissingLibraryError: open3d cannot be loaded here.
@@ -87,9 +91,17 @@ def registration_shift(
     )
     moved = np.asarray(result.transformation)
     middle = np.append(source_m.mean(axis=0, dtype=np.float64) - centre, 1.0)
-    shift_m = float(np.linalg.norm((moved @ middle - middle)[:3]))
+    shift_m = float(np.linalg.norm(_told(np.asarray(target.normals)) @ (moved @ middle - middle)[:3]))
     cosine = np.clip((np.trace(moved[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)
     return shift_m, float(np.degrees(np.arccos(cosine))), float(result.fitness)
+
+
+def _told(normals: np.ndarray) -> np.ndarray:
+    """Projection (3, 3) onto the directions that surfaces with these normals (M, 3) face often enough."""
+    share, axes = np.linalg.eigh(normals.T @ normals / len(normals))
+    faced = axes[:, share > _LEAST_FACED]
+    projection: np.ndarray = faced @ faced.T
+    return projection
 
 
 def _preload_libusb() -> None:
