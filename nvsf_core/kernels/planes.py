@@ -14,7 +14,7 @@ from nvsf_core.kernels import planes_torch
 
 __all__ = ["PlanesBackend", "planes_sample"]
 
-PlanesBackend = Literal["torch", "triton"]
+PlanesBackend = Literal["torch", "numba", "triton"]
 
 
 def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | None = None) -> Tensor:
@@ -24,11 +24,12 @@ def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | N
     at ``column = x * (width - 1)``, ``row = y * (height - 1)``. Coordinates outside the square are clamped
     to it and get no gradient along the clamped axes; a NaN coordinate yields a NaN sample. Where the cell
     ends beyond the last grid point (at 1, or along an axis of one grid point) the value does not change
-    along that axis: its gradient there is 0. float32 on CUDA runs in Triton (where it is installed);
-    anything else in the torch oracle.
+    along that axis: its gradient there is 0. float32 runs in numba on the CPU and in Triton on CUDA (where
+    Triton is installed); anything else in the torch oracle.
 
     Args:
-        coordinates: (n, 2) in [0, 1], floating: first along the width, second along the height.
+        coordinates: (n, 2) in [0, 1], floating: first along the width, second along the height; they may
+            require a gradient (which numba leaves to the oracle).
         plane: (features, height, width), floating, on the same device.
         backend: overrides the choice. "triton" takes CPU tensors only under Triton's interpreter.
 
@@ -39,13 +40,37 @@ def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | N
         ShapeError: a shape, type or device does not fit.
     """
     _require_shapes(coordinates, plane)
-    if backend is None:
-        on_cuda = coordinates.is_cuda and _are_float32(coordinates, plane)
-        backend = "triton" if on_cuda and _has_triton() else "torch"
+    backend = backend or _backend_for(coordinates, plane)
     if backend == "torch":
         return planes_torch.sample(coordinates, plane)
-    _require_triton_can(coordinates, plane)
-    return cast(Tensor, _TritonSample.apply(coordinates, plane))  # type: ignore[no-untyped-call]
+    _require_backend(backend, coordinates, plane)
+    kernel = _NumbaSample if backend == "numba" else _TritonSample
+    return cast(Tensor, kernel.apply(coordinates, plane))  # type: ignore[no-untyped-call]
+
+
+class _NumbaSample(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
+        # numba costs 0.3 s to import and nothing but this path needs it
+        from nvsf_core.kernels import planes_numba
+
+        ctx.save_for_backward(coordinates, plane)
+        return planes_numba.sample(coordinates, plane)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        from nvsf_core.kernels import planes_numba
+
+        coordinates, plane = ctx.saved_tensors
+        grad_coordinates = grad_plane = None
+        if ctx.needs_input_grad[0]:
+            with torch.enable_grad():
+                moved = coordinates.detach().requires_grad_()
+                sampled = planes_torch.sample(moved, plane.detach())
+                (grad_coordinates,) = torch.autograd.grad(sampled, moved, grads[0])
+        if ctx.needs_input_grad[1]:
+            grad_plane = planes_numba.adjoint(coordinates, grads[0], plane.shape)
+        return grad_coordinates, grad_plane
 
 
 class _TritonSample(torch.autograd.Function):
@@ -75,19 +100,27 @@ def _has_triton() -> bool:
     return find_spec("triton") is not None
 
 
-def _are_float32(coordinates: Tensor, plane: Tensor) -> bool:
-    return coordinates.dtype == torch.float32 and plane.dtype == torch.float32
+def _backend_for(coordinates: Tensor, plane: Tensor) -> PlanesBackend:
+    if coordinates.dtype != torch.float32 or plane.dtype != torch.float32:
+        return "torch"
+    if coordinates.is_cpu:
+        return "numba"
+    return "triton" if coordinates.is_cuda and _has_triton() else "torch"
 
 
-def _require_triton_can(coordinates: Tensor, plane: Tensor) -> None:
-    from nvsf_core.kernels import planes_triton
+def _require_backend(backend: PlanesBackend, coordinates: Tensor, plane: Tensor) -> None:
+    if backend == "numba":
+        expected, fits = "on the CPU", coordinates.is_cpu
+    else:
+        from nvsf_core.kernels import planes_triton
 
-    interpreted = planes_triton.is_interpreted()
-    if not _are_float32(coordinates, plane) or not (coordinates.is_cuda or interpreted):
+        expected = "on the CPU, interpreted" if planes_triton.is_interpreted() else "on CUDA"
+        fits = coordinates.is_cuda or planes_triton.is_interpreted()
+    if not fits or coordinates.dtype != torch.float32 or plane.dtype != torch.float32:
         raise ShapeError(
-            "planes_sample: the triton backend expects float32 tensors on "
-            f"{'the CPU, interpreted' if interpreted else 'CUDA'}, found coordinates {coordinates.dtype} on "
-            f"{coordinates.device} and a plane {plane.dtype} on {plane.device}; leave the backend out"
+            f"planes_sample: the {backend} backend expects float32 tensors {expected}, found coordinates "
+            f"{coordinates.dtype} on {coordinates.device} and a plane {plane.dtype} on {plane.device}; "
+            "leave the backend out"
         )
 
 

@@ -4,6 +4,8 @@ import itertools
 import math
 import subprocess
 import sys
+from functools import reduce
+from operator import xor
 
 import pytest
 import torch
@@ -17,6 +19,11 @@ LAYOUTS = [
     MIXED,
     GridLayout(levels=1, features=1, log2_table=10, base_resolution=5, finest_resolution=5),
     GridLayout(levels=4, features=4, log2_table=9, base_resolution=512, finest_resolution=32768),
+    # In two dimensions: four dense levels (16 to 2304 points) and a hashed one (96).
+    GridLayout(levels=5, features=2, log2_table=12, base_resolution=4, finest_resolution=96, dimensions=2),
+    GridLayout(
+        levels=3, features=3, log2_table=8, base_resolution=512, finest_resolution=32768, dimensions=2
+    ),
 ]
 
 
@@ -25,7 +32,11 @@ def _table(layout, seed=0, dtype=torch.float32):
     return torch.empty(layout.entries, layout.features, dtype=dtype).uniform_(-1, 1, generator=generator)
 
 
-def _positions(kind):
+def _positions(kind, dimensions=3):
+    return _positions_in_space(kind)[:, :dimensions]
+
+
+def _positions_in_space(kind):
     generator = torch.Generator().manual_seed(1)
     if kind == "random":
         return torch.rand(5003, 3, generator=generator)
@@ -40,10 +51,16 @@ def _positions(kind):
         return torch.cat([torch.randn(500, 3, generator=generator) * 3, far])
     if kind == "none":
         return torch.zeros(0, 3)
+    if kind == "a NaN on each axis":
+        positions = torch.rand(700, 3, generator=generator)
+        positions[[3, 300, 699], [0, 1, 2]] = math.nan
+        return positions
+    if kind == "whole blocks":
+        return torch.rand(512, 3, generator=generator)
     return torch.tensor([[0.3, 0.6, 0.9]])
 
 
-KINDS = ["random", "corners", "cell borders", "outside", "none", "one"]
+KINDS = ["random", "corners", "cell borders", "outside", "a NaN on each axis", "whole blocks", "none", "one"]
 
 
 def _encode_by_hand(position, table, layout):
@@ -54,16 +71,16 @@ def _encode_by_hand(position, table, layout):
         resolution = layout.resolutions[level]
         grid = [min(max(p, 0.0), 1.0) * layout.scales[level] + 0.5 for p in position]
         total = [0.0] * layout.features
-        for step in itertools.product([0, 1], repeat=3):
+        for step in itertools.product([0, 1], repeat=layout.dimensions):
             point = [math.floor(g) + s for g, s in zip(grid, step, strict=True)]
             weight = math.prod(
                 g - math.floor(g) if s else 1 - (g - math.floor(g)) for g, s in zip(grid, step, strict=True)
             )
-            if resolution**3 <= size:
-                x, y, z = (min(c, resolution - 1) for c in point)
-                index = x + y * resolution + z * resolution**2
+            if resolution**layout.dimensions <= size:
+                index = sum(min(c, resolution - 1) * resolution**axis for axis, c in enumerate(point))
             else:
-                index = (point[0] ^ (point[1] * 2654435761) ^ (point[2] * 805459861)) % size
+                factors = (1, 2654435761, 805459861)[: layout.dimensions]
+                index = reduce(xor, (c * f for c, f in zip(point, factors, strict=True))) % size
             row = table[layout.offsets[level] + index].tolist()
             total = [t + weight * r for t, r in zip(total, row, strict=True)]
         out += total
@@ -73,7 +90,8 @@ def _encode_by_hand(position, table, layout):
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_the_oracle_is_its_definition(layout):
     table = _table(layout, dtype=torch.float64)
-    positions = torch.rand(20, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 1.2 - 0.1
+    generator = torch.Generator().manual_seed(2)
+    positions = torch.rand(20, layout.dimensions, dtype=torch.float64, generator=generator) * 1.2 - 0.1
     by_hand = torch.tensor([_encode_by_hand(p.tolist(), table, layout) for p in positions]).double()
     assert torch.allclose(hash_grid_encode(positions, table, layout), by_hand, atol=1e-6)
 
@@ -81,7 +99,7 @@ def test_the_oracle_is_its_definition(layout):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_numba_equals_the_oracle(layout, kind):
-    positions = _positions(kind)
+    positions = _positions(kind, layout.dimensions)
     cotangent = torch.randn(len(positions), layout.outputs, generator=torch.Generator().manual_seed(3))
     values, gradients = [], []
     for backend in ("torch", "numba"):
@@ -91,9 +109,9 @@ def test_numba_equals_the_oracle(layout, kind):
         values.append(encoded.detach())
         gradients.append(table.grad)
     assert values[0].shape == (len(positions), layout.outputs)
-    torch.testing.assert_close(values[1], values[0], rtol=1e-5, atol=1e-6)
-    largest = max(1.0, gradients[0].abs().max().item())
-    torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-5, atol=1e-6 * largest)
+    torch.testing.assert_close(values[1], values[0], rtol=1e-5, atol=1e-6, equal_nan=True)
+    largest = max(1.0, gradients[0].nan_to_num(0.0).abs().max().item())
+    torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-5, atol=1e-6 * largest, equal_nan=True)
 
 
 def test_the_adjoint_is_the_transpose_of_the_forward_pass():
@@ -106,16 +124,17 @@ def test_the_adjoint_is_the_transpose_of_the_forward_pass():
     assert forward.item() == pytest.approx((other.double() * table.grad).sum().item(), rel=1e-4)
 
 
-def test_the_same_bits_for_every_run_and_thread_count():
-    positions = _positions("random")
-    cotangent = torch.randn(len(positions), MIXED.outputs, generator=torch.Generator().manual_seed(5))
+@pytest.mark.parametrize("layout", [MIXED, LAYOUTS[3]], ids=["space", "square"])
+def test_the_same_bits_for_every_run_and_thread_count(layout):
+    positions = _positions("random", layout.dimensions)
+    cotangent = torch.randn(len(positions), layout.outputs, generator=torch.Generator().manual_seed(5))
     before = torch.get_num_threads()
     results = []
     try:
         for threads in (1, 2, 2):
             torch.set_num_threads(threads)
-            table = _table(MIXED).requires_grad_()
-            encoded = hash_grid_encode(positions, table, MIXED, backend="numba")
+            table = _table(layout).requires_grad_()
+            encoded = hash_grid_encode(positions, table, layout, backend="numba")
             encoded.backward(cotangent)
             results.append((encoded.detach(), table.grad))
     finally:
@@ -125,9 +144,13 @@ def test_the_same_bits_for_every_run_and_thread_count():
         assert torch.equal(gradient, results[0][1])
 
 
-def test_the_oracle_passes_gradcheck_in_table_and_positions():
-    layout = GridLayout(levels=2, features=2, log2_table=6, base_resolution=3, finest_resolution=9)
-    positions = torch.rand(5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(6)) * 0.9 + 0.05
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_oracle_passes_gradcheck_in_table_and_positions(dimensions):
+    layout = GridLayout(2, 2, log2_table=6, base_resolution=3, finest_resolution=9, dimensions=dimensions)
+    positions = (
+        torch.rand(5, dimensions, dtype=torch.float64, generator=torch.Generator().manual_seed(6)) * 0.9
+        + 0.05
+    )
     table = _table(layout, dtype=torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(
         lambda p, t: hash_grid_encode(p, t, layout), (positions.requires_grad_(), table)
@@ -186,13 +209,21 @@ def test_the_papers_levels():
     assert layout.entries * layout.features == 16_777_216
 
 
+def test_a_plane_is_dense_where_the_square_of_its_points_fits():
+    layout = LAYOUTS[3]
+    assert layout.resolutions == (4, 9, 20, 44, 96)
+    assert layout.is_dense == (True, True, True, True, False)
+    assert layout.offsets == (0, 16, 16 + 88, 104 + 400, 504 + 1936, 2440 + 4096)
+
+
 def test_a_dense_level_has_its_points_rounded_up_to_eight_entries():
     assert MIXED.is_dense == (True, True, True, False, False)
     assert MIXED.offsets == (0, 64, 64 + 512, 64 + 512 + 4096, 576 + 2 * 4096, 576 + 3 * 4096)
 
 
 @pytest.mark.parametrize(
-    "change", [{"levels": 0}, {"features": 0}, {"log2_table": 40}, {"finest_resolution": 3}]
+    "change",
+    [{"levels": 0}, {"features": 0}, {"log2_table": 40}, {"finest_resolution": 3}, {"dimensions": 4}],
 )
 def test_an_impossible_layout_is_refused(change):
     values = {
@@ -210,6 +241,8 @@ def test_wrong_shapes_and_types_are_refused():
     table = _table(MIXED)
     with pytest.raises(ShapeError, match=r"\(n, 3\)"):
         hash_grid_encode(torch.zeros(4, 2), table, MIXED)
+    with pytest.raises(ShapeError, match=r"\(n, 2\)"):
+        hash_grid_encode(torch.zeros(4, 3), _table(LAYOUTS[3]), LAYOUTS[3])
     with pytest.raises(ShapeError, match="expected a table"):
         hash_grid_encode(torch.zeros(4, 3), table[:-1], MIXED)
     with pytest.raises(ShapeError, match="float32"):

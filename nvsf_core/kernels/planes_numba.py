@@ -1,0 +1,135 @@
+"""Bilinear samples of a feature plane and their adjoint for the CPU, compiled by numba on first use.
+
+The kernels read and write planes as (height, width, features), so that the features of a grid point are one
+vector; the transpose passes over the plane once a call.
+
+Bits: the samples are parallel over blocks of points; the adjoint over groups of features, never over
+points, and each group adds its points in their order. So neither the thread count nor the run changes a bit.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import torch
+from numba import prange
+from torch import Tensor
+
+from nvsf_core.kernels.corners_numba import (
+    BLOCK,
+    block_axes,
+    combine,
+    compiled,
+    neutral_axes,
+    place,
+    use_threads_of_torch,
+)
+from nvsf_core.kernels.rows_numba import gather, scatter
+
+__all__ = ["adjoint", "sample"]
+
+_CORNERS = 4
+_NO_SHIFT = np.float32(0.0)
+_NO_MASK = np.uint32(0xFFFFFFFF)
+
+
+@cache
+def _forward_for(features: int) -> Any:
+    """The forward kernel with the number of features known to the compiler."""
+
+    def forward(axes: Any, plane: Any, scales: Any, lasts: Any, factors: Any, points: Any, out: Any) -> None:
+        padded = axes.shape[0] // 2
+        for block in prange((points + BLOCK - 1) // BLOCK):
+            key, share = neutral_axes()
+            entry, weight = np.empty(_CORNERS * BLOCK, np.uint32), np.empty(_CORNERS * BLOCK, np.float32)
+            first = block * BLOCK
+            for axis in range(2):
+                place(
+                    axes, axis * padded + first, axis, scales[axis], _NO_SHIFT, lasts[axis], factors[axis],
+                    key, share,
+                )  # fmt: skip
+            combine(key, share, _CORNERS, True, _NO_MASK, entry, weight)
+            for i in range(min(BLOCK, points - first)):
+                start = (first + i) * features
+                gather(plane, entry, weight, i, out, start, _CORNERS, BLOCK, features, features)
+
+    return compiled(forward)
+
+
+@cache
+def _adjoint_for(features: int, group: int) -> Any:
+    """The adjoint kernel with the number of features, in all and in a group, known to the compiler."""
+
+    def adjoint(
+        axes: Any, grad: Any, scales: Any, lasts: Any, factors: Any, points: Any, grad_plane: Any
+    ) -> None:
+        padded = axes.shape[0] // 2
+        for part in prange(features // group):
+            key, share = neutral_axes()
+            entry, weight = np.empty(_CORNERS * BLOCK, np.uint32), np.empty(_CORNERS * BLOCK, np.float32)
+            plane = grad_plane[part * group :]
+            for first in range(0, points, BLOCK):
+                for axis in range(2):
+                    place(
+                        axes, axis * padded + first, axis, scales[axis], _NO_SHIFT, lasts[axis],
+                        factors[axis], key, share,
+                    )  # fmt: skip
+                combine(key, share, _CORNERS, True, _NO_MASK, entry, weight)
+                for i in range(min(BLOCK, points - first)):
+                    start = (first + i) * features + part * group
+                    scatter(plane, entry, weight, i, grad, start, _CORNERS, BLOCK, features, group)
+
+    return compiled(adjoint)
+
+
+def _axis_arrays(height: int, width: int) -> tuple[Any, ...]:
+    """Cells, last grid point and distance of neighbours in the table, along the width and the height."""
+    lasts = np.array([width - 1, height - 1], dtype=np.uint32)
+    return lasts.astype(np.float32), lasts, np.array([1, width], dtype=np.uint32)
+
+
+def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
+    """Sample a float32 CPU plane (features, height, width) at (n, 2); no gradient is recorded.
+
+    See `nvsf_core.kernels.planes_sample` for the contract.
+    """
+    features, height, width = plane.shape
+    points = coordinates.shape[0]
+    use_threads_of_torch()
+    out = np.empty((points, features), dtype=np.float32)
+    _forward_for(features)(
+        block_axes(coordinates),
+        plane.detach().permute(1, 2, 0).contiguous().view(-1).numpy(),
+        *_axis_arrays(height, width),
+        points,
+        out.reshape(-1),
+    )
+    return torch.from_numpy(out)
+
+
+def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
+    """Gradient with respect to the plane, from the gradient with respect to the samples.
+
+    Args:
+        coordinates: (n, 2) float32 on the CPU.
+        grad: (n, features) float32 on the CPU.
+        shape: (features, height, width) of the plane.
+
+    Returns:
+        (features, height, width) float32; the same bits for every thread count.
+    """
+    features, height, width = shape
+    use_threads_of_torch()
+    grad_plane = np.zeros((height, width, features), dtype=np.float32)
+    # two groups where features are even: more would repeat the corners for less
+    group = features // 2 if features % 2 == 0 else features
+    _adjoint_for(features, group)(
+        block_axes(coordinates),
+        grad.detach().contiguous().view(-1).numpy(),
+        *_axis_arrays(height, width),
+        coordinates.shape[0],
+        grad_plane.reshape(-1),
+    )
+    return torch.from_numpy(grad_plane).permute(2, 0, 1).contiguous()
