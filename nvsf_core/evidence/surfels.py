@@ -1,6 +1,7 @@
 """Voxels as surfaces: mean, plane, intensity, and how often they stopped a ray or let it through."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,6 +31,30 @@ class Surfels:
     """(v,) int32: rays that ended in the voxel."""
     passes: np.ndarray
     """(v,) int32: rays that went through it."""
+
+    ARRAYS: ClassVar[tuple[str, ...]] = (
+        "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "thickness_m", "intensity",
+        "hits", "passes",
+    )  # fmt: skip
+    """Names of the arrays that surfels are stored as."""
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Named arrays that `from_arrays` reads back."""
+        grid = {
+            "grid_origin_m": self.index.origin_m, "voxel_m": np.array([self.index.voxel_m]),
+            "bricks": self.index.bricks, "cells": self.index.cells,
+        }  # fmt: skip
+        return grid | {name: getattr(self, name) for name in self.ARRAYS if name not in grid}
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, np.ndarray]) -> "Surfels":
+        """Read back what `to_arrays` gave; other names are left alone."""
+        a = arrays
+        return Surfels(
+            index=VoxelIndex(a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"]),
+            mean_m=a["mean_m"], normal=a["normal"], thickness_m=a["thickness_m"],
+            intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
+        )  # fmt: skip
 
     @property
     def opacity(self) -> np.ndarray:
@@ -64,12 +89,15 @@ def build_surfels(
     *,
     voxel_m: float,
     threads: int,
+    is_surface: np.ndarray | None = None,
 ) -> Surfels:
     """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
 
-    A ray sees through every voxel that it crosses up to one voxel before its return.
+    A ray sees through every voxel that it crosses up to one voxel before its return. Returns that are not
+    `is_surface` (n,) bool, such as those of moving objects, make no surface, but still see through.
     """
-    points = origin_m + direction * range_m[:, None]
+    kept = slice(None) if is_surface is None else is_surface
+    points = origin_m[kept] + direction[kept] * range_m[kept, None]
     index, voxel = index_points(points, voxel_m)
     count = index.count
     hits = np.bincount(voxel, minlength=count)
@@ -91,7 +119,7 @@ def build_surfels(
         mean_m=mean.astype(np.float32),
         normal=normal,
         thickness_m=thickness,
-        intensity=(np.bincount(voxel, weights=intensity, minlength=count) / hits).astype(np.float32),
+        intensity=(np.bincount(voxel, weights=intensity[kept], minlength=count) / hits).astype(np.float32),
         hits=hits.astype(np.int32),
         passes=passes,
     )

@@ -3,6 +3,8 @@
 import numpy as np
 import torch
 
+from nvsf_core.errors import ShapeError
+from nvsf_core.evidence.objects import ObjectSurfels, add_objects
 from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.rendering.accumulate import weighted_median_index
 from nvsf_core.rendering.answers import RayAnswers
@@ -26,19 +28,30 @@ def reproject_rays(
     *,
     most: int,
     far_m: float,
+    objects: tuple[ObjectSurfels, ...] = (),
+    time_s: np.ndarray | None = None,
 ) -> RayAnswers:
     """Answer rays (r, 3), scene-local, from evidence alone.
 
     The range is the weighted median candidate's; `vote` (r,) is the prior's share of returns and becomes
-    the hit probability wherever there is a candidate at all.
+    the hit probability wherever there is a candidate at all. Moving objects are where they are at the
+    rays' times `time_s` (r,), which must be given with them.
     """
     candidates = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+    shine = surfels.intensity
+    if objects:
+        if time_s is None:
+            raise ShapeError("expected the rays' times with moving objects, found none; pass time_s")
+        shine = np.concatenate([shine, *(one.surfels.intensity for one in objects)])
+        candidates = add_objects(
+            candidates, surfels.index.count, objects, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
+        )
     weights = composite(candidates)
     rows = np.arange(len(weights))
     answered = candidates.voxel[:, 0] >= 0
     chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
     total = weights.sum(axis=1)
-    intensity = (weights * surfels.intensity[candidates.voxel]).sum(axis=1) / np.where(answered, total, 1.0)
+    intensity = (weights * shine[candidates.voxel]).sum(axis=1) / np.where(answered, total, 1.0)
     return RayAnswers(
         range_m=np.where(answered, candidates.range_m[rows, chosen], np.inf).astype(np.float32),
         hit=np.where(answered, vote, 0.0).astype(np.float32),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
@@ -55,13 +56,28 @@ def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: flo
     return answer
 
 
-def evidence_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
-    """Answers by evidence alone, which takes everything to stand still."""
+def evidence_renderer(evidence: SceneEvidence, *, most: int, far_m: float) -> RayRenderer:
+    """Answers by evidence alone: what stays, and each moving object where it is at a ray's time."""
+    dynamic = evidence.dynamic
+    if dynamic is None:
+        surfels = evidence.surfels
+
+        def answer_static(
+            origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+        ) -> RayAnswers:
+            return reproject_rays(surfels, origin_m, direction, vote, most=most, far_m=far_m)
+
+        return answer_static
+    background = dynamic.background
+    near = NearObjects(dynamic.objects)
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
     ) -> RayAnswers:
-        return reproject_rays(surfels, origin_m, direction, vote, most=most, far_m=far_m)
+        return reproject_rays(
+            background, origin_m, direction, vote, most=most, far_m=far_m, objects=near.at(time_s),
+            time_s=time_s,
+        )  # fmt: skip
 
     return answer
 

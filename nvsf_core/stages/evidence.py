@@ -7,6 +7,10 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.drop_prior import build_drop_prior
+from nvsf_core.evidence.dynamic import DynamicEvidence
+from nvsf_core.evidence.find_moving import find_moving
+from nvsf_core.evidence.objects import prove_objects
+from nvsf_core.evidence.returns import TimedReturns
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.sensors.sweep import Trajectory
@@ -33,6 +37,8 @@ class Sweeps:
     period_s: float
     """Seconds over which a turn's rays are spread; 0 where the scene is not ego-motion compensated."""
     table: LaserTable
+    elevation_correction_rad: float
+    """How far rays were turned up on their way into the world."""
     scene_origin_m: np.ndarray
 
     def returns_of(self, scan: int) -> slice:
@@ -59,6 +65,7 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
         trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
         period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
         table=sensor_table(attrs["sensor"]),
+        elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
         scene_origin_m=np.array(attrs["scene_origin_m"]),
     )
 
@@ -140,7 +147,49 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
         firings=firings.astype(np.int32),
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
+        dynamic=_prove_motion(sweeps, of_training, used),
     )
+
+
+def _prove_motion(sweeps: Sweeps, of_training: np.ndarray, used: np.ndarray) -> DynamicEvidence | None:
+    """What moves and the scene without it; None where nothing does.
+
+    Args:
+        sweeps: All scans.
+        of_training: (N,) bool, returns of training scans.
+        used: (N,) bool, those that evidence is made of.
+    """
+    a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
+    time_s = np.repeat(a["time_s"], lengths) + a["sweep_fraction"].astype(np.float64) * sweeps.period_s
+    point_m = a["origin_m"][of_training] + a["direction"][of_training] * a["range_m"][of_training, None]
+    returns = TimedReturns(
+        point_m=point_m.astype(np.float32),
+        recorded_m=a["points_m"][of_training],
+        laser=a["laser"][of_training],
+        is_own_vehicle=a["is_own_vehicle"][of_training],
+        time_s=time_s[of_training],
+        offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
+        scan_time_s=a["time_s"][sweeps.is_training],
+        trajectory=sweeps.trajectory,
+        period_s=sweeps.period_s,
+        table=sweeps.table,
+        elevation_correction_rad=sweeps.elevation_correction_rad,
+    )
+    moving = find_moving(returns)
+    if moving.is_static:
+        return None
+    stays = np.ones(len(used), bool)
+    stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
+    return DynamicEvidence(
+        background=build_surfels(
+            a["origin_m"][used], a["direction"][used], a["range_m"][used], a["intensity"][used],
+            voxel_m=VOXEL_M, threads=_THREADS, is_surface=stays[used],
+        ),
+        objects=prove_objects(
+            moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
+            a["intensity"][of_training], returns.time_s, returns.offsets,
+        ),
+    )  # fmt: skip
 
 
 def _plane_thickness(surfels: Surfels) -> dict[str, float]:
@@ -159,7 +208,8 @@ def _profile(evidence: SceneEvidence, task: Task) -> dict[str, float | int | str
     surface_m2 = len(evidence.surfels.hits) * index.voxel_m**2
     return {
         "profile": f"LiDAR with {', '.join(names) if names else 'no camera'}; "
-        f"about {surface_m2:,.0f} m2 of surface; everything is treated as static",
+        f"about {surface_m2:,.0f} m2 of surface; {_motion_in_words(evidence)}",
+        "moving_objects": 0 if evidence.dynamic is None else len(evidence.dynamic.objects),
         "voxels": len(evidence.surfels.hits),
         "voxel_m": index.voxel_m,
         "surface_m2": surface_m2,
@@ -169,12 +219,19 @@ def _profile(evidence: SceneEvidence, task: Task) -> dict[str, float | int | str
     }
 
 
+def _motion_in_words(evidence: SceneEvidence) -> str:
+    if evidence.dynamic is None:
+        return "static: nothing was seen to move"
+    count = len(evidence.dynamic.objects)
+    return f"dynamic: {count} object{'s' if count > 1 else ''}"
+
+
 STAGE = Stage(
     name="evidence",
     group="prepare",
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
-    "drop votes, the own vehicle, and what the scene needs.",
-    version="1",
+    "drop votes, the own vehicle, what moves and how, and what the scene needs.",
+    version="2",
     run=_run,
 )

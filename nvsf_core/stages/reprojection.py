@@ -20,7 +20,7 @@ def reprojection(recording: Recording) -> SceneModel:
     lidar = None
     if recording.lidar is not None:
         lidar = evidence_renderer(
-            recording.lidar.evidence.surfels, most=spec.lidar_candidates, far_m=recording.lidar.far_m
+            recording.lidar.evidence, most=spec.lidar_candidates, far_m=recording.lidar.far_m
         )
 
     def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:

@@ -1,0 +1,229 @@
+"""Each moving object's own evidence, in its own frame: where it is solid, and what was seen through it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.moving import MovingObject, MovingObjects
+from nvsf_core.evidence.surfels import Candidates, Surfels, build_surfels, candidates_of
+
+OBJECT_VOXEL_M = 0.1
+NEAREST_SCANS = 4
+"""More add nothing, and blur what is not rigid, such as legs."""
+_MOST_CANDIDATES = 12
+_MARGIN_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectRays:
+    """Training rays that cross an object's bounds, in its frame at each ray's own time."""
+
+    origin_m: np.ndarray
+    """(n, 3) float32."""
+    direction: np.ndarray
+    """(n, 3) float32 unit."""
+    range_m: np.ndarray
+    """(n,) float32 to the return, on the object, before it or behind it."""
+    intensity: np.ndarray
+    """(n,) float32 of the return."""
+    is_hit: np.ndarray
+    """(n,) bool: the return is the object's."""
+    scan: np.ndarray
+    """(n,) int32 training scan, ascending."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectEvidence:
+    """One moving object: its path and all rays that met its place."""
+
+    path: MovingObject
+    rays: ObjectRays
+
+    def surfels_near(self, time_s: float, *, leave_out_s: float | None = None) -> Surfels | None:
+        """What its nearest 4 scans prove of it, in its frame; a scan at `leave_out_s` is not asked.
+
+        None where none of its scans is left.
+        """
+        order = np.argsort(np.abs(self.path.time_s - time_s), kind="stable")
+        scans = self.path.scan[order]
+        if leave_out_s is not None:
+            scans = scans[np.abs(self.path.time_s[order] - leave_out_s) > 0.5 * self.path.frame_s]
+        rays = self.rays
+        used = np.isin(rays.scan, scans[:NEAREST_SCANS])
+        if not rays.is_hit[used].any():
+            return None
+        return build_surfels(
+            rays.origin_m[used], rays.direction[used], rays.range_m[used], rays.intensity[used],
+            voxel_m=OBJECT_VOXEL_M, threads=1, is_surface=rays.is_hit[used],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectSurfels:
+    """A moving object as it is at some time: its path and its surfels in its own frame."""
+
+    path: MovingObject
+    surfels: Surfels
+
+
+def prove_objects(
+    moving: MovingObjects,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    intensity: np.ndarray,
+    time_s: np.ndarray,
+    offsets: np.ndarray,
+) -> tuple[ObjectEvidence, ...]:
+    """Evidence of each moving object.
+
+    Args:
+        moving: What moves.
+        origin_m: (N, 3) scene-local, of the training rays that it was found in, in the same order.
+        direction: (N, 3) unit.
+        range_m: (N,) to the return.
+        intensity: (N,) of the return.
+        time_s: (N,) of the ray.
+        offsets: (n + 1,) where each training scan begins.
+    """
+    found = []
+    for number, path in enumerate(moving.objects):
+        parts = []
+        for scan, scan_time_s in zip(path.scan, path.time_s, strict=True):
+            part = slice(int(offsets[scan]), int(offsets[scan + 1]))
+            near = part.start + _towards(path, scan_time_s, origin_m[part], direction[part])
+            inside, origin_o, direction_o = _crossing(path, origin_m[near], direction[near], time_s[near])
+            parts.append((near[inside], origin_o, direction_o, np.full(len(origin_o), scan, np.int32)))
+        index = np.concatenate([part[0] for part in parts])
+        rays = ObjectRays(
+            origin_m=np.concatenate([part[1] for part in parts]),
+            direction=np.concatenate([part[2] for part in parts]),
+            range_m=range_m[index].astype(np.float32),
+            intensity=intensity[index].astype(np.float32),
+            is_hit=moving.object_id[index] == number,
+            scan=np.concatenate([part[3] for part in parts]),
+        )
+        found.append(ObjectEvidence(path, rays))
+    return tuple(found)
+
+
+def objects_at(
+    evidence: tuple[ObjectEvidence, ...], time_s: float, *, leave_out_s: float | None = None
+) -> tuple[ObjectSurfels, ...]:
+    """The objects that may be seen about an instant, each from its nearest scans."""
+    there = []
+    for one in evidence:
+        spare = np.array([time_s - one.path.frame_s, time_s, time_s + one.path.frame_s])
+        if not one.path.is_there(spare).any():
+            continue
+        surfels = one.surfels_near(time_s, leave_out_s=leave_out_s)
+        if surfels is not None:
+            there.append(ObjectSurfels(one.path, surfels))
+    return tuple(there)
+
+
+class NearObjects:
+    """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
+
+    def __init__(self, evidence: tuple[ObjectEvidence, ...]) -> None:
+        self._evidence = evidence
+        self._frame: int | None = None
+        self._objects: tuple[ObjectSurfels, ...] = ()
+
+    def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
+        """The objects about the middle of times (r,), taken to whole frames; none without rays."""
+        if len(time_s) == 0 or not self._evidence:
+            return ()
+        frame_s = self._evidence[0].path.frame_s
+        frame = round(float(np.median(time_s)) / frame_s)
+        if frame != self._frame:
+            self._objects = objects_at(self._evidence, frame * frame_s)
+            self._frame = frame
+        return self._objects
+
+
+def add_objects(
+    found: Candidates,
+    first_voxel: int,
+    objects: tuple[ObjectSurfels, ...],
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    near_m: float,
+    far_m: float,
+) -> Candidates:
+    """Merge the objects' surfaces into a static scene's candidates, by range.
+
+    Args:
+        found: Candidates (r, k) of the static surfels.
+        first_voxel: Number that the first object's first voxel gets; the others' follow.
+        objects: From `objects_at`.
+        origin_m: (r, 3) scene-local.
+        direction: (r, 3) unit.
+        time_s: (r,) when each ray is fired: every object is where it is then.
+        near_m: Nothing is nearer.
+        far_m: Nothing is farther.
+
+    Returns:
+        Candidates of the same shape; where there are more than k the farthest are left out.
+    """
+    range_m, voxel, opacity, cosine = (
+        found.range_m.copy(), found.voxel.copy(), found.opacity.copy(), found.cosine.copy()
+    )  # fmt: skip
+    for one in objects:
+        rows = np.flatnonzero(one.path.is_there(time_s))
+        rows = rows[
+            _towards(one.path, float(np.median(time_s)), origin_m[rows], direction[rows], spare_m=2.0)
+        ]
+        inside, origin_o, direction_o = _crossing(one.path, origin_m[rows], direction[rows], time_s[rows])
+        rows = rows[inside]
+        own = candidates_of(
+            one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m
+        )
+        met = own.voxel[:, 0] >= 0
+        rows, own_voxel = rows[met], np.where(own.voxel[met] >= 0, own.voxel[met] + first_voxel, -1)
+        first_voxel += one.surfels.index.count
+        voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
+        ranges = np.concatenate([range_m[rows], own.range_m[met]], axis=1)
+        order = np.argsort(np.where(voxels >= 0, ranges, np.inf), axis=1, kind="stable")[:, : voxel.shape[1]]
+        voxel[rows] = np.take_along_axis(voxels, order, axis=1)
+        range_m[rows] = np.take_along_axis(ranges, order, axis=1)
+        for target, mine in ((opacity, own.opacity[met]), (cosine, own.cosine[met])):
+            target[rows] = np.take_along_axis(np.concatenate([target[rows], mine], axis=1), order, axis=1)
+    return Candidates(range_m, voxel, opacity, cosine)
+
+
+def _towards(
+    path: MovingObject, time_s: float, origin_m: np.ndarray, direction: np.ndarray, *, spare_m: float = 1.0
+) -> np.ndarray:
+    """Rays (k,) int64 that run towards the ball around an object at about a time, some spare around it."""
+    if len(origin_m) == 0:
+        return np.zeros(0, np.int64)
+    centre_o = 0.5 * (path.low_m + path.high_m)
+    pose = path.matrix_at(np.array([time_s]))[0]
+    centre = (pose[:3, :3] @ centre_o + pose[:3, 3]).astype(np.float32)
+    radius = 0.5 * float(np.linalg.norm(path.high_m - path.low_m)) + spare_m
+    towards = centre - origin_m.mean(axis=0)
+    distance = float(np.linalg.norm(towards))
+    if distance <= radius:
+        return np.arange(len(origin_m))
+    cosine = np.sqrt(1.0 - (radius / distance) ** 2)
+    return np.flatnonzero(direction @ (towards / distance).astype(np.float32) >= cosine)
+
+
+def _crossing(
+    path: MovingObject, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which rays (k,) int64 cross the object's bounds, and their origins and directions in its frame."""
+    pose = path.pose_at(time_s)
+    origin_o = path.turn_to_object(origin_m - pose[:, :3], pose[:, 3])
+    direction_o = path.turn_to_object(direction.astype(np.float64), pose[:, 3])
+    low, high = path.low_m - _MARGIN_M, path.high_m + _MARGIN_M
+    # A direction of exactly 0 along an axis gives infinities of the right signs, or one NaN on the border.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - origin_o) / direction_o, (high - origin_o) / direction_o
+    enter = np.nanmax(np.minimum(a, b), axis=1, initial=0.0)
+    leave = np.nanmin(np.maximum(a, b), axis=1, initial=np.inf)
+    inside = np.flatnonzero(enter < leave)
+    return inside, origin_o[inside].astype(np.float32), direction_o[inside].astype(np.float32)
