@@ -68,7 +68,7 @@ def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:
     # A voxel at the edge with too few returns for a plane is known to its own size only.
     assert np.abs(depth[on] - PLATE_M).max() < 0.1
     assert np.mean(np.abs(depth[on] - PLATE_M) < 0.02) > 0.97
-    assert np.mean(np.abs(answers.intensity[on] - 0.9) < 0.02) > 0.97
+    assert np.mean(np.abs(answers.intensity[on] - 0.9) < 0.05) > 0.95
     assert np.abs(depth[off] - WALL_M).max() < 0.05
 
 
