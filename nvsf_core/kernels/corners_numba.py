@@ -1,9 +1,9 @@
 """Grid points around a block of positions and their linear weights, in loops that the compiler vectorises.
 
 What the loops need for that: one axis after the other in float32 and 32-bit integers, unsigned indices
-(numba would test a signed one for being negative), blocks of constant length. No fast-math flag is set: a
-fused multiply-add would put a point on a cell border into another cell than the oracle's, and numba hands a
-caller's flags down to what it calls.
+(numba would test a signed one for being negative). No fast-math flag is set: a fused multiply-add would put
+a point on a cell border into another cell than the oracle's, and numba hands a caller's flags down to what
+it calls.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from torch import Tensor
 
-__all__ = ["BLOCK", "block_axes", "combine", "compiled", "neutral_axes", "place", "use_threads_of_torch"]
+__all__ = ["BLOCK", "combine", "compiled", "neutral_axes", "place", "use_threads_of_torch"]
 
 BLOCK = 256
 """Points whose corners are worked out before their rows are fetched: fetches of many points overlap in
@@ -34,10 +33,10 @@ def neutral_axes() -> Any:
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def place(
-    coordinates: Any, first: Any, axis: Any, scale: Any, shift: Any, last: Any, factor: Any,
+    coordinates: Any, first: Any, count: Any, axis: Any, scale: Any, shift: Any, last: Any, factor: Any,
     key: Any, share: Any,
 ) -> None:  # fmt: skip
-    """Lower and upper grid point along an axis of BLOCK coordinates from `first` on.
+    """Lower and upper grid point along an axis of `count` coordinates from `first` on, at most BLOCK.
 
     A coordinate x, clamped to [0, 1], lies at ``x * scale + shift``. The keys are the two points (at most
     `last`) times `factor`, the shares 1 - fraction and fraction. NaN reads point 0; its shares are NaN.
@@ -46,7 +45,7 @@ def place(
     begin = np.uint64(first)
     low = np.uint64(2 * axis * BLOCK)
     high = np.uint64((2 * axis + 1) * BLOCK)
-    for k in range(BLOCK):
+    for k in range(count):
         i = np.uint64(k)
         x = coordinates[begin + i]
         known = x if x == x else zero
@@ -62,36 +61,29 @@ def place(
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def combine(
-    key: Any, share: Any, corners: Any, dense: Any, mask: Any, entry: Any, weight: Any
+    key: Any, share: Any, count: Any, axes: Any, dense: Any, mask: Any, entry: Any, weight: Any
 ) -> None:  # fmt: skip
     """Entries and weights of the corners: sums of keys where dense, else their masked XOR; share products.
 
-    Fills the first `corners` (4 or 8) rows of BLOCK in entry (uint32) and weight (float32); x varies fastest.
+    Fills `count` columns of 2^axes rows of BLOCK in entry (uint32) and weight (float32); x varies
+    fastest.
     """
-    for corner in range(corners):
+    for corner in range(1 << axes):
         x = np.uint64((corner & 1) * BLOCK)
         y = np.uint64((2 + ((corner >> 1) & 1)) * BLOCK)
         z = np.uint64((4 + (corner >> 2)) * BLOCK)
         to = np.uint64(corner * BLOCK)
         if dense:
-            for k in range(BLOCK):
+            for k in range(count):
                 i = np.uint64(k)
                 entry[to + i] = np.uint32(key[x + i] + key[y + i] + key[z + i])
         else:
-            for k in range(BLOCK):
+            for k in range(count):
                 i = np.uint64(k)
                 entry[to + i] = np.uint32((key[x + i] ^ key[y + i] ^ key[z + i]) & mask)
-        for k in range(BLOCK):
+        for k in range(count):
             i = np.uint64(k)
             weight[to + i] = share[x + i] * share[y + i] * share[z + i]
-
-
-def block_axes(positions: Tensor) -> Any:
-    """Positions (n, d) axis by axis, each padded with zeros to whole blocks: flat float32 (d * padded,)."""
-    points, axes = positions.shape
-    padded = np.zeros((axes, -(-points // BLOCK) * BLOCK), dtype=np.float32)
-    padded[:, :points] = positions.detach().numpy().T
-    return padded.reshape(-1)
 
 
 def compiled(function: Callable[..., Any]) -> Any:

@@ -18,7 +18,6 @@ from torch import Tensor
 
 from nvsf_core.kernels.corners_numba import (
     BLOCK,
-    block_axes,
     combine,
     compiled,
     neutral_axes,
@@ -44,8 +43,8 @@ def _forward_for(features: int, dimensions: int) -> Any:
         axes: Any, table: Any, scales: Any, lasts: Any, factors: Any, dense: Any, offsets: Any, mask: Any,
         points: Any, chunk_points: Any, out: Any,
     ) -> None:  # fmt: skip
-        levels = scales.shape[0]
-        padded = axes.shape[0] // dimensions
+        # read from an array: constants here would be unrolled and take twice as long to compile
+        levels, axis_count = factors.shape
         for chunk in prange((points + chunk_points - 1) // chunk_points):
             key, share = neutral_axes()
             entry, weight = np.empty(8 * BLOCK, np.uint32), np.empty(8 * BLOCK, np.float32)
@@ -53,13 +52,14 @@ def _forward_for(features: int, dimensions: int) -> Any:
             for level in range(levels):
                 part = table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(chunk * chunk_points, end, BLOCK):
-                    for axis in range(dimensions):
+                    count = min(BLOCK, end - first)
+                    for axis in range(axis_count):
                         place(
-                            axes, axis * padded + first, axis, scales[level], _HALF, lasts[level],
+                            axes, axis * points + first, count, axis, scales[level], _HALF, lasts[level],
                             factors[level, axis], key, share,
                         )  # fmt: skip
-                    combine(key, share, corners, dense[level], mask, entry, weight)
-                    for i in range(min(BLOCK, end - first)):
+                    combine(key, share, count, axis_count, dense[level], mask, entry, weight)
+                    for i in range(count):
                         start = ((first + i) * levels + level) * features
                         gather(part, entry, weight, i, out, start, corners, BLOCK, features, features)
 
@@ -75,8 +75,8 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
         axes: Any, grad: Any, scales: Any, lasts: Any, factors: Any, dense: Any, offsets: Any, mask: Any,
         points: Any, workers: Any, grad_table: Any,
     ) -> None:  # fmt: skip
-        levels = scales.shape[0]
-        padded = axes.shape[0] // dimensions
+        # read from an array: constants here would be unrolled and take twice as long to compile
+        levels, axis_count = factors.shape
         # A worker owns every workers-th level, so no two ever write the same entry.
         for worker in prange(workers):
             key, share = neutral_axes()
@@ -84,13 +84,14 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
             for level in range(worker, levels, workers):
                 part = grad_table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(0, points, BLOCK):
-                    for axis in range(dimensions):
+                    count = min(BLOCK, points - first)
+                    for axis in range(axis_count):
                         place(
-                            axes, axis * padded + first, axis, scales[level], _HALF, lasts[level],
+                            axes, axis * points + first, count, axis, scales[level], _HALF, lasts[level],
                             factors[level, axis], key, share,
                         )  # fmt: skip
-                    combine(key, share, corners, dense[level], mask, entry, weight)
-                    for i in range(min(BLOCK, points - first)):
+                    combine(key, share, count, axis_count, dense[level], mask, entry, weight)
+                    for i in range(count):
                         start = ((first + i) * levels + level) * features
                         scatter(part, entry, weight, i, grad, start, corners, BLOCK, features, features)
 
@@ -104,10 +105,11 @@ def _level_arrays(layout: GridLayout) -> tuple[Any, ...]:
     The lower grid point is never past the last: floor(scale + 0.5) <= ceil(scale). Hashed levels have none.
     """
     sizes = tuple(zip(layout.resolutions, layout.is_dense, strict=True))
+    factors = [(1, size, size * size) if dense else PRIMES for size, dense in sizes]
     return (
         np.array(layout.scales, dtype=np.float32),
         np.array([size - 1 if dense else 0xFFFFFFFF for size, dense in sizes], dtype=np.uint32),
-        np.array([(1, size, size * size) if dense else PRIMES for size, dense in sizes]).astype(np.uint32),
+        np.array(factors, dtype=np.uint32)[:, : layout.dimensions].copy(),
         np.array(layout.is_dense, dtype=np.bool_),
         np.array(layout.offsets, dtype=np.int64),
         np.uint32(layout.table_entries - 1),
@@ -123,7 +125,7 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     blocks_a_thread = -(-points // (BLOCK * use_threads_of_torch()))
     out = np.empty((points, layout.outputs), dtype=np.float32)
     _forward_for(layout.features, layout.dimensions)(
-        block_axes(positions),
+        positions.detach().t().contiguous().view(-1).numpy(),
         table.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),
         points,
@@ -147,7 +149,7 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
     # numpy, unlike torch, asks for huge pages: clearing tens of MB costs a quarter
     grad_table = np.zeros((layout.entries, layout.features), dtype=np.float32)
     _adjoint_for(layout.features, layout.dimensions)(
-        block_axes(positions),
+        positions.detach().t().contiguous().view(-1).numpy(),
         grad.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),
         positions.shape[0],

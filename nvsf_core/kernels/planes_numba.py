@@ -19,7 +19,6 @@ from torch import Tensor
 
 from nvsf_core.kernels.corners_numba import (
     BLOCK,
-    block_axes,
     combine,
     compiled,
     neutral_axes,
@@ -40,18 +39,18 @@ def _forward_for(features: int) -> Any:
     """The forward kernel with the number of features known to the compiler."""
 
     def forward(axes: Any, plane: Any, scales: Any, lasts: Any, factors: Any, points: Any, out: Any) -> None:
-        padded = axes.shape[0] // 2
         for block in prange((points + BLOCK - 1) // BLOCK):
             key, share = neutral_axes()
             entry, weight = np.empty(_CORNERS * BLOCK, np.uint32), np.empty(_CORNERS * BLOCK, np.float32)
             first = block * BLOCK
-            for axis in range(2):
+            count = min(BLOCK, points - first)
+            for axis in range(factors.shape[0]):
                 place(
-                    axes, axis * padded + first, axis, scales[axis], _NO_SHIFT, lasts[axis], factors[axis],
-                    key, share,
+                    axes, axis * points + first, count, axis, scales[axis], _NO_SHIFT, lasts[axis],
+                    factors[axis], key, share,
                 )  # fmt: skip
-            combine(key, share, _CORNERS, True, _NO_MASK, entry, weight)
-            for i in range(min(BLOCK, points - first)):
+            combine(key, share, count, factors.shape[0], True, _NO_MASK, entry, weight)
+            for i in range(count):
                 start = (first + i) * features
                 gather(plane, entry, weight, i, out, start, _CORNERS, BLOCK, features, features)
 
@@ -65,19 +64,19 @@ def _adjoint_for(features: int, group: int) -> Any:
     def adjoint(
         axes: Any, grad: Any, scales: Any, lasts: Any, factors: Any, points: Any, grad_plane: Any
     ) -> None:
-        padded = axes.shape[0] // 2
         for part in prange(features // group):
             key, share = neutral_axes()
             entry, weight = np.empty(_CORNERS * BLOCK, np.uint32), np.empty(_CORNERS * BLOCK, np.float32)
             plane = grad_plane[part * group :]
             for first in range(0, points, BLOCK):
-                for axis in range(2):
+                count = min(BLOCK, points - first)
+                for axis in range(factors.shape[0]):
                     place(
-                        axes, axis * padded + first, axis, scales[axis], _NO_SHIFT, lasts[axis],
+                        axes, axis * points + first, count, axis, scales[axis], _NO_SHIFT, lasts[axis],
                         factors[axis], key, share,
                     )  # fmt: skip
-                combine(key, share, _CORNERS, True, _NO_MASK, entry, weight)
-                for i in range(min(BLOCK, points - first)):
+                combine(key, share, count, factors.shape[0], True, _NO_MASK, entry, weight)
+                for i in range(count):
                     start = (first + i) * features + part * group
                     scatter(plane, entry, weight, i, grad, start, _CORNERS, BLOCK, features, group)
 
@@ -100,7 +99,7 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
     use_threads_of_torch()
     out = np.empty((points, features), dtype=np.float32)
     _forward_for(features)(
-        block_axes(coordinates),
+        coordinates.detach().t().contiguous().view(-1).numpy(),
         plane.detach().permute(1, 2, 0).contiguous().view(-1).numpy(),
         *_axis_arrays(height, width),
         points,
@@ -126,7 +125,7 @@ def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
     # two groups where features are even: more would repeat the corners for less
     group = features // 2 if features % 2 == 0 else features
     _adjoint_for(features, group)(
-        block_axes(coordinates),
+        coordinates.detach().t().contiguous().view(-1).numpy(),
         grad.detach().contiguous().view(-1).numpy(),
         *_axis_arrays(height, width),
         coordinates.shape[0],
