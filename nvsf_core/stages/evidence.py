@@ -151,6 +151,26 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
     )
 
 
+def training_returns(sweeps: Sweeps) -> TimedReturns:
+    """The training scans' returns, own vehicle included, as motion is read from them."""
+    a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
+    kept = np.repeat(sweeps.is_training, lengths)
+    lag_s = a["sweep_fraction"][kept].astype(np.float64) * sweeps.period_s
+    return TimedReturns(
+        point_m=a["origin_m"][kept] + a["direction"][kept] * a["range_m"][kept, None],
+        recorded_m=a["points_m"][kept],
+        laser=a["laser"][kept],
+        is_own_vehicle=a["is_own_vehicle"][kept],
+        time_s=np.repeat(a["time_s"], lengths)[kept] + lag_s,
+        offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
+        scan_time_s=a["time_s"][sweeps.is_training],
+        trajectory=sweeps.trajectory,
+        period_s=sweeps.period_s,
+        table=sweeps.table,
+        elevation_correction_rad=sweeps.elevation_correction_rad,
+    )
+
+
 def _prove_motion(sweeps: Sweeps, of_training: np.ndarray, used: np.ndarray) -> DynamicEvidence | None:
     """What moves and the scene without it; None where nothing does.
 
@@ -159,22 +179,7 @@ def _prove_motion(sweeps: Sweeps, of_training: np.ndarray, used: np.ndarray) -> 
         of_training: (N,) bool, returns of training scans.
         used: (N,) bool, those that evidence is made of.
     """
-    a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
-    time_s = np.repeat(a["time_s"], lengths) + a["sweep_fraction"].astype(np.float64) * sweeps.period_s
-    point_m = a["origin_m"][of_training] + a["direction"][of_training] * a["range_m"][of_training, None]
-    returns = TimedReturns(
-        point_m=point_m.astype(np.float32),
-        recorded_m=a["points_m"][of_training],
-        laser=a["laser"][of_training],
-        is_own_vehicle=a["is_own_vehicle"][of_training],
-        time_s=time_s[of_training],
-        offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
-        scan_time_s=a["time_s"][sweeps.is_training],
-        trajectory=sweeps.trajectory,
-        period_s=sweeps.period_s,
-        table=sweeps.table,
-        elevation_correction_rad=sweeps.elevation_correction_rad,
-    )
+    a, returns = sweeps.arrays, training_returns(sweeps)
     moving = find_moving(returns)
     if moving.is_static:
         return None
