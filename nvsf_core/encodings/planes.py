@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_time import SPACE_PLANES, two_slices
+from nvsf_core.kernels import planes_sample
 from nvsf_core.recipe import PlanesSpec
 
 __all__ = ["Planes4D"]
@@ -66,12 +67,3 @@ def _line(plane: Tensor, rows: list[tuple[int, float]]) -> Tensor:
     """A plane of time (f, times, w) at one time, (f, 1, w): the weighted sum of one or two of its rows."""
     parts = [weight * plane[:, row : row + 1] for row, weight in rows]
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]
-
-
-def planes_sample(coordinates: Tensor, plane: Tensor) -> Tensor:
-    """Interim."""
-    grid = (coordinates * 2 - 1)[None, None]
-    sampled = torch.nn.functional.grid_sample(
-        plane[None], grid, mode="bilinear", padding_mode="border", align_corners=True
-    )
-    return sampled[0, :, 0].T

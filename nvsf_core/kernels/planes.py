@@ -29,7 +29,7 @@ def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | N
 
     Args:
         coordinates: (n, 2) in [0, 1], floating: first along the width, second along the height; they may
-            require a gradient (which numba leaves to the oracle).
+            require a gradient.
         plane: (features, height, width), floating, on the same device.
         backend: overrides the choice. "triton" takes CPU tensors only under Triton's interpreter.
 
@@ -59,15 +59,12 @@ class _NumbaSample(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        from nvsf_core.kernels import planes_numba
+        from nvsf_core.kernels import planes_numba, planes_slope_numba
 
         coordinates, plane = ctx.saved_tensors
         grad_coordinates = grad_plane = None
         if ctx.needs_input_grad[0]:
-            with torch.enable_grad():
-                moved = coordinates.detach().requires_grad_()
-                sampled = planes_torch.sample(moved, plane.detach())
-                (grad_coordinates,) = torch.autograd.grad(sampled, moved, grads[0])
+            grad_coordinates = planes_slope_numba.coordinate_adjoint(coordinates, plane, grads[0])
         if ctx.needs_input_grad[1]:
             grad_plane = planes_numba.adjoint(coordinates, grads[0], plane.shape)
         return grad_coordinates, grad_plane

@@ -33,6 +33,7 @@ def _spread(module: torch.nn.Module) -> None:
             parameter.uniform_(-1.0, 1.0, generator=_generator(2))
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 1.0))
 def test_the_basis_reproduces_every_cubic(t: float) -> None:
     nodes = torch.tensor([0.0, 1 / 3, 2 / 3, 1.0], dtype=torch.float64)
@@ -131,7 +132,7 @@ def test_without_hash_gradient_positions_are_reached_through_the_planes_alone() 
     assert x01.grad.abs().max() > 0
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(-2.0, 3.0))
 def test_features_are_finite_wherever_and_whenever(t: float, coordinate: float) -> None:
     x01 = torch.tensor([[coordinate, 0.0, 1.0], [1.0, coordinate, coordinate]])
