@@ -1,0 +1,231 @@
+"""Scene flow trained alone on the demo drive, against the drive's own formulas.
+
+Run ``python -m benchmarks.flow``: it writes the demo drive under NVSF_HOME where it is absent, trains each
+variant below (less than five minutes on two cores), prints a Markdown table of median end-point errors in
+metres a frame, and writes ``benchmarks/results/flow.json``.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from benchmarks.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
+from benchmarks.results_table import machine
+from nvsf_core.fields.flow import FlowField, applied
+from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.recipe import FlowSpec, PaperRecipe, preset
+from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
+from nvsf_core.stages.demo_truth import read_demo_truth
+from nvsf_core.stages.evidence import read_sweeps
+from nvsf_core.stages.flow import (
+    find_scene,
+    plan_run,
+    run_named_stage,
+    say_on_stderr,
+    write_demo_where_absent,
+)
+from nvsf_core.stages.stage import Task
+from nvsf_core.training.flow_step import train_flow
+
+RESULTS = Path(__file__).parent / "results" / "flow.json"
+STATIC_TARGET_M = 0.03
+
+Displacements = Callable[[TrueMotion], tuple[np.ndarray, np.ndarray]]
+"""Of a scan's points: metres to the following and to the preceding frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variant:
+    """One training of the flow alone."""
+
+    name: str
+    recipe: PaperRecipe
+    steps: int
+
+
+def variants() -> tuple[Variant, ...]:
+    """The first is the one that is judged; the others say what its choices were for."""
+    small = preset("paper_cpu")
+    assert isinstance(small, PaperRecipe)
+    coarse = GridSpec(levels=4, features=8, log2_table=15, base_resolution=16, finest_resolution=64)
+    judged = replace(small, flow=FlowSpec(grid=coarse, points=8192))
+    fine = replace(small, flow=replace(small.flow, points=8192))
+    pulled = replace(judged, losses=replace(judged.losses, flow_magnitude=1e-3))
+    return (
+        Variant(name="flow, 4 levels 16-64, 80 steps", recipe=judged, steps=80),
+        Variant(name="flow, 4 levels 16-64, 300 steps", recipe=judged, steps=300),
+        Variant(name="flow, grid of paper_cpu, 300 steps", recipe=fine, steps=300),
+        Variant(name="flow, 4 levels 16-64, 300 steps, |flow| x 0.001", recipe=pulled, steps=300),
+    )
+
+
+def demo_motions() -> tuple[list[TrueMotion], Bounds]:
+    """Scans of the demo drive with their true motion, and the cube they are scaled to."""
+    home, scene = home_from_environment(os.environ), find_scene("demo")
+    write_demo_where_absent(scene, say_on_stderr)
+    run = plan_run(scene, home)
+    for stage in ("frames", "sweeps"):
+        run_named_stage(stage, run, say_on_stderr)
+    task = Task(scene=scene, store=run.store, config=run.config, folder=home, progress=say_on_stderr)
+    sweeps, truth = read_sweeps(run.store), read_demo_truth(task)
+    if sweeps is None or truth is None or not truth.is_of_this_drive:
+        raise SystemExit(f"{scene.root}: expected the drive that this code writes; remove it and run again")
+    bounds = scene_cube(sweeps)
+    return true_motions(sweeps, truth, bounds), bounds
+
+
+def learned(flow: FlowField, bounds: Bounds, count: int, slips: AuthorsSlips) -> Displacements:
+    """What is applied to points: through the unit cube, as `SceneField` does it."""
+    cube_m = bounds.edge_m * slips.bound
+
+    @torch.no_grad()
+    def displacements(motion: TrueMotion) -> tuple[np.ndarray, np.ndarray]:
+        x01 = torch.from_numpy(motion.points_m / np.float32(cube_m)) + 0.5
+        forward, backward = flow(x01, motion.frame / (count - 1))
+        return applied(forward, slips).numpy() * cube_m, applied(backward, slips).numpy() * cube_m
+
+    return displacements
+
+
+def nothing(motion: TrueMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Zero flow."""
+    return np.zeros_like(motion.points_m), np.zeros_like(motion.points_m)
+
+
+def nearest_in_time(motions: list[TrueMotion]) -> Displacements:
+    """To the nearest point of the neighbouring frame's cloud, held-out frames' too; NaN without one."""
+    clouds = {motion.frame: motion.cloud_m for motion in motions}
+    trees = {frame: cKDTree(cloud) for frame, cloud in clouds.items()}
+
+    def towards(motion: TrueMotion, frame: int) -> np.ndarray:
+        if frame not in trees:
+            return np.full_like(motion.points_m, np.nan)
+        nearest = trees[frame].query(motion.points_m)[1]
+        return clouds[frame][nearest] - motion.points_m
+
+    return lambda motion: (towards(motion, motion.frame + 1), towards(motion, motion.frame - 1))
+
+
+def errors_m(motions: list[TrueMotion], displacements: Displacements) -> list[dict[str, Any]]:
+    """Median and mean end-point error by surface and split, of all displacements to a frame of the drive."""
+    found: dict[tuple[str, str], list[np.ndarray]] = {}
+    last = max(motion.frame for motion in motions)
+    for motion in motions:
+        forward, backward = displacements(motion)
+        split = "train" if motion.is_training else "test"
+        for there, made, true in (
+            (motion.frame + 1, forward, motion.following_m),
+            (motion.frame - 1, backward, motion.preceding_m),
+        ):
+            if not 0 <= there <= last:
+                continue
+            error = np.linalg.norm(made - true, axis=1)
+            for index, surface in enumerate(SURFACES):
+                found.setdefault((surface, split), []).append(error[motion.surface == index])
+    return [
+        {
+            "surface": surface, "split": split, "median_epe_m": float(np.median(error)),
+            "mean_epe_m": float(np.mean(error)), "displacements": len(error),
+        }
+        for (surface, split), parts in found.items()
+        if len(error := np.concatenate(parts))
+    ]  # fmt: skip
+
+
+def measure(motions: list[TrueMotion], bounds: Bounds) -> dict[str, Any]:
+    """Train every variant and judge it beside the baselines."""
+    training = [motion for motion in motions if motion.is_training]
+    clouds = [motion.cloud_m / np.float32(bounds.half_m) for motion in training]
+    frame = np.array([motion.frame for motion in training], np.float64)
+    count = max(motion.frame for motion in motions) + 1
+    rows = [{"method": "zero flow"} | row for row in errors_m(motions, nothing)] + [
+        {"method": "nearest in time"} | row for row in errors_m(motions, nearest_in_time(motions))
+    ]
+    runs = []
+    for index, variant in enumerate(variants()):
+        started = time.perf_counter()
+        state = train_flow(variant.recipe, clouds, frame, count, variant.steps, 0, say_on_stderr)
+        seconds, flow = time.perf_counter() - started, state.model
+        assert isinstance(flow, FlowField)
+        runs.append(
+            {
+                "method": variant.name, "steps": variant.steps, "seconds": seconds,
+                "flow": asdict(variant.recipe.flow), "rate": variant.recipe.optimiser.head_rate,
+                "flow_magnitude": variant.recipe.losses.flow_magnitude, "loss": state.curve[-1]["loss"],
+            }
+        )  # fmt: skip
+        slips = variant.recipe.slips
+        made = errors_m(motions, learned(flow, bounds, count, slips))
+        rows += [{"method": variant.name} | row for row in made]
+        if index == 0:
+            slipped = replace(slips, flow_unit=True)
+            off = errors_m(motions, learned(flow, bounds, count, slipped))
+            rows += [
+                {"method": f"the first with slips.flow_unit, bound {slips.bound:g}"} | row for row in off
+            ]
+    return {"runs": runs, "rows": rows}
+
+
+def targets(rows: list[dict[str, Any]], judged: str) -> dict[str, bool]:
+    """Which targets the judged variant meets on the training frames."""
+    median = {(row["method"], row["surface"]): row["median_epe_m"] for row in rows if row["split"] == "train"}
+    met = {
+        f"{surface} below {other}": median[judged, surface] < median[other, surface]
+        for surface in ("car", "cyclist")
+        for other in ("zero flow", "nearest in time")
+    }
+    return met | {f"static below {STATIC_TARGET_M} m": median[judged, "static"] < STATIC_TARGET_M}
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown: medians of training frames / held-out frames, metres a frame."""
+    lines = [f"| median end-point error, m | {' | '.join(SURFACES)} |", f"|---|{'---:|' * len(SURFACES)}"]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        found = {
+            (row["surface"], row["split"]): f"{row['median_epe_m']:.3f}"
+            for row in rows
+            if row["method"] == method
+        }
+        cells = [
+            " / ".join(found.get((surface, split), "-") for split in ("train", "test"))
+            for surface in SURFACES
+        ]
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print, write."""
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
+    motions, bounds = demo_motions()
+    found = measure(motions, bounds)
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=RESULTS.parent,
+    ).stdout.strip()
+    met = targets(found["rows"], variants()[0].name)
+    facts = {"machine": machine(), "commit": commit, "scene": "demo", "half_edge_m": bounds.half_m}
+    RESULTS.write_text(json.dumps(facts | {"targets_met": met} | found, indent=1) + "\n")
+    print(table(found["rows"]))
+    for target, is_met in met.items():
+        print(f"{'met' if is_met else 'MISSED'}: {target}")
+
+
+if __name__ == "__main__":
+    main()
