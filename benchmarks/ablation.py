@@ -153,8 +153,7 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
             variant=recipe.name, scene=name, seed=seed, region=region, metric=metric, value=value
         )  # fmt: skip
 
-    means = [row(region, metric, float(np.mean(found))) for (region, metric), found in values.items()]
-    return [*means, row("all", "train_seconds", trained.seconds)]
+    return [row(region, metric, float(np.mean(found))) for (region, metric), found in values.items()]
 
 
 def _model(recipe: PaperRecipe, scene: Scene, trained: Trained) -> PaperModel:
