@@ -50,8 +50,9 @@ def main() -> None:
         find_moving(returns)
         started, busy = time.perf_counter(), time.process_time()
         moving = find_moving(returns)
+        wall_s, cpu_s = time.perf_counter() - started, time.process_time() - busy
         seconds.append(
-            f"{scene}: {time.perf_counter() - started:.1f} s ({time.process_time() - busy:.1f} s of CPU) for {returns.scan_count} training scans of "
+            f"{scene}: {wall_s:.1f} s ({cpu_s:.1f} s of CPU) for {returns.scan_count} training scans of "
             f"{len(returns.point_m):,} returns, {os.cpu_count()} cores, {len(moving.objects)} objects"
         )
         measure = _demo_rows if scene == "demo" else _box_rows

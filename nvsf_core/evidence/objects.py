@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
+from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.surfels import Candidates, Surfels, build_surfels, candidates_of
 
 OBJECT_VOXEL_M = 0.1
@@ -39,17 +40,17 @@ class ObjectEvidence:
     path: MovingObject
     rays: ObjectRays
 
-    def surfels_near(self, time_s: float, *, leave_out_s: float | None = None) -> Surfels | None:
-        """What its nearest 4 scans prove of it, in its frame; a scan at `leave_out_s` is not asked.
-
-        None where none of its scans is left.
-        """
+    def scans_near(self, time_s: float, *, leave_out_s: float | None = None) -> np.ndarray:
+        """Its nearest 4 scans (k,); one at `leave_out_s` is not among them."""
         order = np.argsort(np.abs(self.path.time_s - time_s), kind="stable")
-        scans = self.path.scan[order]
         if leave_out_s is not None:
-            scans = scans[np.abs(self.path.time_s[order] - leave_out_s) > 0.5 * self.path.frame_s]
+            order = order[np.abs(self.path.time_s[order] - leave_out_s) > 0.5 * self.path.frame_s]
+        return self.path.scan[order[:NEAREST_SCANS]]
+
+    def surfels_from(self, scans: np.ndarray) -> Surfels | None:
+        """What some of its scans prove of it, in its frame; None where they saw nothing of it."""
         rays = self.rays
-        used = np.isin(rays.scan, scans[:NEAREST_SCANS])
+        used = np.isin(rays.scan, scans)
         if not rays.is_hit[used].any():
             return None
         return build_surfels(
@@ -64,6 +65,8 @@ class ObjectSurfels:
 
     path: MovingObject
     surfels: Surfels
+    vote: np.ndarray
+    """(v,) float32: share of its nearest scans that returned at each surfel."""
 
 
 def prove_objects(
@@ -108,7 +111,11 @@ def prove_objects(
 
 
 def objects_at(
-    evidence: tuple[ObjectEvidence, ...], time_s: float, *, leave_out_s: float | None = None
+    evidence: tuple[ObjectEvidence, ...],
+    time_s: float,
+    votes: ObjectVotes,
+    *,
+    leave_out_s: float | None = None,
 ) -> tuple[ObjectSurfels, ...]:
     """The objects that may be seen about an instant, each from its nearest scans."""
     there = []
@@ -116,17 +123,20 @@ def objects_at(
         spare = np.array([time_s - one.path.frame_s, time_s, time_s + one.path.frame_s])
         if not one.path.is_there(spare).any():
             continue
-        surfels = one.surfels_near(time_s, leave_out_s=leave_out_s)
+        scans = one.scans_near(time_s, leave_out_s=leave_out_s)
+        surfels = one.surfels_from(scans)
         if surfels is not None:
-            there.append(ObjectSurfels(one.path, surfels))
+            vote = votes.share(one.path, surfels.mean_m, scans)
+            there.append(ObjectSurfels(one.path, surfels, vote))
     return tuple(there)
 
 
 class NearObjects:
     """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
 
-    def __init__(self, evidence: tuple[ObjectEvidence, ...]) -> None:
+    def __init__(self, evidence: tuple[ObjectEvidence, ...], votes: ObjectVotes) -> None:
         self._evidence = evidence
+        self._votes = votes
         self._frame: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
@@ -137,7 +147,7 @@ class NearObjects:
         frame_s = self._evidence[0].path.frame_s
         frame = round(float(np.median(time_s)) / frame_s)
         if frame != self._frame:
-            self._objects = objects_at(self._evidence, frame * frame_s)
+            self._objects = objects_at(self._evidence, frame * frame_s, self._votes)
             self._frame = frame
         return self._objects
 

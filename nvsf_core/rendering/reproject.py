@@ -47,6 +47,8 @@ def reproject_rays(
             candidates, surfels.index.count, objects, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
         )
     weights = composite(candidates)
+    if objects:
+        vote = _votes_with_objects(vote, weights, candidates.voxel - surfels.index.count, objects)
     rows = np.arange(len(weights))
     answered = candidates.voxel[:, 0] >= 0
     chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
@@ -57,3 +59,19 @@ def reproject_rays(
         hit=np.where(answered, vote, 0.0).astype(np.float32),
         intensity=np.where(answered, intensity, 0.0).astype(np.float32),
     )
+
+
+def _votes_with_objects(
+    vote: np.ndarray, weights: np.ndarray, voxel: np.ndarray, objects: tuple[ObjectSurfels, ...]
+) -> np.ndarray:
+    """Votes (r,) where rays that end on an object, by more than half, ask the object's surfels.
+
+    `voxel` (r, k) counts the objects' voxels from 0; the background's are negative.
+    """
+    own = np.where(voxel >= 0, weights, 0.0)
+    on_object = own.sum(axis=1)
+    rows = np.flatnonzero(on_object > 0.5 * weights.sum(axis=1))
+    share = np.concatenate([one.vote for one in objects])
+    asked = vote.copy()
+    asked[rows] = (own[rows] * share[np.maximum(voxel[rows], 0)]).sum(axis=1) / on_object[rows]
+    return asked

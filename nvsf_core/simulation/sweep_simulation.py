@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
@@ -56,8 +57,19 @@ def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: flo
     return answer
 
 
-def evidence_renderer(evidence: SceneEvidence, *, most: int, far_m: float) -> RayRenderer:
-    """Answers by evidence alone: what stays, and each moving object where it is at a ray's time."""
+def evidence_renderer(
+    evidence: SceneEvidence,
+    trajectory: Trajectory,
+    table: LaserTable,
+    elevation_correction_rad: float,
+    *,
+    most: int,
+    far_m: float,
+) -> RayRenderer:
+    """Answers by evidence alone: what stays, and each moving object where it is at a ray's time.
+
+    Trajectory, table and correction are the recording sensor's: objects ask the scans for their drops.
+    """
     dynamic = evidence.dynamic
     if dynamic is None:
         surfels = evidence.surfels
@@ -69,7 +81,8 @@ def evidence_renderer(evidence: SceneEvidence, *, most: int, far_m: float) -> Ra
 
         return answer_static
     background = dynamic.background
-    near = NearObjects(dynamic.objects)
+    votes = ObjectVotes(evidence.prior, evidence.lasers, trajectory, table, elevation_correction_rad)
+    near = NearObjects(dynamic.objects, votes)
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray

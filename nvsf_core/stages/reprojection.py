@@ -19,8 +19,14 @@ def reprojection(recording: Recording) -> SceneModel:
     spec = EvidenceSpec()
     lidar = None
     if recording.lidar is not None:
+        recorded = recording.lidar.sweeps
         lidar = evidence_renderer(
-            recording.lidar.evidence, most=spec.lidar_candidates, far_m=recording.lidar.far_m
+            recording.lidar.evidence,
+            recorded.trajectory,
+            recorded.table,
+            recorded.elevation_correction_rad,
+            most=spec.lidar_candidates,
+            far_m=recording.lidar.far_m,
         )
 
     def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.drop_prior import build_drop_prior
+from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
+from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.objects import NearObjects, objects_at, prove_objects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E
 
 WALL_M, PLATE_M = 12.03, 8.02
 SCANS, FRAME_S = 6, 0.1
@@ -53,6 +56,28 @@ def passing() -> tuple[DynamicEvidence, Surfels]:
     return DynamicEvidence(background, objects), build_surfels(*rays, voxel_m=0.2, threads=1)
 
 
+def votes_of(is_hit: np.ndarray) -> ObjectVotes:
+    """A sensor at rest whose lasers and firings (64, 400) returned alike in all scans."""
+    instants = np.arange(SCANS) * FRAME_S
+    fraction = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
+    prior = DropPrior(instants, fraction, np.tile(is_hit, (SCANS, 1, 1)))
+    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    return ObjectVotes(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+
+
+ALWAYS = votes_of(np.ones((64, 400), bool))
+
+
+def test_surfels_that_the_near_scans_never_got_back_are_dropped(passing) -> None:
+    dynamic, _ = passing
+    is_hit = np.ones((64, 400), bool)
+    is_hit[(HDL_64E.elevation_rad + HDL_64E.vertical_offset_m / PLATE_M) < 0.0] = False
+    (plate,) = objects_at(dynamic.objects, 0.25, votes_of(is_hit))
+    height = plate.surfels.mean_m[:, 2]
+    assert plate.vote[height < -0.1].max() == 0.0
+    assert plate.vote[(height > 0.1) & (height < 0.3)].min() == 1.0
+
+
 def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:
     dynamic, _ = passing
     time_s = np.random.default_rng(1).uniform(0.22, 0.28, 2000)
@@ -61,7 +86,7 @@ def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:
     origin, direction = ray_towards(y_m, np.full(2000, 0.1))
     answers = reproject_rays(
         dynamic.background, origin, direction, np.ones(2000, np.float32), most=24, far_m=50.0,
-        objects=objects_at(dynamic.objects, 0.25), time_s=time_s,
+        objects=objects_at(dynamic.objects, 0.25, ALWAYS), time_s=time_s,
     )  # fmt: skip
     depth = answers.range_m * direction[:, 0]
     on, off = away < 0.9, away > 1.1
@@ -80,21 +105,26 @@ def test_what_moves_leaves_no_smear_in_the_background(passing) -> None:
 
 def test_an_object_is_gone_long_after_its_last_scan(passing) -> None:
     dynamic, _ = passing
-    assert len(objects_at(dynamic.objects, 0.62)) == 1
-    assert objects_at(dynamic.objects, 1.0) == ()
+    assert len(objects_at(dynamic.objects, 0.62, ALWAYS)) == 1
+    assert objects_at(dynamic.objects, 1.0, ALWAYS) == ()
 
 
 def test_a_left_out_scan_is_not_asked(passing) -> None:
     dynamic, _ = passing
-    used = dynamic.objects[0].surfels_near(0.2)
-    other = dynamic.objects[0].surfels_near(0.2, leave_out_s=0.2)
-    in_scan = dynamic.objects[0].rays.is_hit & np.isin(dynamic.objects[0].rays.scan, [0, 1, 3, 4])
-    assert used.hits.sum() != other.hits.sum()
-    assert other.hits.sum() == in_scan.sum()
+    plate = dynamic.objects[0]
+    assert set(plate.scans_near(0.2)) == {0, 1, 2, 3}
+    others = plate.scans_near(0.2, leave_out_s=0.2)
+    assert set(others) == {0, 1, 3, 4}
+    hits = plate.rays.is_hit & np.isin(plate.rays.scan, others)
+    assert plate.surfels_from(others).hits.sum() == hits.sum()
+
+
+def test_scans_that_did_not_see_an_object_prove_nothing_of_it(passing) -> None:
+    assert passing[0].objects[0].surfels_from(np.array([99])) is None
 
 
 def test_parts_of_a_sweep_share_what_was_built(passing) -> None:
-    near = NearObjects(passing[0].objects)
+    near = NearObjects(passing[0].objects, ALWAYS)
     first = near.at(np.array([0.19, 0.21]))
     assert near.at(np.array([0.18, 0.21])) is first
     assert near.at(np.array([0.31])) is not first
@@ -107,7 +137,7 @@ def test_objects_without_times_are_refused(passing) -> None:
     with pytest.raises(ShapeError, match="times"):
         reproject_rays(
             dynamic.background, origin, direction, np.ones(3, np.float32), most=8, far_m=50.0,
-            objects=objects_at(dynamic.objects, 0.2),
+            objects=objects_at(dynamic.objects, 0.2, ALWAYS),
         )  # fmt: skip
 
 
