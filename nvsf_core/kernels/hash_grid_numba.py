@@ -18,6 +18,7 @@ from torch import Tensor
 
 from nvsf_core.kernels.corners_numba import (
     BLOCK,
+    axis_by_axis,
     combine,
     compiled,
     neutral_axes,
@@ -125,7 +126,7 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     blocks_a_thread = -(-points // (BLOCK * use_threads_of_torch()))
     out = np.empty((points, layout.outputs), dtype=np.float32)
     _forward_for(layout.features, layout.dimensions)(
-        positions.detach().t().contiguous().view(-1).numpy(),
+        axis_by_axis(positions),
         table.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),
         points,
@@ -149,7 +150,7 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
     # numpy, unlike torch, asks for huge pages: clearing tens of MB costs a quarter
     grad_table = np.zeros((layout.entries, layout.features), dtype=np.float32)
     _adjoint_for(layout.features, layout.dimensions)(
-        positions.detach().t().contiguous().view(-1).numpy(),
+        axis_by_axis(positions),
         grad.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),
         positions.shape[0],

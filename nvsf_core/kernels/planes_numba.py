@@ -19,6 +19,7 @@ from torch import Tensor
 
 from nvsf_core.kernels.corners_numba import (
     BLOCK,
+    axis_by_axis,
     combine,
     compiled,
     neutral_axes,
@@ -99,7 +100,7 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
     use_threads_of_torch()
     out = np.empty((points, features), dtype=np.float32)
     _forward_for(features)(
-        coordinates.detach().t().contiguous().view(-1).numpy(),
+        axis_by_axis(coordinates),
         plane.detach().permute(1, 2, 0).contiguous().view(-1).numpy(),
         *_axis_arrays(height, width),
         points,
@@ -125,7 +126,7 @@ def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
     # two groups where features are even: more would repeat the corners for less
     group = features // 2 if features % 2 == 0 else features
     _adjoint_for(features, group)(
-        coordinates.detach().t().contiguous().view(-1).numpy(),
+        axis_by_axis(coordinates),
         grad.detach().contiguous().view(-1).numpy(),
         *_axis_arrays(height, width),
         coordinates.shape[0],
