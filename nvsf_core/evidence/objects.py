@@ -181,19 +181,23 @@ def add_objects(
     range_m, voxel, opacity, cosine = (
         found.range_m.copy(), found.voxel.copy(), found.opacity.copy(), found.cosine.copy()
     )  # fmt: skip
+    number = first_voxel
     for one in objects:
+        first_voxel, number = number, number + one.surfels.index.count
         rows = np.flatnonzero(one.path.is_there(time_s))
-        rows = rows[
-            _towards(one.path, float(np.median(time_s)), origin_m[rows], direction[rows], spare_m=2.0)
-        ]
+        if len(rows) == 0:
+            continue
+        middle_s = float(np.median(time_s[rows]))
+        rows = rows[_towards(one.path, middle_s, origin_m[rows], direction[rows], spare_m=2.0)]
         inside, origin_o, direction_o = _crossing(one.path, origin_m[rows], direction[rows], time_s[rows])
         rows = rows[inside]
+        if len(rows) == 0:
+            continue
         own = candidates_of(
             one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m
         )
         met = own.voxel[:, 0] >= 0
         rows, own_voxel = rows[met], np.where(own.voxel[met] >= 0, own.voxel[met] + first_voxel, -1)
-        first_voxel += one.surfels.index.count
         voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
         ranges = np.concatenate([range_m[rows], own.range_m[met]], axis=1)
         order = np.argsort(np.where(voxels >= 0, ranges, np.inf), axis=1, kind="stable")[:, : voxel.shape[1]]

@@ -1,0 +1,31 @@
+"""A static scene asks nobody about motion."""
+
+import numpy as np
+from nvsf_core.evidence.drop_prior import build_drop_prior
+from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.simulation.sweep_simulation import evidence_renderer
+
+
+def test_a_static_scene_queries_nothing_dynamic() -> None:
+    direction = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (8, 1))
+    origin = np.zeros((8, 3), np.float32)
+    surfels = build_surfels(
+        origin, direction, np.full(8, 9.0, np.float32), np.ones(8), voxel_m=0.2, threads=1
+    )
+    prior = build_drop_prior(
+        np.zeros(2, int), np.array([0, 1]), np.zeros(2), np.array([0, 2]), np.array([4]), np.zeros(1),
+        lasers=1, nominal_firings=4,
+    )  # fmt: skip
+    own = np.zeros((1, 4), np.float32)
+    scene = SceneEvidence(surfels, prior, np.zeros(1, np.int16), np.array([4]), own, own)
+    # Whoever asks this trajectory, or an object, for the pose at 99 s gets an error.
+    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
+    render = evidence_renderer(scene, short, HDL_64E, 0.0, most=8, far_m=50.0)
+    vote = np.ones(8, np.float32)
+    early = render(origin, direction, vote, np.zeros(8))
+    late = render(origin, direction, vote, np.full(8, 99.0))
+    assert np.array_equal(early.range_m, late.range_m)
+    assert np.abs(early.range_m - 9.0).max() < 0.11
