@@ -1,8 +1,8 @@
 """Scene flow trained alone on the demo drive, against the drive's own formulas.
 
 Run ``python -m benchmarks.flow``: it writes the demo drive under NVSF_HOME where it is absent, trains each
-variant below (less than five minutes on two cores), prints a Markdown table of median end-point errors in
-metres a frame, and writes ``benchmarks/results/flow.json``.
+variant below (none for more than five minutes on two cores), prints a Markdown table of median end-point
+errors in metres a frame, and writes it into ``docs/paper_fidelity.md`` and ``benchmarks/results/flow.json``.
 """
 
 import argparse
@@ -20,6 +20,8 @@ import torch
 from scipy.spatial import cKDTree
 
 from benchmarks.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
+from benchmarks.markers import write_between
+from benchmarks.parameters import DOCUMENT
 from benchmarks.results_table import machine
 from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
@@ -40,6 +42,7 @@ from nvsf_core.training.flow_step import train_flow
 
 RESULTS = Path(__file__).parent / "results" / "flow.json"
 STATIC_TARGET_M = 0.03
+SLIPPED = "the first, applied with slips.flow_unit: 2 x bound too far"
 
 Displacements = Callable[[TrueMotion], tuple[np.ndarray, np.ndarray]]
 """Of a scan's points: metres to the following and to the preceding frame."""
@@ -52,21 +55,31 @@ class Variant:
     name: str
     recipe: PaperRecipe
     steps: int
+    seeds: tuple[int, ...] = (0,)
 
 
 def variants() -> tuple[Variant, ...]:
-    """The first is the one that is judged; the others say what its choices were for."""
+    """The first is the one that is judged; the others say what its choices were for.
+
+    Chamfer distance on single scans goes on falling after the flow is right: on what stands still, the points
+    of the next scan lie elsewhere, and the flow learns to follow them. A grid without fine levels and few
+    steps keep it from that; so does a small weight on |flow|, which the paper does not have.
+    """
     small = preset("paper_cpu")
     assert isinstance(small, PaperRecipe)
-    coarse = GridSpec(levels=4, features=8, log2_table=15, base_resolution=16, finest_resolution=64)
-    judged = replace(small, flow=FlowSpec(grid=coarse, points=8192))
+    coarse = GridSpec(levels=8, features=8, log2_table=15, base_resolution=32, finest_resolution=256)
+    usual = replace(small, flow=FlowSpec(grid=coarse, points=8192))
+    judged = replace(usual, optimiser=replace(small.optimiser, head_rate=3e-4))
     fine = replace(small, flow=replace(small.flow, points=8192))
-    pulled = replace(judged, losses=replace(judged.losses, flow_magnitude=1e-3))
+    pulled = replace(usual, losses=replace(small.losses, flow_magnitude=1e-3))
     return (
-        Variant(name="flow, 4 levels 16-64, 80 steps", recipe=judged, steps=80),
-        Variant(name="flow, 4 levels 16-64, 300 steps", recipe=judged, steps=300),
-        Variant(name="flow, grid of paper_cpu, 300 steps", recipe=fine, steps=300),
-        Variant(name="flow, 4 levels 16-64, 300 steps, |flow| x 0.001", recipe=pulled, steps=300),
+        Variant(
+            name="flow, 8 levels 32-256, rate 3e-4, 250 steps", recipe=judged, steps=250, seeds=(0, 1, 2)
+        ),
+        Variant(name="the same, rate 1e-3, 90 steps", recipe=usual, steps=90),
+        Variant(name="the same, rate 1e-3, 400 steps", recipe=usual, steps=400),
+        Variant(name="16 levels 32-2048, rate 1e-3, 200 steps", recipe=fine, steps=200),
+        Variant(name="8 levels, rate 1e-3, 150 steps, + 0.001 |flow|", recipe=pulled, steps=150),
     )
 
 
@@ -145,64 +158,72 @@ def errors_m(motions: list[TrueMotion], displacements: Displacements) -> list[di
 
 def measure(motions: list[TrueMotion], bounds: Bounds) -> dict[str, Any]:
     """Train every variant and judge it beside the baselines."""
-    training = [motion for motion in motions if motion.is_training]
-    clouds = [motion.cloud_m / np.float32(bounds.half_m) for motion in training]
-    frame = np.array([motion.frame for motion in training], np.float64)
     count = max(motion.frame for motion in motions) + 1
-    rows = [{"method": "zero flow"} | row for row in errors_m(motions, nothing)] + [
-        {"method": "nearest in time"} | row for row in errors_m(motions, nearest_in_time(motions))
-    ]
+    rows = [{"method": "zero flow"} | row for row in errors_m(motions, nothing)]
+    rows += [{"method": "nearest in time"} | row for row in errors_m(motions, nearest_in_time(motions))]
     runs = []
     for index, variant in enumerate(variants()):
-        started = time.perf_counter()
-        state = train_flow(variant.recipe, clouds, frame, count, variant.steps, 0, say_on_stderr)
-        seconds, flow = time.perf_counter() - started, state.model
-        assert isinstance(flow, FlowField)
-        runs.append(
-            {
-                "method": variant.name, "steps": variant.steps, "seconds": seconds,
-                "flow": asdict(variant.recipe.flow), "rate": variant.recipe.optimiser.head_rate,
-                "flow_magnitude": variant.recipe.losses.flow_magnitude, "loss": state.curve[-1]["loss"],
-            }
-        )  # fmt: skip
-        slips = variant.recipe.slips
-        made = errors_m(motions, learned(flow, bounds, count, slips))
-        rows += [{"method": variant.name} | row for row in made]
-        if index == 0:
-            slipped = replace(slips, flow_unit=True)
-            off = errors_m(motions, learned(flow, bounds, count, slipped))
-            rows += [
-                {"method": f"the first with slips.flow_unit, bound {slips.bound:g}"} | row for row in off
-            ]
+        for seed in variant.seeds:
+            flow, run = train_variant(motions, bounds, count, variant, seed)
+            runs.append(run)
+            slips = variant.recipe.slips
+            methods = {variant.name: slips}
+            if index == 0:
+                methods[SLIPPED] = replace(slips, flow_unit=True)
+            for method, applied_with in methods.items():
+                made = errors_m(motions, learned(flow, bounds, count, applied_with))
+                rows += [{"method": method, "seed": seed} | row for row in made]
     return {"runs": runs, "rows": rows}
 
 
+def train_variant(
+    motions: list[TrueMotion], bounds: Bounds, count: int, variant: Variant, seed: int
+) -> tuple[FlowField, dict[str, Any]]:
+    """The trained flow, and what the training was."""
+    training = [motion for motion in motions if motion.is_training]
+    clouds = [motion.cloud_m / np.float32(bounds.half_m) for motion in training]
+    frame = np.array([motion.frame for motion in training], np.float64)
+    started = time.perf_counter()
+    state = train_flow(variant.recipe, clouds, frame, count, variant.steps, seed, say_on_stderr)
+    seconds, flow, recipe = time.perf_counter() - started, state.model, variant.recipe
+    assert isinstance(flow, FlowField)
+    return flow, {
+        "method": variant.name, "seed": seed, "steps": variant.steps, "seconds": seconds,
+        "flow": asdict(recipe.flow), "rate": recipe.optimiser.head_rate,
+        "flow_magnitude": recipe.losses.flow_magnitude, "loss": state.curve[-1]["loss"],
+    }  # fmt: skip
+
+
 def targets(rows: list[dict[str, Any]], judged: str) -> dict[str, bool]:
-    """Which targets the judged variant meets on the training frames."""
-    median = {(row["method"], row["surface"]): row["median_epe_m"] for row in rows if row["split"] == "train"}
+    """Which targets every seed of the judged variant meets on the training frames."""
+    worst: dict[tuple[str, str], float] = {}
+    for row in rows:
+        if row["split"] == "train":
+            key = (row["method"], row["surface"])
+            worst[key] = max(worst.get(key, 0.0), row["median_epe_m"])
     met = {
-        f"{surface} below {other}": median[judged, surface] < median[other, surface]
+        f"{surface} below {other}": worst[judged, surface] < worst[other, surface]
         for surface in ("car", "cyclist")
         for other in ("zero flow", "nearest in time")
     }
-    return met | {f"static below {STATIC_TARGET_M} m": median[judged, "static"] < STATIC_TARGET_M}
+    return met | {f"static below {STATIC_TARGET_M} m": worst[judged, "static"] < STATIC_TARGET_M}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The rows as Markdown: medians of training frames / held-out frames, metres a frame."""
+    """The rows as Markdown: training frames / held-out frames, metres a frame, mean over the seeds."""
     lines = [f"| median end-point error, m | {' | '.join(SURFACES)} |", f"|---|{'---:|' * len(SURFACES)}"]
     for method in dict.fromkeys(row["method"] for row in rows):
-        found = {
-            (row["surface"], row["split"]): f"{row['median_epe_m']:.3f}"
-            for row in rows
-            if row["method"] == method
-        }
+        mine = [row for row in rows if row["method"] == method]
         cells = [
-            " / ".join(found.get((surface, split), "-") for split in ("train", "test"))
-            for surface in SURFACES
+            " / ".join(_mean(mine, surface, split) for split in ("train", "test")) for surface in SURFACES
         ]
         lines.append(f"| {method} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _mean(rows: list[dict[str, Any]], surface: str, split: str) -> str:
+    medians = [row["median_epe_m"] for row in rows if (row["surface"], row["split"]) == (surface, split)]
+    return f"{np.mean(medians):.3f}" if medians else "-"
 
 
 def main() -> None:
@@ -222,6 +243,7 @@ def main() -> None:
     met = targets(found["rows"], variants()[0].name)
     facts = {"machine": machine(), "commit": commit, "scene": "demo", "half_edge_m": bounds.half_m}
     RESULTS.write_text(json.dumps(facts | {"targets_met": met} | found, indent=1) + "\n")
+    write_between(DOCUMENT, "flow", table(found["rows"]) + "\n")
     print(table(found["rows"]))
     for target, is_met in met.items():
         print(f"{'met' if is_met else 'MISSED'}: {target}")

@@ -81,7 +81,7 @@ def _motion(
     for number, name in _MOVERS.items():
         surface[instance == number] = SURFACES.index(name)
     moved = [
-        _displacement_m(world, points_m[chosen] + sweeps.scene_origin_m, times_s[chosen], instance, after_s)
+        displacements_m(world, points_m[chosen] + sweeps.scene_origin_m, times_s[chosen], instance, after_s)
         for after_s in (FRAME_PERIOD_S, -FRAME_PERIOD_S)
     ]
     return TrueMotion(
@@ -89,7 +89,7 @@ def _motion(
     )
 
 
-def _displacement_m(
+def displacements_m(
     world: DemoWorld, points_m: np.ndarray, times_s: np.ndarray, instance: np.ndarray, after_s: float
 ) -> np.ndarray:
     """Displacements (n, 3) of points in the world that are rigidly tied to what they lie on."""

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import torch
 
+from benchmarks.markers import write_between
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.recipe import PaperRecipe
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "paper_fidelity.md"
-BEGIN, END = "<!-- parameters -->\n", "<!-- end of parameters -->"
 _FRAMES = 64
 """Of a scene; nothing learned depends on it."""
 _PARTS = {
@@ -59,10 +59,9 @@ def table() -> str:
 
 def main() -> None:
     """Write and print."""
-    text = DOCUMENT.read_text()
-    before, rest = text.split(BEGIN)
-    DOCUMENT.write_text(before + BEGIN + table() + END + rest.split(END)[1])
-    print(table(), end="")
+    text = table()
+    write_between(DOCUMENT, "parameters", text)
+    print(text, end="")
 
 
 if __name__ == "__main__":
