@@ -1,6 +1,7 @@
 """A static scene asks nobody about motion."""
 
 import numpy as np
+
 from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
