@@ -22,7 +22,7 @@ LAYOUTS = [
     # In two dimensions: four dense levels (16 to 2304 points) and a hashed one (96).
     GridLayout(levels=5, features=2, log2_table=12, base_resolution=4, finest_resolution=96, dimensions=2),
     GridLayout(
-        levels=3, features=3, log2_table=8, base_resolution=512, finest_resolution=32768, dimensions=2
+        levels=3, features=2, log2_table=8, base_resolution=512, finest_resolution=32768, dimensions=2
     ),
 ]
 

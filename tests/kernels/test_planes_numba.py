@@ -9,7 +9,13 @@ import torch
 from nvsf_core.errors import ShapeError
 from nvsf_core.kernels import planes_sample
 
-SHAPES = [(1, 5, 9), (2, 1, 6), (3, 7, 1), (4, 1, 1), (8, 33, 12)]
+SHAPES = [
+    (1, 5, 9),
+    (3, 1, 6),
+    (3, 7, 1),
+    (1, 1, 1),
+    (8, 33, 12),
+]  # a kernel is compiled for each number of features
 
 
 def _plane(shape):
