@@ -18,7 +18,7 @@ from nvsf_core.recipe.paper import (
 )
 from nvsf_core.recipe.presets import ABLATION, ENCODINGS, preset, recipe_from_json
 from nvsf_core.recipe.residual import (
-    BackgroundSpec,
+    CameraSpec,
     EvidenceSpec,
     FieldSpec,
     LossWeights,
@@ -30,7 +30,7 @@ __all__ = [
     "ABLATION",
     "ENCODINGS",
     "AuthorsSlips",
-    "BackgroundSpec",
+    "CameraSpec",
     "EncoderSpec",
     "EvidenceSpec",
     "FieldSpec",

@@ -26,7 +26,8 @@ _SMOKE = replace(
     _QUICK,
     name="smoke",
     lidar_training=TrainingSpec(steps=20, rays=256, checkpoint_s=1.0),
-    camera_training=TrainingSpec(steps=10, rays=128, checkpoint_s=1.0),
+    depth_training=TrainingSpec(steps=10, rays=512, checkpoint_s=1.0),
+    camera_training=TrainingSpec(steps=10, rays=512, checkpoint_s=1.0),
 )
 
 _PAPER = PaperRecipe(name="paper")

@@ -14,13 +14,11 @@ class EvidenceSpec:
     """Nearest training scans that vote on whether a laser's firing returns."""
     lidar_candidates: int = 24
     """Most surfaces that a LiDAR ray looks at."""
-    camera_candidates: int = 12
-    """Most surfaces that a camera ray looks at."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSpec:
-    """Size of a residual field: one for the LiDAR, one for the cameras."""
+    """Size of the LiDAR's residual field."""
 
     levels: int = 8
     """Levels of the hash grid."""
@@ -43,15 +41,25 @@ class FieldSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BackgroundSpec:
-    """Camera samples where no LiDAR return ever was: above its reach and beyond it."""
+class CameraSpec:
+    """The networks that choose depths for recorded images and blend them; one pair for all cameras."""
 
-    samples: int = 12
-    """Samples a ray, evenly spaced in log distance."""
-    near_m: float = 3.0
-    """First sample."""
+    sources: int = 4
+    """Nearest training images that a view is made of."""
+    planes: int = 48
+    """Depths that are compared, evenly spaced in inverse depth."""
+    near_m: float = 2.5
+    """Nearest plane."""
     far_m: float = 300.0
-    """Last sample; what lies beyond is sky."""
+    """Farthest plane."""
+    width_px: int = 352
+    """Planes are compared on images shrunk by a whole number to about this width."""
+    depth_channels: tuple[int, int] = (12, 16)
+    """Widths of the network over planes, at its two resolutions."""
+    blend_channels: tuple[int, int] = (24, 32)
+    """Widths of the network that blends, at half resolution and below."""
+    judge_every: int = 9
+    """Of so many training images one is never learned from but decides whether learning beat `reproject`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +69,7 @@ class TrainingSpec:
     steps: int
     """Optimiser steps."""
     rays: int
-    """Rays a step, drawn from all training frames."""
+    """Rays a step, drawn from all training frames; of the camera's networks: pixels of one crop a step."""
     table_rate: float = 1e-2
     """Adam's step size for the hash tables."""
     network_rate: float = 3e-3
@@ -84,8 +92,12 @@ class LossWeights:
     """Of the cross-entropy of the hit probability, nats."""
     intensity: float = 5.0
     """Of the squared intensity error."""
-    colour: float = 1.0
+    colour: float = 10.0
     """Of the squared colour error."""
+    colour_distance: float = 0.3
+    """Of the absolute colour error, which keeps edges sharper than its square."""
+    plane: float = 0.5
+    """Of the absolute colour error that a depth plane is believed to have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,8 +109,8 @@ class ResidualRecipe(Recipe):
 
     evidence: EvidenceSpec = EvidenceSpec()
     lidar_field: FieldSpec = FieldSpec()
-    camera_field: FieldSpec = FieldSpec(levels=10, coarsest_cell_m=16.0, finest_cell_m=0.05, decoded=12)
-    background: BackgroundSpec = BackgroundSpec()
+    camera: CameraSpec = CameraSpec()
     lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
-    camera_training: TrainingSpec = TrainingSpec(steps=900, rays=2048)
+    depth_training: TrainingSpec = TrainingSpec(steps=400, rays=8064, network_rate=5e-3)
+    camera_training: TrainingSpec = TrainingSpec(steps=600, rays=36864, network_rate=2e-3)
     losses: LossWeights = LossWeights()

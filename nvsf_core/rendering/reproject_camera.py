@@ -17,6 +17,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.splat import splat_depth
+from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shrunk, source_pixels, to_float
 
 FAR_M = 300.0
 """Depth of the sky, and of everything where there is no LiDAR at all."""
@@ -77,24 +78,24 @@ def render_by_warping(
     """
     _check(pinhole, source_images, source_poses)
     chosen = nearest_sources(target_pose, source_poses)
-    images = _to_float(source_images[chosen])
-    motions = [_motion(target_pose, source_poses[i]) for i in chosen]
+    images = to_float(source_images[chosen])
+    motions = [relative_motion(target_pose, source_poses[i]) for i in chosen]
     if source_valid is None:
         source_valid = np.ones((pinhole.height, pinhole.width), np.bool_)
     valid = torch.from_numpy(source_valid).float()[None]
     depth_m, gap_px = view_depth(target_pose, pinhole, depth_points_local)
     inverse = torch.from_numpy(1.0 / depth_m)
-    rays = _rays(pinhole)
+    rays = plane_rays(pinhole)
     if sweep is not None and len(chosen) == 2 and _baseline(source_poses[chosen]) > _BASELINE_FLOOR_M:
         gap = torch.from_numpy(gap_px)
         inverse = _sweep(images, motions, pinhole, inverse, gap, sweep)
     total = torch.zeros(3, pinhole.height, pinhole.width)
     weight = torch.zeros(pinhole.height, pinhole.width)
     for image, motion, index in zip(images, motions, chosen, strict=True):
-        grid, seen = _source_pixels(motion, rays, inverse, pinhole)
-        seen = seen & (_sample(valid, grid)[0] > 0.999)
+        grid, seen = source_pixels(motion, rays, inverse, pinhole)
+        seen = seen & (sample(valid, grid)[0] > 0.999)
         share = seen / (_distance(target_pose, source_poses[index]) + _BASELINE_FLOOR_M)
-        total += share * _sample(image, grid)
+        total += share * sample(image, grid)
         weight += share
     answered = weight > 0
     rgb = torch.where(answered, total / weight.clamp_min(1e-12), 0.0)
@@ -102,10 +103,10 @@ def render_by_warping(
     return rgb_u8.permute(1, 2, 0).contiguous().numpy(), answered.numpy()
 
 
-def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray) -> list[int]:
-    """Indices of the (at most) two sources nearest in place, the nearest first; ties keep their order."""
+def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
+    """Indices of the (at most) `most` sources nearest in place, the nearest first; ties keep their order."""
     distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
-    return [int(i) for i in np.argsort(distances, kind="stable")[:2]]
+    return [int(i) for i in np.argsort(distances, kind="stable")[:most]]
 
 
 def view_depth(
@@ -140,11 +141,11 @@ def _sweep(
 ) -> Tensor:
     """Replace inverse depth far from returns by that at which both images agree best."""
     factor = max(1, round(pinhole.width / options.width_px))
-    small = _shrunk(pinhole, factor)
+    small = shrunk(pinhole, factor)
     grey = functional.avg_pool2d(images.mean(dim=1, keepdim=True), factor)
     size = (small.height, small.width)
     prior = functional.interpolate(inverse[None, None], size, mode="nearest")[0, 0]
-    rays = _rays(small)
+    rays = plane_rays(small)
     # Without a single return the fill is a placeholder: pulling towards it cost 0.6 dB on a real street.
     pull = options.pull if bool(torch.isfinite(gap_px).any()) else 0.0
     span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
@@ -155,8 +156,8 @@ def _sweep(
         seen_by_both = torch.ones(size, dtype=torch.bool)
         warped = []
         for image, motion in zip(grey, motions, strict=True):
-            grid, seen = _source_pixels(motion, rays, candidate, small)
-            warped.append(_sample(image, grid)[0])
+            grid, seen = source_pixels(motion, rays, candidate, small)
+            warped.append(sample(image, grid)[0])
             seen_by_both &= seen
         difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), _UNSEEN_COST)
         cost = _box_mean(difference, options.window_px) + pull * (plane - prior).abs() / span
@@ -167,55 +168,11 @@ def _sweep(
     return torch.where(gap_px > options.beyond_px, found, inverse)
 
 
-def _shrunk(pinhole: Pinhole, factor: int) -> Pinhole:
-    """The camera of an image whose pixels are means of factor x factor ones."""
-    return Pinhole(
-        fx=pinhole.fx / factor,
-        fy=pinhole.fy / factor,
-        cx=(pinhole.cx + 0.5) / factor - 0.5,
-        cy=(pinhole.cy + 0.5) / factor - 0.5,
-        width=pinhole.width // factor,
-        height=pinhole.height // factor,
-    )
-
-
 def _box_mean(image: Tensor, side: int) -> Tensor:
     """Mean over a square window, one axis after the other."""
     half = side // 2
     rows = functional.avg_pool2d(image[None, None], (side, 1), 1, (half, 0), count_include_pad=False)
     return functional.avg_pool2d(rows, (1, side), 1, (0, half), count_include_pad=False)[0, 0]
-
-
-def _source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
-    """Where a source shows each pixel: grid_sample's coordinates (H, W, 2), and whether it does.
-
-    A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
-    """
-    point = rays @ motion[:3, :3].T + inverse[..., None] * motion[:3, 3]
-    front = point[..., 2] > 1e-3
-    divisor = torch.where(front, point[..., 2], 1.0)
-    u = pinhole.fx * point[..., 0] / divisor + pinhole.cx
-    v = pinhole.fy * point[..., 1] / divisor + pinhole.cy
-    seen = front & (u >= 0) & (u <= pinhole.width - 1) & (v >= 0) & (v <= pinhole.height - 1)
-    grid = torch.stack([(2 * u + 1) / pinhole.width - 1, (2 * v + 1) / pinhole.height - 1], dim=-1)
-    return grid, seen
-
-
-def _sample(image: Tensor, grid: Tensor) -> Tensor:
-    """Bilinear values (c, H, W) of an image (c, h, w)."""
-    return functional.grid_sample(
-        image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
-    )[0]
-
-
-def _rays(pinhole: Pinhole) -> Tensor:
-    """(H, W, 3) float32 directions (x, y, 1), so that depth is along z."""
-    directions = pinhole.rays(pinhole.pixels())
-    return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32))
-
-
-def _motion(target_pose: np.ndarray, source_pose: np.ndarray) -> Tensor:
-    return torch.from_numpy((invert_pose(source_pose) @ target_pose).astype(np.float32))
 
 
 def _distance(first: np.ndarray, second: np.ndarray) -> float:
@@ -224,10 +181,6 @@ def _distance(first: np.ndarray, second: np.ndarray) -> float:
 
 def _baseline(poses: np.ndarray) -> float:
     return _distance(poses[0], poses[1])
-
-
-def _to_float(images: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float() / 255.0
 
 
 def _check(pinhole: Pinhole, images: np.ndarray, poses: np.ndarray) -> None:

@@ -5,13 +5,15 @@ import numpy as np
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.rendering.reproject_camera import render_by_warping
-from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import evidence_renderer
 from nvsf_core.stages.evidence import Sweeps
 from nvsf_core.stages.recording import Recording
 
 _DEPTH_SCANS = 10
 """Training scans around a view whose returns give the warped images their depth."""
+_SAME_INSTANT_S = 0.03
+"""A scan nearer than this to an image is of the same frame."""
 
 
 def reprojection(recording: Recording) -> SceneModel:
@@ -28,32 +30,44 @@ def reprojection(recording: Recording) -> SceneModel:
             most=spec.lidar_candidates,
             far_m=recording.lidar.far_m,
         )
+    camera = warping_renderer(recording) if recording.cameras else None
+    return SceneModel(lidar=lidar, camera=camera, votes=spec.votes)
+
+
+def warping_renderer(recording: Recording) -> ImageRenderer:
+    """The two nearest training images, warped by the LiDAR's depth and averaged."""
 
     def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
         images = recording.cameras[camera].training
-        valid = np.zeros(pinhole.height * pinhole.width, np.bool_)
-        valid[images.pixel] = True
-        points = _depth_points(recording, time_s)
-        shape = (pinhole.height, pinhole.width)
+        points = depth_points(recording, time_s)
         rgb, _ = render_by_warping(
-            pose, pinhole, points, images.rgb, images.pose, source_valid=valid.reshape(shape)
+            pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid
         )
         return rgb
 
-    return SceneModel(lidar=lidar, camera=warp if recording.cameras else None, votes=spec.votes)
+    return warp
 
 
-def _depth_points(recording: Recording, instant_s: float) -> np.ndarray:
-    """Points (m, 3) float32 scene-local that are known around an instant; none without LiDAR."""
+def depth_points(recording: Recording, instant_s: float, *, leave_out: bool = False) -> np.ndarray:
+    """Points (m, 3) float32 scene-local that are known around an instant; none without LiDAR.
+
+    Args:
+        recording: The drive.
+        instant_s: Seconds since the first frame.
+        leave_out: Do as if the scan of that instant were held out.
+    """
     if recording.lidar is None:
         return np.zeros((0, 3), np.float32)
-    return _returns_around(recording.lidar.sweeps, instant_s)
+    return _returns_around(recording.lidar.sweeps, instant_s, leave_out)
 
 
-def _returns_around(sweeps: Sweeps, instant_s: float) -> np.ndarray:
+def _returns_around(sweeps: Sweeps, instant_s: float, leave_out: bool) -> np.ndarray:
     """Returns (m, 3) scene-local of the training scans around an instant, without the own vehicle."""
     a = sweeps.arrays
     training = np.flatnonzero(sweeps.is_training)
+    if leave_out and len(training) > 1:
+        apart_s = np.abs(a["time_s"][training] - instant_s)
+        training = training[apart_s > _SAME_INSTANT_S]
     near = training[np.argsort(np.abs(a["time_s"][training] - instant_s), kind="stable")[:_DEPTH_SCANS]]
     parts = []
     for scan in near:

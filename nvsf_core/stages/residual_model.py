@@ -4,32 +4,26 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_field import CameraField
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.rendering.camera import Propose, no_surfaces, proven_surfaces
-from nvsf_core.simulation.camera_view import field_image_renderer
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.residual_camera import LEARNED, camera_renderer
 from nvsf_core.stores.checkpoints import load_tensors
-
-CAMERA_REACH_M = 30.0
-"""How far around the cameras' path the field's cells keep their size where no LiDAR proves an extent: a
-street's facades lie within; what is farther shares the contracted space."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualFields:
-    """The fields of one scene: one a sensor that the drive has."""
+    """What is learned of one scene, for each sensor that the drive has."""
 
     lidar: LidarField | None
-    camera: CameraField | None
+    camera: CameraNetworks | None
 
     def tensors(self) -> dict[str, Tensor]:
         """All weights, by sensor and name."""
@@ -44,34 +38,14 @@ class ResidualFields:
 
 def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
     """Untrained fields of this scene's size."""
-    bounds = scene_bounds(recording)
     lidar = camera = None
     if recording.lidar is not None:
+        mean = recording.lidar.evidence.surfels.mean_m
+        bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
         lidar = LidarField(recipe.lidar_field, bounds, torch.Generator().manual_seed(seed))
     if recording.cameras:
-        camera = CameraField(recipe.camera_field, bounds, torch.Generator().manual_seed(seed + 1))
+        camera = CameraNetworks(recipe.camera, torch.Generator().manual_seed(seed + 1))
     return ResidualFields(lidar=lidar, camera=camera)
-
-
-def scene_bounds(recording: Recording) -> Bounds:
-    """The cube around all proven surfaces; without LiDAR, around the cameras' path and its surroundings."""
-    if recording.lidar is not None:
-        mean = recording.lidar.evidence.surfels.mean_m
-        return Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
-    path = np.concatenate([camera.training.pose[:, :3, 3] for camera in recording.cameras.values()])
-    low, high = tuple(path.min(axis=0).tolist()), tuple(path.max(axis=0).tolist())
-    return Bounds.around(low, high, margin_m=CAMERA_REACH_M)
-
-
-def camera_surfaces(recipe: ResidualRecipe, recording: Recording) -> Propose:
-    """What a camera ray starts from: the LiDAR's surfaces, or nothing."""
-    if recording.lidar is None:
-        return no_surfaces
-    return proven_surfaces(
-        recording.lidar.evidence.surfels,
-        most=recipe.evidence.camera_candidates,
-        far_m=recipe.background.far_m,
-    )
 
 
 def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
@@ -83,7 +57,7 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     """
     recipe = ResidualRecipe.from_json(json.loads((folder / "recipe.json").read_text()))
     torch.set_num_threads(recipe.lidar_training.threads)
-    tensors, _ = load_tensors(folder / "weights.safetensors")
+    tensors, facts = load_tensors(folder / "weights.safetensors")
     fields = make_fields(recipe, recording, 0)
     lidar = camera = None
     if fields.lidar is not None and recording.lidar is not None:
@@ -96,8 +70,7 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
         )
     if fields.camera is not None:
         fields.camera.load_state_dict(_named(tensors, "camera."))
-        propose = camera_surfaces(recipe, recording)
-        camera = field_image_renderer(fields.camera, propose, recipe.background)
+        camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED])
     return SceneModel(lidar=lidar, camera=camera, votes=recipe.evidence.votes)
 
 

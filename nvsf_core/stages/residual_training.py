@@ -9,9 +9,9 @@ import torch
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 from nvsf_core.stages.fitting import Trained, fit
 from nvsf_core.stages.recording import LidarRecording, Recording
-from nvsf_core.stages.residual_model import camera_surfaces, make_fields
+from nvsf_core.stages.residual_camera import LEARNED, train_camera
+from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.stage import Scalar, Task
-from nvsf_core.training.camera_step import camera_step
 from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 from nvsf_core.training.lidar_step import lidar_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
@@ -34,14 +34,13 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
             task, work, "lidar", _state(task, field, recipe.lidar_training, 0), recipe.lidar_training,
             lambda _, generator: [lidar_step(field, evidence.surfels, rays, recipe, far_m, generator)],
         )  # fmt: skip
+    facts: dict[str, object] = {}
     if fields.camera is not None:
-        camera, propose = fields.camera, camera_surfaces(recipe, recording)
-        images = [one.training for one in recording.cameras.values()]
-        metadata["training_pixels"] = sum(len(one.rgb) * len(one.pixel) for one in images)
-        states["camera"] = fit(
-            task, work, "camera", _state(task, camera, recipe.camera_training, 1), recipe.camera_training,
-            lambda _, generator: [camera_step(camera, propose, images, recipe, generator)],
-        )  # fmt: skip
+        trained = train_camera(task, work, fields.camera, recipe, recording)
+        states |= trained.states
+        seconds += trained.preparation_seconds
+        metadata |= trained.metadata
+        facts[LEARNED] = trained.learned
     for sensor, state in states.items():
         metadata[f"{sensor}_seconds"] = state.seconds
     return Trained(
@@ -49,6 +48,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
         curves={sensor: state.curve for sensor, state in states.items()},
         seconds=seconds + sum(state.seconds for state in states.values()),
         metadata=metadata,
+        facts=facts,
     )
 
 

@@ -1,25 +1,88 @@
-"""One training step on pixels."""
+"""Training steps of the camera's networks: each training image is shown by the others."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 import torch
+from torch import Tensor
 
-from nvsf_core.fields.camera_field import CameraField
-from nvsf_core.losses.colour import colour_loss
+from nvsf_core.fields.camera_networks import BlendNetwork, DepthNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.rendering.camera import Propose, render_colour
-from nvsf_core.training.pixels import CameraImages, draw_pixels
+from nvsf_core.rendering.learned_warp import CameraView, Window, blend_sources, planes_of
+from nvsf_core.rendering.plane_volume import DepthBelief, Sources
 
 
-def camera_step(
-    field: CameraField,
-    propose: Propose,
-    cameras: list[CameraImages],
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A training image and what the others know of it."""
+
+    view: CameraView
+    """Without the image itself, and without the scan of its instant."""
+    truth: Tensor
+    """(3, H, W) uint8."""
+    small_truth: Tensor
+    """(3, h, w) float32 in 0..1, shrunk."""
+    small_sources: Sources
+    """The view's, shrunk."""
+
+
+def depth_step(
+    network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
+) -> LossBreakdown:
+    """Compare a window's planes, weighted by what is believed of them, with a left-out image."""
+    example = _drawn(examples, generator)
+    shape = (example.view.small.height, example.view.small.width)
+    window = draw_window(shape, recipe.depth_training.rays, generator)
+    probability, colour = planes_of(network, example.view, example.small_sources, recipe.camera, window)
+    truth = example.small_truth[:, *window]
+    mean = (probability[:, None] * colour).sum(dim=0)
+    plane_error = (colour - truth).abs().mean(dim=1)
+    shown = _shown(example, window, shrunk=True)
+    terms = {
+        "colour": (mean - truth).square().mean(dim=0)[shown],
+        "plane": (probability * plane_error).sum(dim=0)[shown],
+    }
+    return total_loss(terms, asdict(recipe.losses))
+
+
+def blend_step(
+    network: BlendNetwork,
+    examples: Sequence[LeftOut],
+    beliefs: Sequence[DepthBelief],
     recipe: ResidualRecipe,
     generator: torch.Generator,
 ) -> LossBreakdown:
-    """Draw pixels from all training images, render them, and compare with what was recorded."""
-    origin, direction, colour = draw_pixels(cameras, recipe.camera_training.rays, generator)
-    shown = render_colour(field, propose(origin, direction), recipe.background)
-    return total_loss(
-        {"colour": colour_loss(shown, torch.from_numpy(colour))}, {"colour": recipe.losses.colour}
-    )
+    """Blend a window of a left-out image and compare."""
+    index = int(torch.randint(len(examples), (), generator=generator))
+    example = examples[index]
+    shape = (example.view.pinhole.height, example.view.pinhole.width)
+    window = draw_window(shape, recipe.camera_training.rays, generator)
+    shown = blend_sources(network, example.view, beliefs[index], window)
+    difference = shown - example.truth[:, *window].float() / 255.0
+    answered = _shown(example, window, shrunk=False)
+    terms = {
+        "colour": difference.square().mean(dim=0)[answered],
+        "colour_distance": difference.abs().mean(dim=0)[answered],
+    }
+    return total_loss(terms, asdict(recipe.losses))
+
+
+def draw_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:
+    """A window of about so many pixels, half as wide again as high, anywhere in an image (rows, columns)."""
+    height = min(shape[0], max(1, round(math.sqrt(pixels / 1.5))))
+    width = min(shape[1], max(1, pixels // height))
+    row = int(torch.randint(shape[0] - height + 1, (), generator=generator))
+    column = int(torch.randint(shape[1] - width + 1, (), generator=generator))
+    return slice(row, row + height), slice(column, column + width)
+
+
+def _drawn(examples: Sequence[LeftOut], generator: torch.Generator) -> LeftOut:
+    return examples[int(torch.randint(len(examples), (), generator=generator))]
+
+
+def _shown(example: LeftOut, window: Window, *, shrunk: bool) -> Tensor:
+    """(h, w) bool: pixels of the window at which the left-out image shows anything."""
+    valid = example.small_sources.image[0, 3] if shrunk else example.view.valid[0]
+    return valid[window] > 0.999

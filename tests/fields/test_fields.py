@@ -5,12 +5,10 @@ import pytest
 import torch
 
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.fields.camera_field import CameraField
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.recipe import BackgroundSpec, FieldSpec
-from nvsf_core.rendering.camera import render_colour
+from nvsf_core.recipe import FieldSpec
 from nvsf_core.rendering.lidar import answer_rays, render_lidar
 from nvsf_core.rendering.reproject import reproject_rays
 
@@ -76,17 +74,6 @@ def test_a_ray_without_any_surface_has_finite_gradients(scene) -> None:
     rendered = render_lidar(field, batch, torch.full((64,), 0.5))
     rendered.hit_logit.sum().backward()
     assert all(p.grad is None or torch.isfinite(p.grad).all() for p in field.parameters())
-
-
-def test_colours_stay_between_black_and_white_and_the_sky_learns(scene) -> None:
-    surfels, origin, direction = scene
-    field = CameraField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
-    batch = surface_batch(surfels, origin, direction, most=8, near_m=0.5, far_m=50.0)
-    colour = render_colour(field, batch, BackgroundSpec(samples=4))
-    assert colour.shape == (64, 3)
-    assert ((colour >= 0) & (colour <= 1)).all()
-    colour.sum().backward()
-    assert all(p.grad is not None and torch.isfinite(p.grad).all() for p in field.sky.parameters())
 
 
 def test_the_contraction_maps_all_of_space_into_the_unit_box() -> None:

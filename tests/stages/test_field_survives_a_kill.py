@@ -22,9 +22,9 @@ SLOW = replace(
     preset("smoke"),
     name="slow",
     lidar_field=_GRID,
-    camera_field=_GRID,
     lidar_training=TrainingSpec(steps=300, rays=64, checkpoint_s=0.0, threads=1),
-    camera_training=TrainingSpec(steps=5, rays=32, checkpoint_s=0.0, threads=1),
+    depth_training=TrainingSpec(steps=5, rays=512, checkpoint_s=0.0, threads=1),
+    camera_training=TrainingSpec(steps=5, rays=512, checkpoint_s=0.0, threads=1),
 )
 
 

@@ -15,7 +15,6 @@ from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.recording import read_recording
-from nvsf_core.stages.residual_model import CAMERA_REACH_M, scene_bounds
 from nvsf_core.stages.view_planning import held_out_view
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.checkpoints import load_tensors
@@ -30,9 +29,9 @@ _GRID = FieldSpec(levels=2, log2_table=8)
 SMOKE = replace(
     preset("smoke"),
     lidar_field=_GRID,
-    camera_field=_GRID,
     lidar_training=TrainingSpec(steps=20, rays=128, threads=1),
-    camera_training=TrainingSpec(steps=20, rays=128, threads=1),
+    depth_training=TrainingSpec(steps=20, rays=512, threads=1),
+    camera_training=TrainingSpec(steps=20, rays=512, threads=1),
 )
 """The recipe `smoke` with smaller tables, for speed."""
 METHODS = ("copy_nearest", "model", "reproject")
@@ -156,14 +155,6 @@ def test_the_report_of_a_camera_only_drive_has_no_scan_in_it(camera_only: Run) -
     page = camera_only.report()
     assert "Camera image_00, frame 2" in page
     assert "What the laser scanner sees, unrolled" not in page
-
-
-def test_without_lidar_the_bounds_are_the_path_and_its_reach(camera_only: Run) -> None:
-    recording = read_recording(plan_run(scene_of(camera_only.home), camera_only.home).store)
-    path = recording.cameras["image_00"].training.pose[:, :3, 3]
-    extent_m = float((path.max(axis=0) - path.min(axis=0)).max())
-    assert recording.lidar is None
-    assert scene_bounds(recording).edge_m == pytest.approx(extent_m + 2.0 * CAMERA_REACH_M)
 
 
 def test_a_lidar_only_drive_passes_every_stage_and_ends_with_lidar_rows_alone(lidar_only: Run) -> None:

@@ -1,0 +1,145 @@
+"""What the cameras learn: which depths to believe, and how to blend what recorded images show there."""
+
+import math
+from typing import TypeVar, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from nvsf_core.fields.layers import undrawn
+from nvsf_core.recipe import CameraSpec
+
+_Layer = TypeVar("_Layer", nn.Conv2d, nn.Conv3d)
+
+HYPOTHESES = 3
+"""Depths that a pixel's colour is looked up at: the two that images agree on best, and the LiDAR's."""
+VOLUME_FEATURES = 12
+"""Channels that describe a depth plane of a pixel."""
+_RESIDUAL_MOST = 0.25
+"""Most that a colour may differ from a blend of what was seen, of 0..1."""
+_UNSEEN_LOGIT = -30.0
+_COARSE_PRIOR = 0.05
+"""Share of the coarse colour in the blend before anything is learned."""
+_SHRINKS_BY = 8
+_OFFSET = torch.tensor([0.02, 0.01, 0.01])
+"""What each hypothesis is believed at least before anything is learned."""
+
+
+class DepthNetwork(nn.Module):
+    """Logits of a pixel's depth planes from how well the sources agree there; 3-D, two strides deep."""
+
+    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`."""
+        super().__init__()
+        a, b = spec.depth_channels
+        self.near = _drawn(undrawn(nn.Conv3d, VOLUME_FEATURES, 8, 1), generator)
+        self.down = _drawn(
+            undrawn(nn.Conv3d, VOLUME_FEATURES, a, 3, stride=cast(int, (1, 2, 2)), padding=1), generator
+        )
+        self.deep = _drawn(undrawn(nn.Conv3d, a, b, 3, stride=2, padding=1), generator)
+        self.deepest = _drawn(undrawn(nn.Conv3d, b, b, 3, padding=1), generator)
+        self.raise_deep = _drawn(undrawn(nn.Conv3d, b, a, 1), generator)
+        self.join = _drawn(undrawn(nn.Conv3d, a, a, 3, padding=1), generator)
+        self.raise_join = _drawn(undrawn(nn.Conv3d, a, 8, 1), generator)
+        self.logit = _drawn(undrawn(nn.Conv3d, 8, 1, 1), generator)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(d, h, w) logits from `features` (VOLUME_FEATURES, d, h, w)."""
+        volume = features[None]
+        wide = functional.relu(self.down(volume))
+        deep = functional.relu(self.deepest(functional.relu(self.deep(wide))))
+        wide = functional.relu(self.join(wide + _resized(self.raise_deep(deep), wide)))
+        full = functional.relu(self.near(volume) + _resized(self.raise_join(wide), volume))
+        logits: Tensor = self.logit(full)[0, 0]
+        return logits
+
+
+class BlendNetwork(nn.Module):
+    """A pixel's colour: a weighted mean of what the sources show at its hypotheses, plus a small residual.
+
+    Silent before training: the mean then follows what the depth network believes and how near a
+    source is, and the residual is 0.
+    """
+
+    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`."""
+        super().__init__()
+        self.seen = HYPOTHESES * spec.sources
+        w, deep = spec.blend_channels
+        self.first = _drawn(
+            undrawn(nn.Conv2d, 4 * self.seen + HYPOTHESES + 3, w, 4, stride=2, padding=1), generator
+        )
+        self.second = _drawn(undrawn(nn.Conv2d, w, w, 3, padding=1), generator)
+        self.down = _drawn(undrawn(nn.Conv2d, w, deep, 3, stride=2, padding=1), generator)
+        self.mixed = _drawn(undrawn(nn.Conv2d, deep, deep, 3, padding=1), generator)
+        self.deep = _drawn(undrawn(nn.Conv2d, deep, deep, 3, stride=2, padding=1), generator)
+        self.deepest = _drawn(undrawn(nn.Conv2d, deep, deep, 3, padding=1), generator)
+        self.raise_deep = _drawn(undrawn(nn.Conv2d, deep, deep, 1), generator)
+        self.join = _drawn(undrawn(nn.Conv2d, deep, deep, 3, padding=1), generator)
+        self.raise_join = _drawn(undrawn(nn.Conv2d, deep, w, 1), generator)
+        self.last = _drawn(undrawn(nn.Conv2d, w, w, 3, padding=1), generator)
+        self.out = _drawn(undrawn(nn.Conv2d, w, 4 * (self.seen + 1 + 3), 3, padding=1), generator)
+        with torch.no_grad():
+            self.out.weight.zero_()
+
+    def forward(
+        self, colour: Tensor, seen: Tensor, belief: Tensor, coarse: Tensor, nearness: Tensor
+    ) -> Tensor:
+        """Colour (3, h, w), about 0..1.
+
+        Args:
+            colour: (s, 3, h, w) of s = hypotheses x sources, a hypothesis' sources side by side.
+            seen: (s, h, w) bool, the source shows it.
+            belief: (3, h, w) in 0..1: probability of both sweep hypotheses, trust in the LiDAR's.
+            coarse: (3, h, w), the mean over all depth planes, blurred and without holes.
+            nearness: (k,) of the sources, 1 for the nearest.
+        """
+        height, width = coarse.shape[-2:]
+        weighted = seen * nearness.repeat(HYPOTHESES)[:, None, None]
+        offset = ((colour - coarse) * seen[:, None]).flatten(0, 1)
+        out = self._network(torch.cat([offset, weighted, belief, coarse - 0.5])[None])[:, :height, :width]
+        free = 1.0 - belief[2]
+        share = torch.stack([belief[0] * free, belief[1] * free, belief[2]]) + _OFFSET[:, None, None]
+        prior = (share[:, None] * nearness[None, :, None, None]).flatten(0, 1)
+        prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)]).log()
+        logits = out[: self.seen + 1] + prior
+        shown = torch.cat([seen, torch.ones_like(seen[:1])])
+        weights = torch.where(shown, logits, _UNSEEN_LOGIT).softmax(dim=0)
+        blended = (weights[:-1, None] * colour).sum(dim=0) + weights[-1] * coarse
+        return blended + _RESIDUAL_MOST * torch.tanh(out[self.seen + 1 :])
+
+    def _network(self, x: Tensor) -> Tensor:
+        height, width = x.shape[-2:]
+        x = functional.pad(x, (0, -width % _SHRINKS_BY, 0, -height % _SHRINKS_BY), mode="replicate")
+        wide = functional.relu(self.second(functional.relu(self.first(x))))
+        mixed = functional.relu(self.mixed(functional.relu(self.down(wide))))
+        deep = functional.relu(self.deepest(functional.relu(self.deep(mixed))))
+        mixed = functional.relu(self.join(mixed + _resized(self.raise_deep(deep), mixed)))
+        wide = functional.relu(self.last(wide + _resized(self.raise_join(mixed), wide)))
+        # Two by two outputs of a pixel of half resolution are its four pixels.
+        return functional.pixel_shuffle(self.out(wide), 2)[0]
+
+
+class CameraNetworks(nn.Module):
+    """Both networks of a drive, shared by its cameras."""
+
+    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`."""
+        super().__init__()
+        self.depth = DepthNetwork(spec, generator)
+        self.blend = BlendNetwork(spec, generator)
+
+
+def _resized(x: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(x, like.shape[2:], mode="nearest")
+
+
+def _drawn(layer: _Layer, generator: torch.Generator) -> _Layer:
+    """Weights uniform with a variance of 1 over the number of inputs; biases 0."""
+    bound = math.sqrt(3.0 / layer.weight[0].numel())
+    with torch.no_grad():
+        layer.weight.uniform_(-bound, bound, generator=generator)
+        if layer.bias is not None:
+            layer.bias.zero_()
+    return layer

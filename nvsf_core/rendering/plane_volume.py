@@ -1,0 +1,160 @@
+"""A view's depth planes as its source images show them: colours, agreement, and the LiDAR's word."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.warping import sample, source_pixels
+
+_UNSEEN_DIFFERENCE = 0.25
+"""Difference in colour that counts where fewer than two sources show a plane."""
+_NEAREST = 2
+"""Sources that count fully in a plane's colour; farther ones fill in."""
+_FARTHER_WEIGHT = 0.3
+_WINDOW_PX = 5
+_TRUST_PX = 3.0
+"""Distance in the shrunk image over which a return's depth loses its hold."""
+_CLAMP_PLANES = 8.0
+_MODE_PLANES = 2
+"""Planes on either side that count as one depth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Recorded images around a view, the nearest first."""
+
+    image: Tensor
+    """(k, 4, H, W) float32: colour in 0..1, and 1 where the pixel shows anything."""
+    motion: Tensor
+    """(k, 4, 4) float32 from the view's frame to the source's."""
+    nearness: Tensor
+    """(k,) float32, 1 for the nearest; inversely proportional to the distance. 0: a place holder."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneVolume:
+    """What k sources show on d depth planes of a view."""
+
+    colour: Tensor
+    """(k, d, 3, h, w) in 0..1."""
+    seen: Tensor
+    """(k, d, h, w) bool."""
+
+    def mean_colour(self) -> Tensor:
+        """(d, 3, h, w), mostly of the two nearest sources; 0 where none shows a plane."""
+        weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT)
+        weight[:_NEAREST] = 1.0
+        weight = weight * self.seen[:, :, None]
+        return (weight * self.colour).sum(dim=0) / weight.sum(dim=0).clamp_min(1e-6)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthBelief:
+    """What a view's shrunk pixels are believed to show, before full resolution is looked at."""
+
+    inverse: Tensor
+    """(2, h, w) 1/m: the likeliest depth and the likeliest other one."""
+    probability: Tensor
+    """(2, h, w) of both."""
+    colour: Tensor
+    """(3, h, w) mean over all planes."""
+
+    def stacked(self) -> Tensor:
+        """All of it as channels (7, h, w)."""
+        return torch.cat([self.inverse, self.probability, self.colour])
+
+
+def plane_inverses(spec: CameraSpec) -> Tensor:
+    """(d,) inverse depths, 1/m, evenly spaced."""
+    return torch.linspace(1.0 / spec.far_m, 1.0 / spec.near_m, spec.planes)
+
+
+def plane_volume(sources: Sources, rays: Tensor, pinhole: Pinhole, inverses: Tensor) -> PlaneVolume:
+    """Look every plane up in every source.
+
+    Args:
+        sources: Shrunk images of the camera `pinhole`.
+        rays: (h, w, 3) of the shrunk pixels, a window or all.
+        pinhole: Of the shrunk images.
+        inverses: (d,) of the planes.
+    """
+    planes, (height, width) = len(inverses), rays.shape[:2]
+    colours, shown = [], []
+    for image, motion, nearness in zip(sources.image, sources.motion, sources.nearness, strict=True):
+        grid, inside = source_pixels(motion, rays, inverses[:, None, None], pinhole)
+        found = sample(image, grid.reshape(planes * height, width, 2)).reshape(4, planes, height, width)
+        colours.append(found[:3].transpose(0, 1))
+        shown.append(inside & (found[3] > 0.999) & (nearness > 0))
+    return PlaneVolume(torch.stack(colours), torch.stack(shown))
+
+
+def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
+    """(VOLUME_FEATURES, d, h, w) for the depth network.
+
+    Args:
+        volume: What the sources show.
+        prior: (h, w) inverse depth that the LiDAR gives.
+        gap_px: (h, w) distance to the nearest return in shrunk pixels, inf where there is none at all.
+        inverses: (d,) of the planes.
+    """
+    seen = volume.seen[:, :, None].float()
+    count = seen.sum(dim=0)
+    mean = (volume.colour * seen).sum(dim=0) / count.clamp_min(1e-6)
+    spread = ((volume.colour - mean).abs() * seen).sum(dim=0) / count.clamp_min(1e-6)
+    count = count[:, 0]
+    spread = torch.where(count > 1.5, spread.mean(dim=1), _UNSEEN_DIFFERENCE)
+    pair = spread
+    if len(seen) > 1:
+        difference = (volume.colour[0] - volume.colour[1]).abs().mean(dim=1)
+        pair = torch.where(volume.seen[0] & volume.seen[1], difference, _UNSEEN_DIFFERENCE)
+    # Without a single return the prior is a placeholder that says nothing.
+    is_known = torch.isfinite(gap_px).float()
+    trust = torch.exp(-gap_px / _TRUST_PX)
+    offset = (inverses[:, None, None] - prior) / (inverses[1] - inverses[0]) * is_known
+    at_prior = torch.exp(-0.5 * offset**2) * is_known
+    return torch.stack(
+        [
+            4.0 * spread,
+            4.0 * pair,
+            4.0 * _window_mean(spread),
+            4.0 * _window_mean(pair),
+            count / len(seen),
+            at_prior * trust,
+            at_prior * (1.0 - trust),
+            offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,
+            trust.expand_as(spread),
+            *mean.unbind(dim=1),
+        ]
+    )
+
+
+def depth_belief(probability: Tensor, mean_colour: Tensor, inverses: Tensor) -> DepthBelief:
+    """Two depths of each pixel from the planes' probabilities (d, h, w) and colours (d, 3, h, w)."""
+    first = probability.argmax(dim=0)
+    apart = (torch.arange(len(inverses))[:, None, None] - first).abs() > _MODE_PLANES + 1
+    second = (probability * apart).argmax(dim=0)
+    modes = [_mode(probability, index, inverses) for index in (first, second)]
+    return DepthBelief(
+        inverse=torch.stack([inverse for inverse, _ in modes]),
+        probability=torch.stack([mass for _, mass in modes]),
+        colour=(probability[:, None] * mean_colour).sum(dim=0),
+    )
+
+
+def _mode(probability: Tensor, index: Tensor, inverses: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean inverse depth (h, w) of the planes around one, and their probability."""
+    planes = index + torch.arange(-_MODE_PLANES, _MODE_PLANES + 1)[:, None, None]
+    inside = (planes >= 0) & (planes < len(inverses))
+    planes = planes.clamp(0, len(inverses) - 1)
+    near = probability.gather(0, planes) * inside
+    mass = near.sum(dim=0)
+    return (near * inverses[planes]).sum(dim=0) / mass.clamp_min(1e-9), mass
+
+
+def _window_mean(costs: Tensor) -> Tensor:
+    half = _WINDOW_PX // 2
+    return functional.avg_pool2d(costs[None], _WINDOW_PX, 1, half, count_include_pad=False)[0]

@@ -1,0 +1,62 @@
+"""Where a recorded image shows what a wanted view sees at a depth, and its values there."""
+
+import functools
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import invert_pose
+
+
+def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
+    """Where a source shows each pixel: grid_sample's coordinates (H, W, 2), and whether it does.
+
+    A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
+    """
+    point = rays @ motion[:3, :3].T + inverse[..., None] * motion[:3, 3]
+    front = point[..., 2] > 1e-3
+    divisor = torch.where(front, point[..., 2], 1.0)
+    u = pinhole.fx * point[..., 0] / divisor + pinhole.cx
+    v = pinhole.fy * point[..., 1] / divisor + pinhole.cy
+    seen = front & (u >= 0) & (u <= pinhole.width - 1) & (v >= 0) & (v <= pinhole.height - 1)
+    grid = torch.stack([(2 * u + 1) / pinhole.width - 1, (2 * v + 1) / pinhole.height - 1], dim=-1)
+    return grid, seen
+
+
+def sample(image: Tensor, grid: Tensor) -> Tensor:
+    """Bilinear values (c, H, W) of an image (c, h, w)."""
+    return functional.grid_sample(
+        image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
+    )[0]
+
+
+@functools.lru_cache(maxsize=16)
+def plane_rays(pinhole: Pinhole) -> Tensor:
+    """(H, W, 3) float32 directions (x, y, 1), so that depth is along z."""
+    directions = pinhole.rays(pinhole.pixels())
+    return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32))
+
+
+def relative_motion(target_pose: np.ndarray, source_pose: np.ndarray) -> Tensor:
+    """(4, 4) float32 from the wanted camera's frame to a source's."""
+    return torch.from_numpy((invert_pose(source_pose) @ target_pose).astype(np.float32))
+
+
+def shrunk(pinhole: Pinhole, factor: int) -> Pinhole:
+    """The camera of an image whose pixels are means of factor x factor ones."""
+    return Pinhole(
+        fx=pinhole.fx / factor,
+        fy=pinhole.fy / factor,
+        cx=(pinhole.cx + 0.5) / factor - 0.5,
+        cy=(pinhole.cy + 0.5) / factor - 0.5,
+        width=pinhole.width // factor,
+        height=pinhole.height // factor,
+    )
+
+
+def to_float(images: np.ndarray) -> Tensor:
+    """Images (k, H, W, 3) uint8 as (k, 3, H, W) float32 in 0..1."""
+    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float() / 255.0

@@ -1,0 +1,156 @@
+"""The residual recipes' camera: its networks trained by leaving images out, judged, and rendered with."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.metrics.elementwise import psnr
+from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.rendering.learned_warp import CameraView, believe_depth, camera_view, render_view
+from nvsf_core.rendering.reproject_camera import render_by_warping
+from nvsf_core.rendering.warping import to_float
+from nvsf_core.simulation.scene_model import ImageRenderer
+from nvsf_core.stages.fitting import fit
+from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.reprojection import depth_points, warping_renderer
+from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.training.camera_step import LeftOut, blend_step, depth_step
+from nvsf_core.training.loop import TrainingState, make_optimiser
+
+LEARNED = "learned_cameras"
+"""Name of the fact: cameras whose networks beat `reproject` on left-out images."""
+_FEWEST_IMAGES = 3
+"""With fewer, an image that is left out has no two others to be shown by."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedCamera:
+    """What training gave beside the networks' weights."""
+
+    states: dict[str, TrainingState]
+    preparation_seconds: float
+    metadata: dict[str, Scalar]
+    learned: list[str]
+    """Cameras that the networks show; the others stay with `reproject`."""
+
+
+def train_camera(
+    task: Task, work: Path, networks: CameraNetworks, recipe: ResidualRecipe, recording: Recording
+) -> TrainedCamera:
+    """Train both networks, one after the other, on every image that is not a judge, then ask the judges."""
+    started = time.perf_counter()
+    usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
+    examples = [
+        left_out(recording, name, index, recipe.camera)
+        for name in usable
+        for index in range(_images(recording, name))
+        if index not in judges(_images(recording, name), recipe.camera)
+    ]
+    if not examples:
+        return TrainedCamera({}, 0.0, {"camera_shows": "reproject: too few images to learn from"}, [])
+    task.progress(f"[{task.scene.name}] field, camera: {len(examples)} images to learn from")
+    preparation = time.perf_counter() - started
+    depth = _fresh(task, networks.depth, recipe.depth_training, 1)
+    fit(
+        task, work, "depth", depth, recipe.depth_training,
+        lambda _, generator: [depth_step(networks.depth, examples, recipe, generator)],
+    )  # fmt: skip
+    started = time.perf_counter()
+    beliefs = [believe_depth(networks.depth, example.view, recipe.camera) for example in examples]
+    preparation += time.perf_counter() - started
+    blend = _fresh(task, networks.blend, recipe.camera_training, 2)
+    fit(
+        task, work, "camera", blend, recipe.camera_training,
+        lambda _, generator: [blend_step(networks.blend, examples, beliefs, recipe, generator)],
+    )  # fmt: skip
+    metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
+    learned = []
+    for name in usable:
+        shown_db, warped_db = judge(networks, recording, name, recipe.camera)
+        is_better = shown_db > warped_db
+        metadata[f"{name}_judged_psnr_db"] = shown_db
+        metadata[f"{name}_judged_reproject_psnr_db"] = warped_db
+        metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
+        if is_better:
+            learned.append(name)
+    return TrainedCamera({"depth": depth, "camera": blend}, preparation, metadata, learned)
+
+
+def camera_renderer(
+    networks: CameraNetworks, recording: Recording, spec: CameraSpec, learned: Sequence[str]
+) -> ImageRenderer:
+    """Images by the networks where they beat `reproject`, else by that."""
+    warp = warping_renderer(recording)
+
+    def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
+        if camera not in learned:
+            return warp(camera, pinhole, pose, time_s)
+        images = recording.cameras[camera].training
+        points = depth_points(recording, time_s)
+        view = camera_view(pose, pinhole, points, images.rgb, images.pose, images.valid, spec)
+        return render_view(networks, view, spec)
+
+    return render
+
+
+def judges(images: int, spec: CameraSpec) -> range:
+    """Numbers of the training images that are never learned from; at least one, never all."""
+    return range(min(spec.judge_every // 3, images // 2), images, spec.judge_every)
+
+
+def judge(
+    networks: CameraNetworks, recording: Recording, camera: str, spec: CameraSpec
+) -> tuple[float, float]:
+    """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
+    images = recording.cameras[camera].training
+    scores = []
+    for index in judges(len(images.rgb), spec):
+        truth = images.rgb[index][images.valid] / 255.0
+        others = np.arange(len(images.rgb)) != index
+        shown = render_view(networks, _left_out_view(recording, camera, index, spec), spec)
+        warped, _ = render_by_warping(
+            images.pose[index], images.pinhole, _points(recording, camera, index),
+            images.rgb[others], images.pose[others], source_valid=images.valid,
+        )  # fmt: skip
+        scores.append([psnr(image[images.valid] / 255.0, truth, 1.0).value for image in (shown, warped)])
+    shown_db, warped_db = np.mean(scores, axis=0)
+    return float(shown_db), float(warped_db)
+
+
+def left_out(recording: Recording, camera: str, index: int, spec: CameraSpec) -> LeftOut:
+    """A training image as the others know it."""
+    view = _left_out_view(recording, camera, index, spec)
+    truth = recording.cameras[camera].training.rgb[index]
+    small = functional.avg_pool2d(to_float(truth[None]), view.factor)[0]
+    full = torch.from_numpy(truth).permute(2, 0, 1)
+    return LeftOut(view, full, small, view.small_sources())
+
+
+def _left_out_view(recording: Recording, camera: str, index: int, spec: CameraSpec) -> CameraView:
+    images = recording.cameras[camera].training
+    return camera_view(
+        images.pose[index], images.pinhole, _points(recording, camera, index), images.rgb, images.pose,
+        images.valid, spec, leave_out=index,
+    )  # fmt: skip
+
+
+def _points(recording: Recording, camera: str, index: int) -> np.ndarray:
+    return depth_points(recording, float(recording.cameras[camera].training_time_s[index]), leave_out=True)
+
+
+def _images(recording: Recording, camera: str) -> int:
+    return len(recording.cameras[camera].training.rgb)
+
+
+def _fresh(task: Task, model: nn.Module, spec: TrainingSpec, number: int) -> TrainingState:
+    """A network before its first step; each of a scene draws windows of its own."""
+    generator = torch.Generator().manual_seed(task.config.seed * 3 + number)
+    return TrainingState(model, make_optimiser(model, spec), generator)

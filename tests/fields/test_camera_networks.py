@@ -1,0 +1,68 @@
+"""Laws of the camera's networks."""
+
+import torch
+
+from nvsf_core.fields.camera_networks import HYPOTHESES, VOLUME_FEATURES, BlendNetwork, DepthNetwork
+from nvsf_core.recipe import CameraSpec
+
+SPEC = CameraSpec(sources=2)
+SHAPE = (21, 34)
+
+
+def seeded(number: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(number)
+
+
+def inputs() -> dict[str, torch.Tensor]:
+    """What two sources show at three depths."""
+    looked_up = HYPOTHESES * SPEC.sources
+    return {
+        "colour": torch.rand(looked_up, 3, *SHAPE, generator=seeded(1)),
+        "seen": torch.ones(looked_up, *SHAPE, dtype=torch.bool),
+        "belief": torch.rand(HYPOTHESES, *SHAPE, generator=seeded(2)),
+        "coarse": torch.rand(3, *SHAPE, generator=seeded(3)),
+        "nearness": torch.tensor([1.0, 0.5]),
+    }
+
+
+def test_depth_logits_have_the_shape_of_the_planes_whatever_the_window() -> None:
+    network = DepthNetwork(SPEC, seeded())
+    for shape in ((48, 12, 17), (7, 5, 5)):
+        assert network(torch.rand(VOLUME_FEATURES, *shape, generator=seeded(1))).shape == shape
+
+
+def test_an_untrained_blend_lies_between_the_colours_that_it_blends() -> None:
+    given = inputs()
+    blended = BlendNetwork(SPEC, seeded())(**given)
+    offered = torch.cat([given["colour"], given["coarse"][None]])
+    assert blended.shape == (3, *SHAPE)
+    assert (blended >= offered.amin(dim=0) - 1e-5).all()
+    assert (blended <= offered.amax(dim=0) + 1e-5).all()
+
+
+def test_a_source_that_does_not_show_a_pixel_has_no_say() -> None:
+    network, given = BlendNetwork(SPEC, seeded()), inputs()
+    with torch.no_grad():
+        network.out.weight.normal_(0.0, 0.05, generator=seeded(4))
+    given["seen"][1] = False
+    first = network(**given)
+    given["colour"][1] = 1.0 - given["colour"][1]
+    torch.testing.assert_close(network(**given), first, atol=1e-5, rtol=0.0)
+
+
+def test_where_nothing_is_seen_the_coarse_colour_stays() -> None:
+    given = inputs()
+    given["seen"][:] = False
+    torch.testing.assert_close(BlendNetwork(SPEC, seeded())(**given), given["coarse"])
+
+
+def test_every_weight_of_both_networks_learns() -> None:
+    blend, depth = BlendNetwork(SPEC, seeded()), DepthNetwork(SPEC, seeded())
+    with torch.no_grad():
+        blend.out.weight.normal_(0.0, 0.05, generator=seeded(4))
+    blend(**inputs()).square().sum().backward()
+    depth(torch.rand(VOLUME_FEATURES, 8, 12, 16, generator=seeded(1))).square().sum().backward()
+    for network in (blend, depth):
+        for name, parameter in network.named_parameters():
+            assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
+            assert parameter.grad.abs().sum() > 0, name
