@@ -42,10 +42,8 @@ class CameraView:
     """(H, W) inverse depth that the LiDAR gives, 1/m."""
     gap_px: Tensor
     """(H, W) distance to the nearest return."""
-    images: np.ndarray
-    """(j, H, W, 3) uint8, all of the camera that may be used."""
-    valid: Tensor
-    """(1, H, W) float32, 1 where the camera shows anything."""
+    images: Tensor
+    """(j, 4, H, W) float32, all of the camera, as `shown_images` makes them."""
     chosen: list[int]
     """Images that are looked at, the nearest first; as many as the recipe wants, the last repeated."""
     motion: Tensor
@@ -55,23 +53,27 @@ class CameraView:
 
     def sources(self) -> Sources:
         """The images at full resolution."""
-        rgb = to_float(self.images[self.chosen])
-        valid = self.valid.expand(len(rgb), -1, -1, -1)
-        return Sources(torch.cat([rgb, valid], dim=1), self.motion, self.nearness)
+        return Sources(tuple(self.images[index] for index in self.chosen), self.motion, self.nearness)
 
     def small_sources(self) -> Sources:
         """The shrunk images."""
         full = self.sources()
-        return Sources(functional.avg_pool2d(full.image, self.factor), self.motion, self.nearness)
+        small = tuple(functional.avg_pool2d(image, self.factor) for image in full.image)
+        return Sources(small, self.motion, self.nearness)
+
+
+def shown_images(images: np.ndarray, valid: np.ndarray) -> Tensor:
+    """Images (j, H, W, 3) uint8 and what of them shows anything, (H, W) bool, as sources: (j, 4, H, W)."""
+    shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
+    return torch.cat([to_float(images), shown], dim=1)
 
 
 def camera_view(
     pose: np.ndarray,
     pinhole: Pinhole,
     points_m: np.ndarray,
-    images: np.ndarray,
+    images: Tensor,
     poses: np.ndarray,
-    valid: np.ndarray,
     spec: CameraSpec,
     *,
     leave_out: int | None = None,
@@ -82,9 +84,8 @@ def camera_view(
         pose: (4, 4) camera to scene-local.
         pinhole: Of the view and of all images.
         points_m: (m, 3) float32 scene-local, for depth.
-        images: (j, H, W, 3) uint8.
+        images: (j, 4, H, W) as `shown_images` makes them.
         poses: (j, 4, 4).
-        valid: (H, W) bool.
         spec: Of the networks.
         leave_out: Image that may not be a source: the one that the view is compared with.
     """
@@ -103,7 +104,6 @@ def camera_view(
         inverse=torch.from_numpy(1.0 / depth_m),
         gap_px=torch.from_numpy(gap_px),
         images=images,
-        valid=torch.from_numpy(valid).float()[None],
         chosen=chosen,
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
         nearness=nearness,

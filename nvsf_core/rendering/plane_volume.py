@@ -27,8 +27,8 @@ _MODE_PLANES = 2
 class Sources:
     """Recorded images around a view, the nearest first."""
 
-    image: Tensor
-    """(k, 4, H, W) float32: colour in 0..1, and 1 where the pixel shows anything."""
+    image: tuple[Tensor, ...]
+    """k of (4, H, W) float32: colour in 0..1, and 1 where the pixel shows anything."""
     motion: Tensor
     """(k, 4, 4) float32 from the view's frame to the source's."""
     nearness: Tensor

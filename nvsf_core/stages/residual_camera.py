@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
-from nvsf_core.rendering.learned_warp import CameraView, believe_depth, camera_view, render_view
+from nvsf_core.rendering.learned_warp import CameraView, believe_depth, camera_view, render_view, shown_images
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
@@ -48,8 +48,9 @@ def train_camera(
     """Train both networks, one after the other, on every image that is not a judge, then ask the judges."""
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
+    shown = {name: _shown(recording, name) for name in usable}
     examples = [
-        left_out(recording, name, index, recipe.camera)
+        left_out(recording, name, index, shown[name], recipe.camera)
         for name in usable
         for index in range(_images(recording, name))
         if index not in judges(_images(recording, name), recipe.camera)
@@ -74,7 +75,7 @@ def train_camera(
     metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
     learned = []
     for name in usable:
-        shown_db, warped_db = judge(networks, recording, name, recipe.camera)
+        shown_db, warped_db = judge(networks, recording, name, shown[name], recipe.camera)
         is_better = shown_db > warped_db
         metadata[f"{name}_judged_psnr_db"] = shown_db
         metadata[f"{name}_judged_reproject_psnr_db"] = warped_db
@@ -89,13 +90,14 @@ def camera_renderer(
 ) -> ImageRenderer:
     """Images by the networks where they beat `reproject`, else by that."""
     warp = warping_renderer(recording)
+    shown = {name: _shown(recording, name) for name in learned}
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
         if camera not in learned:
             return warp(camera, pinhole, pose, time_s)
-        images = recording.cameras[camera].training
+        poses = recording.cameras[camera].training.pose
         points = depth_points(recording, time_s)
-        view = camera_view(pose, pinhole, points, images.rgb, images.pose, images.valid, spec)
+        view = camera_view(pose, pinhole, points, shown[camera], poses, spec)
         return render_view(networks, view, spec)
 
     return render
@@ -107,7 +109,7 @@ def judges(images: int, spec: CameraSpec) -> range:
 
 
 def judge(
-    networks: CameraNetworks, recording: Recording, camera: str, spec: CameraSpec
+    networks: CameraNetworks, recording: Recording, camera: str, images_shown: Tensor, spec: CameraSpec
 ) -> tuple[float, float]:
     """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
     images = recording.cameras[camera].training
@@ -115,7 +117,7 @@ def judge(
     for index in judges(len(images.rgb), spec):
         truth = images.rgb[index][images.valid] / 255.0
         others = np.arange(len(images.rgb)) != index
-        shown = render_view(networks, _left_out_view(recording, camera, index, spec), spec)
+        shown = render_view(networks, _left_out_view(recording, camera, index, images_shown, spec), spec)
         warped, _ = render_by_warping(
             images.pose[index], images.pinhole, _points(recording, camera, index),
             images.rgb[others], images.pose[others], source_valid=images.valid,
@@ -125,25 +127,34 @@ def judge(
     return float(shown_db), float(warped_db)
 
 
-def left_out(recording: Recording, camera: str, index: int, spec: CameraSpec) -> LeftOut:
-    """A training image as the others know it."""
-    view = _left_out_view(recording, camera, index, spec)
+def left_out(
+    recording: Recording, camera: str, index: int, images_shown: Tensor, spec: CameraSpec
+) -> LeftOut:
+    """A training image as the others know it; `images_shown` are all of the camera's."""
+    view = _left_out_view(recording, camera, index, images_shown, spec)
     truth = recording.cameras[camera].training.rgb[index]
     small = functional.avg_pool2d(to_float(truth[None]), view.factor)[0]
     full = torch.from_numpy(truth).permute(2, 0, 1)
     return LeftOut(view, full, small, view.small_sources())
 
 
-def _left_out_view(recording: Recording, camera: str, index: int, spec: CameraSpec) -> CameraView:
+def _left_out_view(
+    recording: Recording, camera: str, index: int, images_shown: Tensor, spec: CameraSpec
+) -> CameraView:
     images = recording.cameras[camera].training
     return camera_view(
-        images.pose[index], images.pinhole, _points(recording, camera, index), images.rgb, images.pose,
-        images.valid, spec, leave_out=index,
+        images.pose[index], images.pinhole, _points(recording, camera, index), images_shown, images.pose,
+        spec, leave_out=index,
     )  # fmt: skip
 
 
 def _points(recording: Recording, camera: str, index: int) -> np.ndarray:
     return depth_points(recording, float(recording.cameras[camera].training_time_s[index]), leave_out=True)
+
+
+def _shown(recording: Recording, camera: str) -> Tensor:
+    images = recording.cameras[camera].training
+    return shown_images(images.rgb, images.valid)
 
 
 def _images(recording: Recording, camera: str) -> int:

@@ -84,5 +84,6 @@ def _drawn(examples: Sequence[LeftOut], generator: torch.Generator) -> LeftOut:
 
 def _shown(example: LeftOut, window: Window, *, shrunk: bool) -> Tensor:
     """(h, w) bool: pixels of the window at which the left-out image shows anything."""
-    valid = example.small_sources.image[0, 3] if shrunk else example.view.valid[0]
-    return valid[window] > 0.999
+    # All images of a camera show the same pixels.
+    image = example.small_sources.image[0] if shrunk else example.view.images[0]
+    return image[3][window] > 0.999

@@ -13,6 +13,7 @@ from nvsf_core.rendering.learned_warp import (
     blend_sources,
     camera_view,
     render_view,
+    shown_images,
 )
 from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses, plane_volume, volume_features
 from nvsf_core.rendering.warping import plane_rays
@@ -49,7 +50,13 @@ VALID = np.ones((64, 128), np.bool_)
 
 def view(points: np.ndarray, *, images: int = 4, leave_out: int | None = 1) -> CameraView:
     return camera_view(
-        pose(0.0), CAMERA, points, PHOTOGRAPHS[:images], PLACES[:images], VALID, SPEC, leave_out=leave_out
+        pose(0.0),
+        CAMERA,
+        points,
+        shown_images(PHOTOGRAPHS[:images], VALID),
+        PLACES[:images],
+        SPEC,
+        leave_out=leave_out,
     )
 
 

@@ -8,7 +8,7 @@ import torch
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
-from nvsf_core.rendering.learned_warp import believe_depth, camera_view
+from nvsf_core.rendering.learned_warp import believe_depth, camera_view, shown_images
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.training.camera_step import LeftOut, blend_step, depth_step, draw_window
 from nvsf_core.training.loop import make_optimiser
@@ -35,8 +35,8 @@ def example() -> LeftOut:
     x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
     view = camera_view(
-        poses()[1], CAMERA, np.zeros((0, 3), np.float32), images, poses(), np.ones((32, 64), np.bool_),
-        RECIPE.camera, leave_out=1,
+        poses()[1], CAMERA, np.zeros((0, 3), np.float32), shown_images(images, np.ones((32, 64), np.bool_)),
+        poses(), RECIPE.camera, leave_out=1,
     )  # fmt: skip
     truth = torch.from_numpy(images[1]).permute(2, 0, 1)
     return LeftOut(view, truth, to_float(images[1:2])[0], view.small_sources())
