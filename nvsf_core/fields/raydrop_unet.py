@@ -1,5 +1,8 @@
 """The U-Net that refines the hit probabilities of a whole pano (paper, Fig. 2, item 6)."""
 
+import math
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, max_pool2d, pad
@@ -67,6 +70,17 @@ class RaydropUnet(nn.Module):
         for block, skip in zip(self.up, reversed(levels[:-1]), strict=True):
             x = block(torch.cat([skip, _doubled(x, skip)], dim=1))
         return self.leave(x)[:, 0]
+
+    def expect(self, hit_share: float) -> None:
+        """Start from how many cells return at all, as log-odds in the last bias: training begins there.
+
+        Args:
+            hit_share: Share of the training panos' cells with a return, 0..1; 0 and 1 are kept finite.
+        """
+        known = min(max(hit_share, 1e-3), 1.0 - 1e-3)
+        last = cast(nn.Conv2d, self.leave[-1])
+        with torch.no_grad():
+            cast(Tensor, last.bias).fill_(math.log(known / (1.0 - known)))
 
 
 class _Attention(nn.Module):

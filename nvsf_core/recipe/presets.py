@@ -57,8 +57,8 @@ _PAPER_CPU = PaperRecipe(
         points=2048,
     ),
     sampling=PaperSampling(rays=256, samples=96),
-    optimiser=PaperOptimiser(steps=150, checkpoint_s=10.0),
-    refinement=RefinementSpec(channels=8, steps=30, frames_a_step=1, panos=4, column_step=4),
+    optimiser=PaperOptimiser(steps=180, head_rate=1e-2, checkpoint_s=10.0),
+    refinement=RefinementSpec(channels=8, steps=30, rate=1e-2, frames_a_step=1, panos=3, column_step=4),
 )
 _TINY_GRID = GridSpec(levels=2, features=4, log2_table=8, base_resolution=16, finest_resolution=64)
 _PAPER_SMOKE = replace(

@@ -114,7 +114,9 @@ def _refine(
         done = f"pano {len(renders)} of {len(chosen)} rendered for the U-Net"
         task.progress(f"[{task.scene.name}] field, refinement: {done}")
     generator = torch.Generator().manual_seed(task.config.seed)
+    is_return = panos.range_m[chosen][:, :, :: spec.column_step] > 0
     unet = RaydropUnet(spec.channels, generator).to(device())
+    unet.expect(float(is_return.float().mean()))
     state = refinement_state(unet, spec, generator)
     path = work / "refinement.safetensors"
     resume(task, state, path)
@@ -122,7 +124,7 @@ def _refine(
         state,
         spec,
         torch.stack(renders),
-        panos.range_m[chosen][:, :, :: spec.column_step] > 0,
+        is_return,
         lambda tensors, facts: save_tensors(path, tensors, facts | {"recipe": recipe.identity()}),
         lambda line: task.progress(f"[{task.scene.name}] field, refinement: {line}"),
         checkpoint_s=recipe.optimiser.checkpoint_s,

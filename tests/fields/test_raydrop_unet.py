@@ -67,3 +67,13 @@ def test_what_it_cannot_do_it_refuses() -> None:
         _unet()(torch.zeros(1, 2, 32, 32))
     with pytest.raises(RecipeError):
         RaydropUnet(0, torch.Generator())
+
+
+def test_an_untrained_unet_expects_what_it_was_told() -> None:
+    unet = RaydropUnet(8, torch.Generator().manual_seed(0)).eval()
+    pano = torch.rand(1, 3, 32, 64, generator=torch.Generator().manual_seed(1))
+    for share in (0.0, 0.2, 0.88, 1.0):
+        unet.expect(share)
+        with torch.no_grad():
+            hit = torch.sigmoid(unet(pano)).mean().item()
+        assert abs(hit - share) < 0.15, (share, hit)
