@@ -40,12 +40,10 @@ class ObjectEvidence:
     path: MovingObject
     rays: ObjectRays
 
-    def scans_near(self, time_s: float, *, leave_out_s: float | None = None) -> np.ndarray:
-        """Its nearest 4 scans (k,); one at `leave_out_s` is not among them."""
-        order = np.argsort(np.abs(self.path.time_s - time_s), kind="stable")
-        if leave_out_s is not None:
-            order = order[np.abs(self.path.time_s[order] - leave_out_s) > 0.5 * self.path.frame_s]
-        return self.path.scan[order[:NEAREST_SCANS]]
+    def scans_near(self, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
+        """Its nearest 4 scans (k,); the training scan `leave_out` is not among them."""
+        scans = self.path.scan[np.argsort(np.abs(self.path.time_s - time_s), kind="stable")]
+        return (scans if leave_out is None else scans[scans != leave_out])[:NEAREST_SCANS]
 
     def surfels_from(self, scans: np.ndarray) -> Surfels | None:
         """What some of its scans prove of it, in its frame; None where they saw nothing of it."""
@@ -115,15 +113,15 @@ def objects_at(
     time_s: float,
     votes: ObjectVotes,
     *,
-    leave_out_s: float | None = None,
+    leave_out: int | None = None,
 ) -> tuple[ObjectSurfels, ...]:
-    """The objects that may be seen about an instant, each from its nearest scans."""
+    """The objects that may be seen about an instant, each from its nearest scans but for `leave_out`."""
     there = []
     for one in evidence:
         spare = np.array([time_s - one.path.frame_s, time_s, time_s + one.path.frame_s])
         if not one.path.is_there(spare).any():
             continue
-        scans = one.scans_near(time_s, leave_out_s=leave_out_s)
+        scans = one.scans_near(time_s, leave_out=leave_out)
         surfels = one.surfels_from(scans)
         if surfels is not None:
             vote = votes.share(one.path, surfels.mean_m, scans)
@@ -150,6 +148,32 @@ class NearObjects:
             self._objects = objects_at(self._evidence, frame * frame_s, self._votes)
             self._frame = frame
         return self._objects
+
+
+def candidates_on(
+    one: ObjectSurfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    near_m: float,
+    far_m: float,
+) -> tuple[np.ndarray, Candidates]:
+    """Which rays (k,) int64 of (r, 3) meet an object where it is at their times (r,), and its surfaces there.
+
+    The candidates (k, 12) have the object's own voxel numbers.
+    """
+    rows = np.flatnonzero(one.path.is_there(time_s))
+    if len(rows) > 0:
+        middle_s = float(np.median(time_s[rows]))
+        rows = rows[_towards(one.path, middle_s, origin_m[rows], direction[rows], spare_m=2.0)]
+    inside, origin_o, direction_o = _crossing(one.path, origin_m[rows], direction[rows], time_s[rows])
+    own = candidates_of(
+        one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m
+    )
+    met = own.voxel[:, 0] >= 0
+    found = Candidates(own.range_m[met], own.voxel[met], own.opacity[met], own.cosine[met])
+    return rows[inside[met]], found
 
 
 def add_objects(
@@ -184,26 +208,16 @@ def add_objects(
     number = first_voxel
     for one in objects:
         first_voxel, number = number, number + one.surfels.index.count
-        rows = np.flatnonzero(one.path.is_there(time_s))
+        rows, own = candidates_on(one, origin_m, direction, time_s, near_m=near_m, far_m=far_m)
         if len(rows) == 0:
             continue
-        middle_s = float(np.median(time_s[rows]))
-        rows = rows[_towards(one.path, middle_s, origin_m[rows], direction[rows], spare_m=2.0)]
-        inside, origin_o, direction_o = _crossing(one.path, origin_m[rows], direction[rows], time_s[rows])
-        rows = rows[inside]
-        if len(rows) == 0:
-            continue
-        own = candidates_of(
-            one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m
-        )
-        met = own.voxel[:, 0] >= 0
-        rows, own_voxel = rows[met], np.where(own.voxel[met] >= 0, own.voxel[met] + first_voxel, -1)
+        own_voxel = np.where(own.voxel >= 0, own.voxel + first_voxel, -1)
         voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
-        ranges = np.concatenate([range_m[rows], own.range_m[met]], axis=1)
+        ranges = np.concatenate([range_m[rows], own.range_m], axis=1)
         order = np.argsort(np.where(voxels >= 0, ranges, np.inf), axis=1, kind="stable")[:, : voxel.shape[1]]
         voxel[rows] = np.take_along_axis(voxels, order, axis=1)
         range_m[rows] = np.take_along_axis(ranges, order, axis=1)
-        for target, mine in ((opacity, own.opacity[met]), (cosine, own.cosine[met])):
+        for target, mine in ((opacity, own.opacity), (cosine, own.cosine)):
             target[rows] = np.take_along_axis(np.concatenate([target[rows], mine], axis=1), order, axis=1)
     return Candidates(range_m, voxel, opacity, cosine)
 

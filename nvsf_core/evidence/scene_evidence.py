@@ -27,6 +27,11 @@ class SceneEvidence:
     dynamic: DynamicEvidence | None = None
     """What moves, and the scene without it; None where nothing was seen to move."""
 
+    @property
+    def standing(self) -> Surfels:
+        """Surfels of what stays: all of them where nothing was seen to move."""
+        return self.surfels if self.dynamic is None else self.dynamic.background
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         moving = {} if self.dynamic is None else self.dynamic.to_arrays()

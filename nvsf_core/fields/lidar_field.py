@@ -4,7 +4,9 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_grid import HashGrid
+from nvsf_core.evidence.objects import ObjectEvidence
 from nvsf_core.fields.layers import network, scatter_rows
+from nvsf_core.fields.object_surfaces import Places, object_places
 from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kernels.layout import GridLayout
@@ -36,9 +38,16 @@ class LidarField(nn.Module):
         self.hit_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
         self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
 
+    def places(self, objects: tuple[ObjectEvidence, ...]) -> Places:
+        """Where in the table's cube the corrections of a scene's moving objects lie."""
+        paths = tuple(one.path for one in objects)
+        return object_places(paths, self.bounds, self.spec.coarsest_cell_m)
+
     def surfaces(self, batch: SurfaceBatch) -> tuple[Tensor, Tensor, Tensor]:
         """Corrected opacity logit (r, k), range_m (r, k), features (r, k, d); 0 where no surface is."""
         points = batch.origin_m[:, None] + batch.direction[:, None] * batch.range_m[..., None]
+        if batch.objects is not None:
+            points[batch.objects.mask] = batch.objects.place_m
         there = batch.is_there
         encoded = self.grid(self.bounds.to_unit(points[there]).clamp(0.0, 1.0))
         raw = scatter_rows(self.density(torch.cat([encoded, batch.facts[there]], dim=1)), there)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import SurfaceBatch
+from nvsf_core.fields.surface_batch import OnObjects, SurfaceBatch
 from nvsf_core.rendering.accumulate import value_at, weighted_median_index
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.rendering.weights import weights_from_opacity_logits
@@ -34,13 +34,16 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> LidarR
     Args:
         field: The scene.
         batch: Rays and proposed surfaces.
-        vote: (r,) share of the nearest training scans that returned here: the prior of the hit.
+        vote: (r,) share of the nearest training scans that returned here: the prior of the hit. A ray
+            that ends on a moving object, by more than half, asks the object's surfaces instead.
     """
     logit, range_m, features = field.surfaces(batch)
     weights, _ = weights_from_opacity_logits(torch.where(batch.is_there, logit, -torch.inf))
     total = weights.sum(dim=1)
     share = weights / total.clamp_min(torch.finfo(weights.dtype).eps)[:, None]
     intensity = (share * batch.intensity).sum(dim=1)
+    if batch.objects is not None:
+        vote = _votes_with_objects(vote, weights.detach(), batch.objects)
     prior_hit = torch.logit(vote.clamp(_VOTE_LIMIT, 1 - _VOTE_LIMIT))
     prior_intensity = torch.logit(intensity.clamp(0.01, 0.99))
     ray = torch.cat(
@@ -57,6 +60,14 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> LidarR
     )
     hit, brightness = field.decode(ray)
     return LidarRender(weights, range_m, prior_hit + hit, prior_intensity + brightness)
+
+
+def _votes_with_objects(vote: Tensor, weights: Tensor, objects: OnObjects) -> Tensor:
+    """Votes (r,) where rays that end on an object, by more than half, take its surfaces' mean vote."""
+    own = torch.where(objects.mask, weights, 0.0)
+    on_object = own.sum(dim=1)
+    asked = (own * objects.vote).sum(dim=1) / on_object.clamp_min(torch.finfo(weights.dtype).eps)
+    return torch.where(on_object > 0.5 * weights.sum(dim=1), asked, vote)
 
 
 @torch.no_grad()

@@ -8,8 +8,8 @@ import torch
 from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.rendering.lidar import answer_rays
@@ -45,13 +45,43 @@ class SimulatedSweep:
     """Range, hit probability, intensity, azimuth, elevation (l, f) as recorded, before anything is drawn."""
 
 
-def field_renderer(field: LidarField, surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
-    """Answers by the trained field, which takes everything to stand still."""
+def field_renderer(
+    field: LidarField,
+    evidence: SceneEvidence,
+    trajectory: Trajectory,
+    table: LaserTable,
+    elevation_correction_rad: float,
+    *,
+    most: int,
+    far_m: float,
+) -> RayRenderer:
+    """Answers by the trained field: corrections of what stays, and of each object in its own frame.
+
+    Trajectory, table and correction are the recording sensor's: objects ask the scans for their drops.
+    """
+    surfels, dynamic = evidence.standing, evidence.dynamic
+    if dynamic is None:
+
+        def answer_static(
+            origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+        ) -> RayAnswers:
+            batch = surface_batch(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+            return answer_rays(field, batch, torch.from_numpy(vote))
+
+        return answer_static
+    votes = ObjectVotes(evidence.prior, evidence.lasers, trajectory, table, elevation_correction_rad)
+    near = NearObjects(dynamic.objects, votes)
+    places = field.places(dynamic.objects)
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
     ) -> RayAnswers:
-        batch = surface_batch(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+        objects = object_surfaces(
+            near.at(time_s), places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
+        )
+        batch = surface_batch(
+            surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m, objects=objects
+        )
         return answer_rays(field, batch, torch.from_numpy(vote))
 
     return answer

@@ -96,7 +96,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="3",
+    version="4",
     run=_run,
     per_recipe=True,
     reads_views=True,

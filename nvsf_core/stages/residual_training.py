@@ -3,16 +3,15 @@
 import time
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 from nvsf_core.stages.fitting import Trained, fit
-from nvsf_core.stages.recording import LidarRecording, Recording
+from nvsf_core.stages.lidar_training_rays import training_rays
+from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import LEARNED, train_camera
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.stage import Scalar, Task
-from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 from nvsf_core.training.lidar_step import lidar_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 
@@ -27,12 +26,12 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
     seconds = time.perf_counter() - started
     if fields.lidar is not None and recording.lidar is not None:
         field, evidence, far_m = fields.lidar, recording.lidar.evidence, recording.lidar.far_m
-        rays = _training_rays(recording.lidar, recipe)
+        rays = training_rays(recording.lidar, recipe, field)
         metadata["training_rays"] = len(rays)
         seconds = time.perf_counter() - started
         states["lidar"] = fit(
             task, work, "lidar", _state(task, field, recipe.lidar_training, 0), recipe.lidar_training,
-            lambda _, generator: [lidar_step(field, evidence.surfels, rays, recipe, far_m, generator)],
+            lambda _, generator: [lidar_step(field, evidence.standing, rays, recipe, far_m, generator)],
         )  # fmt: skip
     facts: dict[str, object] = {}
     if fields.camera is not None:
@@ -56,33 +55,3 @@ def _state(task: Task, model: torch.nn.Module, spec: TrainingSpec, number: int) 
     """A field before its first step; each of a scene draws rays of its own."""
     generator = torch.Generator().manual_seed(task.config.seed * 2 + number)
     return TrainingState(model, make_optimiser(model, spec), generator)
-
-
-def _training_rays(lidar: LidarRecording, recipe: ResidualRecipe) -> LidarRays:
-    """Returns and drops of all training scans, each with the vote of the other scans."""
-    sweeps, evidence = lidar.sweeps, lidar.evidence
-    parts = []
-    a = sweeps.arrays
-    for number, scan in enumerate(np.flatnonzero(sweeps.is_training)):
-        time_s = float(a["time_s"][scan])
-        alone = len(evidence.prior.time_s) == 1
-        scans = evidence.prior.nearest_scans(
-            time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
-        )
-        part = sweeps.returns_of(int(scan))
-        kept = ~a["is_own_vehicle"][part] & (a["laser"][part] >= 0) & (a["range_m"][part] < lidar.far_m)
-        vote = evidence.prior.vote(a["laser"][part][kept], a["sweep_fraction"][part][kept], scans)
-        origin, direction = a["origin_m"][part][kept], a["direction"][part][kept]
-        parts.append(LidarRays(origin, direction, a["range_m"][part][kept], a["intensity"][part][kept], vote))
-        parts.append(
-            dropped_rays(
-                sweeps.table,
-                evidence.prior,
-                number,
-                evidence.lasers,
-                sweeps.trajectory,
-                sweeps.period_s,
-                scans,
-            )
-        )
-    return join_rays(parts)

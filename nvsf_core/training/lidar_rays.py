@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.fields.object_surfaces import ObjectSurfaces, join_surfaces
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
@@ -24,6 +25,8 @@ class LidarRays:
     """(n,) float32; 0 where nothing returned."""
     vote: np.ndarray
     """(n,) float32: share of the nearest other training scans that returned here."""
+    objects: ObjectSurfaces | None = None
+    """Moving objects as the other scans prove them, at these rays' times; None where nothing moves."""
 
     def __len__(self) -> int:
         """Number of rays."""
@@ -33,7 +36,10 @@ class LidarRays:
 def join_rays(parts: list[LidarRays]) -> LidarRays:
     """One after the other."""
     names = ("origin_m", "direction", "range_m", "intensity", "vote")
-    return LidarRays(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    objects = [part.objects for part in parts if part.objects is not None]
+    joined = join_surfaces(objects, [len(part) for part in parts]) if objects else None
+    return LidarRays(**columns, objects=joined)
 
 
 def dropped_rays(
@@ -44,10 +50,10 @@ def dropped_rays(
     trajectory: Trajectory,
     period_s: float,
     vote_scans: np.ndarray,
-) -> LidarRays:
+) -> tuple[LidarRays, np.ndarray]:
     """Rays that a training scan fired without a return: the empty cells of its lasers and firings.
 
-    Their angles are the lasers' nominal ones at the firing's own time.
+    Their angles are the lasers' nominal ones at the firing's own time (n,), which is returned with them.
     """
     fraction = prior.fraction[scan]
     count = int(np.isfinite(fraction).sum())
@@ -56,7 +62,9 @@ def dropped_rays(
     when = fraction[firing].astype(np.float64)
     shift = (table.phase_steps - table.firing_shift_steps)[laser] * table.step_rad
     origin, direction = corrected_rays(table, -2.0 * np.pi * when + shift, laser)
-    origin, direction = trajectory.move_rays(origin, direction, prior.time_s[scan] + when * period_s)
+    fired_s = prior.time_s[scan] + when * period_s
+    origin, direction = trajectory.move_rays(origin, direction, fired_s)
     nothing = np.zeros(len(laser), np.float32)
     vote = prior.vote(laser, when, vote_scans)
-    return LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, vote)
+    rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, vote)
+    return rays, fired_s

@@ -23,13 +23,17 @@ def lidar_step(
     far_m: float,
     generator: torch.Generator,
 ) -> LossBreakdown:
-    """Draw rays from all training frames, render them, and compare with what was recorded."""
+    """Draw rays from all training frames, render them, and compare with what was recorded.
+
+    The surfels are of what stands; what moves comes with the rays.
+    """
     spec = recipe.lidar_training
     drawn = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
     most = recipe.evidence.lidar_candidates
     batch = surface_batch(
-        surfels, rays.origin_m[drawn], rays.direction[drawn], most=most, near_m=NEAR_M, far_m=far_m
-    )
+        surfels, rays.origin_m[drawn], rays.direction[drawn], most=most, near_m=NEAR_M, far_m=far_m,
+        objects=None if rays.objects is None else rays.objects.of(drawn),
+    )  # fmt: skip
     rendered = render_lidar(field, batch, torch.from_numpy(rays.vote[drawn]))
     true_range_m = torch.from_numpy(rays.range_m[drawn])
     returned = (true_range_m > 0) & batch.is_there[:, 0]

@@ -113,7 +113,7 @@ def test_a_left_out_scan_is_not_asked(passing) -> None:
     dynamic, _ = passing
     plate = dynamic.objects[0]
     assert set(plate.scans_near(0.2)) == {0, 1, 2, 3}
-    others = plate.scans_near(0.2, leave_out_s=0.2)
+    others = plate.scans_near(0.2, leave_out=2)
     assert set(others) == {0, 1, 3, 4}
     hits = plate.rays.is_hit & np.isin(plate.rays.scan, others)
     assert plate.surfels_from(others).hits.sum() == hits.sum()

@@ -1,16 +1,24 @@
 """A static scene asks nobody about motion."""
 
 import numpy as np
+import torch
 
 from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.recipe import FieldSpec
+from nvsf_core.rendering.lidar import answer_rays
+from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.sweep_simulation import evidence_renderer
+from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer
 
 
-def test_a_static_scene_queries_nothing_dynamic() -> None:
+def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:
+    """Evidence of a wall 9 m ahead, where nothing moves, and rays at it."""
     direction = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (8, 1))
     origin = np.zeros((8, 3), np.float32)
     surfels = build_surfels(
@@ -22,6 +30,11 @@ def test_a_static_scene_queries_nothing_dynamic() -> None:
     )  # fmt: skip
     own = np.zeros((1, 4), np.float32)
     scene = SceneEvidence(surfels, prior, np.zeros(1, np.int16), np.array([4]), own, own)
+    return scene, origin, direction
+
+
+def test_a_static_scene_queries_nothing_dynamic() -> None:
+    scene, origin, direction = _wall()
     # Whoever asks this trajectory, or an object, for the pose at 99 s gets an error.
     short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
     render = evidence_renderer(scene, short, HDL_64E, 0.0, most=8, far_m=50.0)
@@ -30,3 +43,18 @@ def test_a_static_scene_queries_nothing_dynamic() -> None:
     late = render(origin, direction, vote, np.full(8, 99.0))
     assert np.array_equal(early.range_m, late.range_m)
     assert np.abs(early.range_m - 9.0).max() < 0.11
+
+
+def test_a_field_of_a_static_scene_asks_nobody_about_motion_and_answers_from_its_surfaces() -> None:
+    scene, origin, direction = _wall()
+    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
+    bounds = Bounds(centre_m=(0.0, 0.0, 0.0), half_m=20.0)
+    field = LidarField(FieldSpec(levels=2, log2_table=8), bounds, torch.Generator().manual_seed(0))
+    vote = np.full(8, 0.7, np.float32)
+    render = field_renderer(field, scene, short, HDL_64E, 0.0, most=8, far_m=50.0)
+    answers = render(origin, direction, vote, np.full(8, 99.0))
+    batch = surface_batch(scene.surfels, origin, direction, most=8, near_m=NEAR_M, far_m=50.0)
+    assert batch.objects is None
+    expected = answer_rays(field, batch, torch.from_numpy(vote))
+    for name in ("range_m", "hit", "intensity"):
+        assert np.array_equal(getattr(answers, name), getattr(expected, name)), name

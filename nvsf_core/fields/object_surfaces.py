@@ -1,0 +1,140 @@
+"""Surfaces of moving objects that rays may end on, each at its ray's own time and in its object's frame."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from nvsf_core.evidence.moving import MovingObject
+from nvsf_core.evidence.objects import ObjectSurfels, candidates_on
+from nvsf_core.geometry.bounds import Bounds
+
+Places = Mapping[MovingObject, np.ndarray]
+"""Each object to the shift (3,) from its own frame to its place in the field's cube, metres."""
+
+
+def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> Places:
+    """Room for each object's corrections in the field's cube, apart from the street and from each other.
+
+    Objects stand in rows under the cube's top, which a street, as wide as its cube but not as high, leaves
+    free; the next layer lies below. Where the cube is full they begin again at the top.
+
+    Args:
+        paths: The scene's objects, in their order.
+        bounds: The field's cube.
+        gap_m: Space kept between two of them: a cell of the coarsest level.
+    """
+    if not paths:
+        return {}
+    pitch_m = max(float((path.high_m - path.low_m).max()) for path in paths) + gap_m
+    a_row = max(1, int(bounds.edge_m // pitch_m))
+    column, row, layer = np.unravel_index(np.arange(len(paths)) % a_row**3, (a_row,) * 3, order="F")
+    corner = np.array(bounds.centre_m) - bounds.half_m
+    steps = np.stack([column, row, a_row - 1 - layer], axis=1) + 0.5
+    steps[:, 2] += bounds.edge_m / pitch_m - a_row
+    return {
+        path: corner + step * pitch_m - 0.5 * (path.low_m + path.high_m)
+        for path, step in zip(paths, steps, strict=True)
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectSurfaces:
+    """t surfaces of m of the n rays of a batch: those that meet an object; ascending along each ray."""
+
+    ray: np.ndarray
+    """(m,) int64 ascending."""
+    first: np.ndarray
+    """(m + 1,) int64: where each such ray's surfaces begin."""
+    range_m: np.ndarray
+    """(t,) float32."""
+    opacity: np.ndarray
+    """(t,) float32."""
+    cosine: np.ndarray
+    """(t,) float32: cosine of incidence."""
+    is_planar: np.ndarray
+    """(t,) bool."""
+    hits: np.ndarray
+    """(t,) int32 of the surfel."""
+    intensity: np.ndarray
+    """(t,) float32 of the surfel."""
+    vote: np.ndarray
+    """(t,) float32: share of the object's nearest scans that returned there."""
+    place_m: np.ndarray
+    """(t, 3) float32: where it lies in the field's cube."""
+
+    def of(self, drawn: np.ndarray) -> "ObjectSurfaces":
+        """Surfaces of rays (r,) int64 out of the n, which become rays 0 .. r - 1."""
+        if len(self.ray) == 0:
+            return self
+        at = np.minimum(np.searchsorted(self.ray, drawn), len(self.ray) - 1)
+        ray = np.flatnonzero(self.ray[at] == drawn)
+        at = at[ray]
+        count = self.first[at + 1] - self.first[at]
+        first = np.concatenate([[0], np.cumsum(count)])
+        taken = np.repeat(self.first[at] - first[:-1], count) + np.arange(first[-1])
+        columns = {name: getattr(self, name)[taken] for name in _COLUMNS}
+        return ObjectSurfaces(ray, first, **columns)
+
+    def dense(self) -> np.ndarray:
+        """(m, c) int64: index of each ray's surfaces, -1 behind its last."""
+        count = np.diff(self.first)
+        step = np.arange(int(count.max(initial=0)))
+        return np.where(step < count[:, None], self.first[:-1, None] + step, -1)
+
+
+_COLUMNS = tuple(column.name for column in fields(ObjectSurfaces) if column.name not in ("ray", "first"))
+
+
+def object_surfaces(
+    objects: tuple[ObjectSurfels, ...],
+    places: Places,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    near_m: float,
+    far_m: float,
+) -> ObjectSurfaces:
+    """Walk rays (r, 3), scene-local, through each object where it is at their times (r,)."""
+    rays, columns = [np.zeros(0, np.int64)], [_nothing()]
+    for one in objects:
+        met, found = candidates_on(one, origin_m, direction, time_s, near_m=near_m, far_m=far_m)
+        row, _ = np.nonzero(found.voxel >= 0)
+        there = found.voxel >= 0
+        voxel, range_m, ray = found.voxel[there], found.range_m[there], met[row]
+        point = origin_m[ray] + direction[ray] * range_m[:, None]
+        surfels = one.surfels
+        rays.append(ray)
+        columns.append({
+            "range_m": range_m, "opacity": found.opacity[there], "cosine": found.cosine[there],
+            "is_planar": surfels.is_planar[voxel], "hits": surfels.hits[voxel],
+            "intensity": surfels.intensity[voxel].astype(np.float32), "vote": one.vote[voxel],
+            "place_m": (one.path.to_object(point, time_s[ray]) + places[one.path]).astype(np.float32),
+        })  # fmt: skip
+    ray = np.concatenate(rays)
+    joined = {name: np.concatenate([part[name] for part in columns]) for name in _COLUMNS}
+    order = np.lexsort((joined["range_m"], ray))
+    met, count = np.unique(ray, return_counts=True)
+    first = np.concatenate([[0], np.cumsum(count)])
+    return ObjectSurfaces(met, first, **{name: column[order] for name, column in joined.items()})
+
+
+def join_surfaces(parts: list[ObjectSurfaces], rays: list[int]) -> ObjectSurfaces:
+    """Surfaces of batches of so many rays each, one after the other."""
+    before = np.cumsum([0, *rays[:-1]])
+    starts = np.cumsum([0, *(len(part.range_m) for part in parts)])
+    first = [part.first[:-1] + start for part, start in zip(parts, starts[:-1], strict=True)]
+    return ObjectSurfaces(
+        np.concatenate([part.ray + shift for part, shift in zip(parts, before, strict=True)]),
+        np.concatenate([*first, starts[-1:]]),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS},
+    )
+
+
+def _nothing() -> dict[str, np.ndarray]:
+    none = np.zeros(0, np.float32)
+    return {
+        "range_m": none, "opacity": none, "cosine": none, "is_planar": np.zeros(0, bool),
+        "hits": np.zeros(0, np.int32), "intensity": none, "vote": none, "place_m": none.reshape(0, 3),
+    }  # fmt: skip

@@ -1,0 +1,70 @@
+"""The rays that a residual field is trained on, with what the other scans say of each."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from nvsf_core.evidence.object_votes import ObjectVotes
+from nvsf_core.evidence.objects import objects_at
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.object_surfaces import object_surfaces
+from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.rendering.reproject import NEAR_M
+from nvsf_core.stages.recording import LidarRecording
+from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
+
+
+def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarField) -> LidarRays:
+    """Returns and drops of all training scans, each with the vote of the other scans and their objects."""
+    sweeps, evidence = lidar.sweeps, lidar.evidence
+    alone = len(evidence.prior.time_s) == 1
+    parts = []
+    for number, scan in enumerate(np.flatnonzero(sweeps.is_training)):
+        time_s = float(sweeps.arrays["time_s"][scan])
+        votes = evidence.prior.nearest_scans(
+            time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
+        )
+        both = (
+            _returned_rays(lidar, int(scan), votes),
+            dropped_rays(
+                sweeps.table, evidence.prior, number, evidence.lasers, sweeps.trajectory, sweeps.period_s,
+                votes,
+            ),
+        )  # fmt: skip
+        parts += [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
+    return join_rays(parts)
+
+
+def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
+    """A scan's returns but for the own vehicle's, and when each was fired."""
+    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
+    part = sweeps.returns_of(scan)
+    kept = ~a["is_own_vehicle"][part] & (a["laser"][part] >= 0) & (a["range_m"][part] < lidar.far_m)
+    fraction = a["sweep_fraction"][part][kept]
+    rays = LidarRays(
+        a["origin_m"][part][kept], a["direction"][part][kept], a["range_m"][part][kept],
+        a["intensity"][part][kept], lidar.evidence.prior.vote(a["laser"][part][kept], fraction, vote_scans),
+    )  # fmt: skip
+    return rays, float(a["time_s"][scan]) + fraction.astype(np.float64) * sweeps.period_s
+
+
+def _meet(
+    lidar: LidarRecording, field: LidarField, number: int, both: tuple[tuple[LidarRays, np.ndarray], ...]
+) -> list[LidarRays]:
+    """Rays of a training scan with the moving objects that they meet, as all scans but theirs prove them."""
+    sweeps, evidence = lidar.sweeps, lidar.evidence
+    assert evidence.dynamic is not None
+    objects, places = evidence.dynamic.objects, field.places(evidence.dynamic.objects)
+    votes = ObjectVotes(
+        evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
+    )
+    there = objects_at(objects, float(evidence.prior.time_s[number]), votes, leave_out=number)
+    return [
+        replace(
+            rays,
+            objects=object_surfaces(
+                there, places, rays.origin_m, rays.direction, fired_s, near_m=NEAR_M, far_m=lidar.far_m
+            ),
+        )
+        for rays, fired_s in both
+    ]
