@@ -102,7 +102,9 @@ class BlendNetwork(nn.Module):
         free = 1.0 - belief[2]
         share = torch.stack([belief[0] * free, belief[1] * free, belief[2]]) + _OFFSET[:, None, None]
         prior = (share[:, None] * nearness[None, :, None, None]).flatten(0, 1)
-        prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)]).log()
+        prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)])
+        # A place holder's nearness is 0, whose logarithm has no gradient.
+        prior = prior.clamp_min(1e-6).log()
         logits = out[: self.seen + 1] + prior
         shown = torch.cat([seen, torch.ones_like(seen[:1])])
         weights = torch.where(shown, logits, _UNSEEN_LOGIT).softmax(dim=0)

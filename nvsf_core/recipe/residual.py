@@ -96,7 +96,9 @@ class LossWeights:
     """Of the squared colour error."""
     colour_distance: float = 0.3
     """Of the absolute colour error, which keeps edges sharper than its square."""
-    plane: float = 0.5
+    coarse: float = 3.0
+    """Of the squared colour error of all depth planes' mean."""
+    plane: float = 0.15
     """Of the absolute colour error that a depth plane is believed to have."""
 
 

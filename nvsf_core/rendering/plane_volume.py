@@ -67,6 +67,13 @@ class DepthBelief:
         """All of it as channels (7, h, w)."""
         return torch.cat([self.inverse, self.probability, self.colour])
 
+    def placed(self, window: tuple[slice, slice], shape: tuple[int, int]) -> "DepthBelief":
+        """The same in an image (rows, columns) of which this is a window; zeros around it."""
+        rows, columns = window
+        rim = (columns.start, shape[1] - columns.stop, rows.start, shape[0] - rows.stop)
+        padded = (functional.pad(x, rim) for x in (self.inverse, self.probability, self.colour))
+        return DepthBelief(*padded)
+
 
 def plane_inverses(spec: CameraSpec) -> Tensor:
     """(d,) inverse depths, 1/m, evenly spaced."""

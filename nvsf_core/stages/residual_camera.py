@@ -14,7 +14,7 @@ from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
-from nvsf_core.rendering.learned_warp import CameraView, believe_depth, camera_view, render_view, shown_images
+from nvsf_core.rendering.learned_warp import CameraView, camera_view, render_view, shown_images
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
@@ -22,7 +22,7 @@ from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
 from nvsf_core.stages.stage import Scalar, Task
-from nvsf_core.training.camera_step import LeftOut, blend_step, depth_step
+from nvsf_core.training.camera_step import LeftOut, camera_step, depth_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 
 LEARNED = "learned_cameras"
@@ -45,7 +45,7 @@ class TrainedCamera:
 def train_camera(
     task: Task, work: Path, networks: CameraNetworks, recipe: ResidualRecipe, recording: Recording
 ) -> TrainedCamera:
-    """Train both networks, one after the other, on every image that is not a judge, then ask the judges."""
+    """Train both networks on every image that is not a judge, then ask the judges."""
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     shown = {name: _shown(recording, name) for name in usable}
@@ -64,13 +64,11 @@ def train_camera(
         task, work, "depth", depth, recipe.depth_training,
         lambda _, generator: [depth_step(networks.depth, examples, recipe, generator)],
     )  # fmt: skip
-    started = time.perf_counter()
-    beliefs = [believe_depth(networks.depth, example.view, recipe.camera) for example in examples]
-    preparation += time.perf_counter() - started
-    blend = _fresh(task, networks.blend, recipe.camera_training, 2)
+    # Depths that planes alone are compared by start the networks well; both then learn for the image.
+    both = _fresh(task, networks, recipe.camera_training, 2)
     fit(
-        task, work, "camera", blend, recipe.camera_training,
-        lambda _, generator: [blend_step(networks.blend, examples, beliefs, recipe, generator)],
+        task, work, "camera", both, recipe.camera_training,
+        lambda _, generator: [camera_step(networks, examples, recipe, generator)],
     )  # fmt: skip
     metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
     learned = []
@@ -82,7 +80,7 @@ def train_camera(
         metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
         if is_better:
             learned.append(name)
-    return TrainedCamera({"depth": depth, "camera": blend}, preparation, metadata, learned)
+    return TrainedCamera({"depth": depth, "camera": both}, preparation, metadata, learned)
 
 
 def camera_renderer(

@@ -7,11 +7,14 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_networks import BlendNetwork, DepthNetwork
+from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.rendering.learned_warp import CameraView, Window, blend_sources, planes_of
-from nvsf_core.rendering.plane_volume import DepthBelief, Sources
+from nvsf_core.rendering.plane_volume import Sources, depth_belief, plane_inverses
+
+_MARGIN = 6
+"""Shrunk pixels at a window's rim whose depth is not looked through: their surroundings are cut off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,37 +39,52 @@ def depth_step(
     shape = (example.view.small.height, example.view.small.width)
     window = draw_window(shape, recipe.depth_training.rays, generator)
     probability, colour = planes_of(network, example.view, example.small_sources, recipe.camera, window)
-    truth = example.small_truth[:, *window]
-    mean = (probability[:, None] * colour).sum(dim=0)
-    plane_error = (colour - truth).abs().mean(dim=1)
-    shown = _shown(example, window, shrunk=True)
-    terms = {
-        "colour": (mean - truth).square().mean(dim=0)[shown],
-        "plane": (probability * plane_error).sum(dim=0)[shown],
-    }
-    return total_loss(terms, asdict(recipe.losses))
+    return total_loss(_plane_terms(example, window, probability, colour), asdict(recipe.losses))
 
 
-def blend_step(
-    network: BlendNetwork,
-    examples: Sequence[LeftOut],
-    beliefs: Sequence[DepthBelief],
-    recipe: ResidualRecipe,
-    generator: torch.Generator,
+def camera_step(
+    networks: CameraNetworks, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
-    """Blend a window of a left-out image and compare."""
-    index = int(torch.randint(len(examples), (), generator=generator))
-    example = examples[index]
-    shape = (example.view.pinhole.height, example.view.pinhole.width)
-    window = draw_window(shape, recipe.camera_training.rays, generator)
-    shown = blend_sources(network, example.view, beliefs[index], window)
+    """Show a window of a left-out image by both networks, and compare; the planes go on being compared."""
+    example = _drawn(examples, generator)
+    view = example.view
+    shape = (view.small.height, view.small.width)
+    pixels = max(1, recipe.camera_training.rays // view.factor**2)
+    around = draw_window(shape, pixels, generator)
+    probability, colour = planes_of(networks.depth, view, example.small_sources, recipe.camera, around)
+    belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
+    window = _full_size(around, shape, view.factor)
+    shown = blend_sources(networks.blend, view, belief.placed(around, shape), window)
     difference = shown - example.truth[:, *window].float() / 255.0
     answered = _shown(example, window, shrunk=False)
-    terms = {
+    terms = _plane_terms(example, around, probability, colour) | {
         "colour": difference.square().mean(dim=0)[answered],
         "colour_distance": difference.abs().mean(dim=0)[answered],
     }
     return total_loss(terms, asdict(recipe.losses))
+
+
+def _plane_terms(example: LeftOut, window: Window, probability: Tensor, colour: Tensor) -> dict[str, Tensor]:
+    """What planes show against the left-out image: their mean, and each as far as it is believed."""
+    truth = example.small_truth[:, *window]
+    mean = (probability[:, None] * colour).sum(dim=0)
+    plane_error = (colour - truth).abs().mean(dim=1)
+    shown = _shown(example, window, shrunk=True)
+    return {
+        "coarse": (mean - truth).square().mean(dim=0)[shown],
+        "plane": (probability * plane_error).sum(dim=0)[shown],
+    }
+
+
+def _full_size(window: Window, shape: tuple[int, int], factor: int) -> Window:
+    """The window's pixels in the image, but for a margin where the networks lack a surrounding."""
+    sides = []
+    for side, length in zip(window, shape, strict=True):
+        margin = min(_MARGIN, (side.stop - side.start) // 4)
+        first = side.start + (margin if side.start > 0 else 0)
+        last = side.stop - (margin if side.stop < length else 0)
+        sides.append(slice(first * factor, last * factor))
+    return sides[0], sides[1]
 
 
 def draw_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:

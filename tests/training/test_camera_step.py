@@ -7,10 +7,10 @@ import torch
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.learned_warp import believe_depth, camera_view, shown_images
 from nvsf_core.rendering.warping import to_float
-from nvsf_core.training.camera_step import LeftOut, blend_step, depth_step, draw_window
+from nvsf_core.training.camera_step import LeftOut, camera_step, depth_step, draw_window
 from nvsf_core.training.loop import make_optimiser
 
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
@@ -29,14 +29,14 @@ def poses() -> np.ndarray:
     return result
 
 
-def example() -> LeftOut:
+def example(spec: CameraSpec = RECIPE.camera) -> LeftOut:
     """A wall of stripes at 5 m, its middle photograph left out; no LiDAR."""
     rays = CAMERA.rays(CAMERA.pixels())
     x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
     view = camera_view(
         poses()[1], CAMERA, np.zeros((0, 3), np.float32), shown_images(images, np.ones((32, 64), np.bool_)),
-        poses(), RECIPE.camera, leave_out=1,
+        poses(), spec, leave_out=1,
     )  # fmt: skip
     truth = torch.from_numpy(images[1]).permute(2, 0, 1)
     return LeftOut(view, truth, to_float(images[1:2])[0], view.small_sources())
@@ -58,12 +58,10 @@ def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall(
 
     before, after = descend(networks.depth, lambda: depth_step(networks.depth, [left_out], RECIPE, generator))
     assert after < 0.8 * before
-    beliefs = [believe_depth(networks.depth, left_out.view, RECIPE.camera)]
-    middle = beliefs[0].inverse[0, 4:-4, 12:-12]
+    belief = believe_depth(networks.depth, left_out.view, RECIPE.camera)
+    middle = belief.inverse[0, 4:-4, 12:-12]
     assert abs(float(middle.median()) - 0.2) < 0.04
-    before, after = descend(
-        networks.blend, lambda: blend_step(networks.blend, [left_out], beliefs, RECIPE, generator)
-    )
+    before, after = descend(networks, lambda: camera_step(networks, [left_out], RECIPE, generator))
     assert after < before
 
 
@@ -74,3 +72,12 @@ def test_windows_lie_in_the_image_and_are_as_large_as_asked_where_they_fit() -> 
         assert 0 <= rows.start < rows.stop <= shape[0] and 0 <= columns.start < columns.stop <= shape[1]
         area = (rows.stop - rows.start) * (columns.stop - columns.start)
         assert area == shape[0] * shape[1] or 0.9 * pixels < area <= pixels
+
+
+def test_the_shown_window_trains_the_choice_of_depth_too_even_with_a_place_holder_for_a_source() -> None:
+    spec = replace(RECIPE.camera, sources=4)
+    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
+    recipe = replace(RECIPE, camera=spec, losses=LossWeights(coarse=0.0, plane=0.0))
+    camera_step(networks, [example(spec)], recipe, torch.Generator().manual_seed(1)).total.backward()
+    gradient = networks.depth.down.weight.grad
+    assert gradient is not None and torch.isfinite(gradient).all() and gradient.abs().sum() > 0
