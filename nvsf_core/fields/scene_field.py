@@ -76,7 +76,8 @@ class SceneField(nn.Module):
         return self.colour(spherical_harmonics(direction), geometry)
 
     def parameter_groups(self, optimiser: PaperOptimiser) -> list[dict[str, Any]]:
-        """For Adam: encodings, density, colour at `table_rate`; flow, intensity, hit at `head_rate`."""
-        heads = [p for module in (self.flow, self.intensity, self.hit) for p in module.parameters()]
-        tables = [p for p in self.parameters() if not any(p is head for head in heads)]
-        return [{"params": tables, "lr": optimiser.table_rate}, {"params": heads, "lr": optimiser.head_rate}]
+        """For Adam: flow at `flow_rate`, intensity and hit at `head_rate`, all else at `table_rate`."""
+        heads, flow = [*self.intensity.parameters(), *self.hit.parameters()], [*self.flow.parameters()]
+        tables = [p for p in self.parameters() if not any(p is other for other in heads + flow)]
+        rates = (optimiser.table_rate, optimiser.head_rate, optimiser.flow_rate)
+        return [{"params": p, "lr": rate} for p, rate in zip((tables, heads, flow), rates, strict=True)]

@@ -173,7 +173,8 @@ class PaperLosses:
     flow_magnitude: float = 0.0
     """Mean absolute flow; the authors' code 1, not in the paper."""
     camera_depth: float = 0.0
-    """Sum over camera rays with a LiDAR depth of the absolute error, scaled units; the code has it off."""
+    """Sum over camera rays that meet a return of the frame's scan of the absolute range error, scaled units;
+    the code has it off."""
     line_of_sight: float = 0.0
     """Weight outside a shrinking shell around the return (Rematas et al. 2022); the code has it off."""
 
@@ -187,7 +188,9 @@ class PaperOptimiser:
     table_rate: float = 1e-2
     """Of encodings, density and colour networks."""
     head_rate: float = 1e-3
-    """Of the flow field and of the intensity and hit heads."""
+    """Of the intensity and hit heads."""
+    flow_rate: float = 1e-3
+    """Of the flow field with its hash grid."""
     final_share: float = 0.1
     """Both decay exponentially to this share."""
     ema_decay: float = 0.95

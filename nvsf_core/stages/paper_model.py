@@ -11,10 +11,12 @@ from torch import Tensor, nn
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.metrics.depth import lidar_depth_images
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.recording import LidarRecording, Recording
+from nvsf_core.stages.recording import CameraRecording, LidarRecording, Recording
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.scene_store import SceneStore
@@ -64,6 +66,7 @@ def read_frames(recipe: PaperRecipe, recording: Recording, store: SceneStore) ->
             name=name,
             images=camera.training,
             frame=np.array([number(float(time_s)) for time_s in camera.training_time_s]),
+            range_m=_seen_by_lidar(camera, recording.lidar) if recipe.losses.camera_depth else None,
         )
         for name, camera in recording.cameras.items()
         if recipe.sampling.camera
@@ -99,6 +102,22 @@ def _read_panos(
         intensity=torch.from_numpy(a["linear_intensity"][row]),
         clouds=tuple(cloud.astype(np.float32) for cloud in clouds),
     )
+
+
+def _seen_by_lidar(camera: CameraRecording, lidar: LidarRecording | None) -> np.ndarray | None:
+    """Ray lengths (k, h, w) of the returns of each image's own scan; 0 where none falls, or there is none."""
+    if lidar is None:
+        return None
+    pinhole = camera.training.pinhole
+    found = np.zeros((len(camera.training.pose), pinhole.height, pinhole.width), np.float32)
+    scan_at = {float(lidar.sweeps.arrays["time_s"][scan]): int(scan) for scan in _training_scans(lidar)}
+    for k, (pose, time_s) in enumerate(zip(camera.training.pose, camera.training_time_s, strict=True)):
+        scan = scan_at.get(float(time_s))
+        if scan is not None:
+            inverse = invert_pose(pose)
+            points_m = _points(lidar, scan) @ inverse[:3, :3].T + inverse[:3, 3]
+            found[k] = lidar_depth_images(points_m, pinhole)[0]
+    return found
 
 
 def _training_scans(lidar: LidarRecording) -> np.ndarray:

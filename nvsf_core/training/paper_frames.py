@@ -34,6 +34,8 @@ class Images:
     images: CameraImages
     frame: np.ndarray
     """(k,) float64 frame coordinates."""
+    range_m: np.ndarray | None = None
+    """(k, h, w) float32 ray lengths to the frame's own returns, 0 = none; None where no loss asks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

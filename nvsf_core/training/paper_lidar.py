@@ -68,6 +68,9 @@ def lidar_losses(
             optical_factor=2.0 if recipe.slips.active_sensor else 1.0,
         )
         terms = _terms(recipe, render, part, seen, frames.bounds.half_m, drawn.patch, step)
+        if "chamfer" in terms:
+            # A mean over the step's rays, of which this part is a share.
+            terms["chamfer"] = terms["chamfer"] * (len(part) / len(rays))
         error.append(_ray_error(recipe, terms))
         yield total_loss(terms, asdict(recipe.losses), SUMS)
     errors.update(row, drawn.rows, drawn.columns, torch.cat(error))

@@ -71,11 +71,12 @@ def test_every_stage_runs_with_the_papers_recipe(drive, home):
 def test_the_training_curve_shows_every_term(drive, home):
     recipe = smoke(
         name="all_terms",
-        losses=PaperLosses(chamfer=1.0, flow_magnitude=1.0, line_of_sight=0.1),
+        losses=PaperLosses(chamfer=1.0, flow_magnitude=1.0, line_of_sight=0.1, camera_depth=1.0),
         optimiser=replace(smoke().optimiser, steps=30),
     )
     curve = read_table(train(drive, home, recipe) / "curve.parquet")
-    for term in ("flow", "depth", "intensity", "raydrop", "gradient", "colour", "chamfer", "line_of_sight"):
+    named = ("flow", "depth", "intensity", "raydrop", "gradient", "colour")
+    for term in (*named, "chamfer", "flow_magnitude", "line_of_sight", "camera_depth"):
         assert any(value is not None and value >= 0.0 for value in curve[term]), term
 
 
