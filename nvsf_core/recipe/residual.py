@@ -69,7 +69,8 @@ class TrainingSpec:
     steps: int
     """Optimiser steps."""
     rays: int
-    """Rays a step, drawn from all training frames; of the camera's networks: pixels of one crop a step."""
+    """Rays a step, drawn from all training frames; of the camera's networks: pixels of one
+    crop of shrunk images a step."""
     table_rate: float = 1e-2
     """Adam's step size for the hash tables."""
     network_rate: float = 3e-3
@@ -113,6 +114,6 @@ class ResidualRecipe(Recipe):
     lidar_field: FieldSpec = FieldSpec()
     camera: CameraSpec = CameraSpec()
     lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
-    depth_training: TrainingSpec = TrainingSpec(steps=400, rays=8064, network_rate=5e-3)
-    camera_training: TrainingSpec = TrainingSpec(steps=600, rays=36864, network_rate=2e-3)
+    depth_training: TrainingSpec = TrainingSpec(steps=120, rays=8064, network_rate=5e-3)
+    camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()

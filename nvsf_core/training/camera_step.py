@@ -49,8 +49,7 @@ def camera_step(
     example = _drawn(examples, generator)
     view = example.view
     shape = (view.small.height, view.small.width)
-    pixels = max(1, recipe.camera_training.rays // view.factor**2)
-    around = draw_window(shape, pixels, generator)
+    around = draw_window(shape, recipe.camera_training.rays, generator)
     probability, colour = planes_of(networks.depth, view, example.small_sources, recipe.camera, around)
     belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
     window = _full_size(around, shape, view.factor)
