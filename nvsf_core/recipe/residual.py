@@ -52,8 +52,8 @@ class CameraSpec:
     """Nearest plane."""
     far_m: float = 300.0
     """Farthest plane."""
-    width_px: int = 352
-    """Planes are compared on images shrunk by a whole number to about this width."""
+    plane_px: int = 33_000
+    """Planes are compared on images shrunk by a whole number to about so many pixels."""
     depth_channels: tuple[int, int] = (12, 16)
     """Widths of the network over planes, at its two resolutions."""
     blend_channels: tuple[int, int] = (24, 32)

@@ -96,7 +96,7 @@ def camera_view(
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
     chosen += [chosen[-1]] * (spec.sources - len(chosen))
-    factor = max(1, round(pinhole.width / spec.width_px))
+    factor = max(1, round((pinhole.width * pinhole.height / spec.plane_px) ** 0.5))
     return CameraView(
         pinhole=pinhole,
         small=shrunk(pinhole, factor),

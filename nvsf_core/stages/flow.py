@@ -16,6 +16,7 @@ from nvsf_core.kitti360.catalogue import (
     home_from_environment,
 )
 from nvsf_core.recipe import Recipe, preset
+from nvsf_core.stages.heartbeat import Heartbeat
 from nvsf_core.stages.lease import device_lease
 from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, read_record, run_stage
 from nvsf_core.stores.scene_store import SceneStore
@@ -95,8 +96,11 @@ def run_named_stage(
     by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
     stage = by_name[name]
     inputs = {source: _fingerprint_of(by_name[source], run) for source in stage.inputs}
-    with _lease_for(stage, run, progress):
-        return run_stage(stage, run.scene, run.store, run.config, progress, inputs)
+    with (
+        _lease_for(stage, run, progress),
+        Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
+    ):
+        return run_stage(stage, run.scene, run.store, run.config, say, inputs)
 
 
 def find_scene(name: str) -> SceneEntry:

@@ -20,7 +20,7 @@ from nvsf_core.rendering.warping import plane_rays
 
 CAMERA = Pinhole(fx=80.0, fy=80.0, cx=63.5, cy=31.5, width=128, height=64)
 WALL_M = 8.0
-SPEC = CameraSpec(sources=3, planes=24, width_px=64)
+SPEC = CameraSpec(sources=3, planes=24, plane_px=64 * 32)
 NOTHING = np.zeros((0, 3), np.float32)
 
 
