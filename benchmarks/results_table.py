@@ -82,19 +82,19 @@ def as_markdown(rows: Iterable[Row]) -> str:
 
 
 def write(home: Path, root: Path) -> str:
-    """Bring `<root>/benchmarks/results/` and the table between the README's marks up to date.
+    """Bring `<root>/benchmarks/results/recipes/` and the table between the README's marks up to date.
 
     Returns:
         The table.
     """
-    results = root / "benchmarks" / "results"
+    results = root / "benchmarks" / "results" / "recipes"
+    results.mkdir(parents=True, exist_ok=True)
     for recipe, rows in collect(home).items():
         target = results / f"{recipe}.json"
         old = json.loads(target.read_text())["rows"] if target.is_file() else []
         target.write_text(json.dumps({"rows": merged(old, rows)}, indent=1) + "\n")
     files = [json.loads(path.read_text()) for path in sorted(results.glob("*.json"))]
-    # What is a list there is no recipe's results but another measurement: masks, an ablation.
-    everything = [row for found in files if isinstance(found, dict) for row in found["rows"]]
+    everything = [row for found in files for row in found["rows"]]
     table = as_markdown(everything)
     readme = root / "README.md"
     head, rest = readme.read_text().split(BEGIN)

@@ -11,13 +11,13 @@ from street_store import write_street  # tests are no package
 
 
 def _root(folder: Path) -> Path:
-    (folder / "benchmarks" / "results").mkdir(parents=True)
+    (folder / "benchmarks" / "results" / "recipes").mkdir(parents=True)
     (folder / "README.md").write_text(f"above\n{BEGIN}old table\n{END}below\n")
     return folder
 
 
 def _rows(root: Path, recipe: str) -> list[dict]:
-    return json.loads((root / "benchmarks" / "results" / f"{recipe}.json").read_text())["rows"]
+    return json.loads((root / "benchmarks" / "results" / "recipes" / f"{recipe}.json").read_text())["rows"]
 
 
 def test_each_recipe_has_a_file_with_a_row_a_scene_method_and_seed(tmp_path):
@@ -39,7 +39,7 @@ def test_what_another_home_measured_stays_and_what_was_measured_again_is_replace
     root = _root(tmp_path / "checkout")
     write_street(tmp_path / "one", "street")
     write(tmp_path / "one", root)
-    target = root / "benchmarks" / "results" / "quick.json"
+    target = root / "benchmarks" / "results" / "recipes" / "quick.json"
     target.write_text(target.read_text().replace("0.03,", "9.0,"))
     write_street(tmp_path / "two", "avenue")
     write(tmp_path / "two", root)
