@@ -78,11 +78,15 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
     ) -> None:  # fmt: skip
         # read from an array: constants here would be unrolled and take twice as long to compile
         levels, axis_count = factors.shape
-        # A worker owns every workers-th level, so no two ever write the same entry.
+        # A worker owns whole levels, so no two ever write the same entry. They are dealt out there and back:
+        # finer levels miss the caches more often, and nobody should own all of them.
         for worker in prange(workers):
             key, share = neutral_axes()
             entry, weight = np.empty(8 * BLOCK, np.uint32), np.empty(8 * BLOCK, np.float32)
-            for level in range(worker, levels, workers):
+            for level in range(levels):
+                turn = level % (2 * workers)
+                if min(turn, 2 * workers - 1 - turn) != worker:
+                    continue
                 part = grad_table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(0, points, BLOCK):
                     count = min(BLOCK, points - first)
