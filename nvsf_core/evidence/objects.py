@@ -133,19 +133,19 @@ class NearObjects:
     """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
 
     def __init__(self, evidence: tuple[ObjectEvidence, ...], votes: ObjectVotes) -> None:
-        self._evidence = evidence
+        self.evidence = evidence
         self._votes = votes
         self._frame: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
     def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
         """The objects about the middle of times (r,), taken to whole frames; none without rays."""
-        if len(time_s) == 0 or not self._evidence:
+        if len(time_s) == 0 or not self.evidence:
             return ()
-        frame_s = self._evidence[0].path.frame_s
+        frame_s = self.evidence[0].path.frame_s
         frame = round(float(np.median(time_s)) / frame_s)
         if frame != self._frame:
-            self._objects = objects_at(self._evidence, frame * frame_s, self._votes)
+            self._objects = objects_at(self.evidence, frame * frame_s, self._votes)
             self._frame = frame
         return self._objects
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.fields.surface_batch import surface_batch
@@ -46,39 +46,28 @@ class SimulatedSweep:
 
 
 def field_renderer(
-    field: LidarField,
-    evidence: SceneEvidence,
-    trajectory: Trajectory,
-    table: LaserTable,
-    elevation_correction_rad: float,
-    *,
-    most: int,
-    far_m: float,
+    field: LidarField, surfels: Surfels, moving: NearObjects | None, *, most: int, far_m: float
 ) -> RayRenderer:
     """Answers by the trained field: corrections of what stays, and of each object in its own frame.
 
-    Trajectory, table and correction are the recording sensor's: objects ask the scans for their drops.
+    Args:
+        field: Trained.
+        surfels: Of what stays.
+        moving: The scene's moving objects; None where nothing moves, and nobody is asked about motion.
+        most: Candidates a ray.
+        far_m: How far a ray is followed.
     """
-    surfels, dynamic = evidence.standing, evidence.dynamic
-    if dynamic is None:
-
-        def answer_static(
-            origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-        ) -> RayAnswers:
-            batch = surface_batch(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
-            return answer_rays(field, batch, torch.from_numpy(vote))
-
-        return answer_static
-    votes = ObjectVotes(evidence.prior, evidence.lasers, trajectory, table, elevation_correction_rad)
-    near = NearObjects(dynamic.objects, votes)
-    places = field.places(dynamic.objects)
+    places = None if moving is None else field.places(moving.evidence)
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
     ) -> RayAnswers:
-        objects = object_surfaces(
-            near.at(time_s), places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
-        )
+        objects = None
+        if moving is not None and places is not None:
+            there = moving.at(time_s)
+            objects = object_surfaces(
+                there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
+            )
         batch = surface_batch(
             surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m, objects=objects
         )
@@ -88,39 +77,20 @@ def field_renderer(
 
 
 def evidence_renderer(
-    evidence: SceneEvidence,
-    trajectory: Trajectory,
-    table: LaserTable,
-    elevation_correction_rad: float,
-    *,
-    most: int,
-    far_m: float,
+    surfels: Surfels, moving: NearObjects | None, *, most: int, far_m: float
 ) -> RayRenderer:
     """Answers by evidence alone: what stays, and each moving object where it is at a ray's time.
 
-    Trajectory, table and correction are the recording sensor's: objects ask the scans for their drops.
+    Arguments as of `field_renderer`.
     """
-    dynamic = evidence.dynamic
-    if dynamic is None:
-        surfels = evidence.surfels
-
-        def answer_static(
-            origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-        ) -> RayAnswers:
-            return reproject_rays(surfels, origin_m, direction, vote, most=most, far_m=far_m)
-
-        return answer_static
-    background = dynamic.background
-    votes = ObjectVotes(evidence.prior, evidence.lasers, trajectory, table, elevation_correction_rad)
-    near = NearObjects(dynamic.objects, votes)
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
     ) -> RayAnswers:
+        objects = () if moving is None else moving.at(time_s)
         return reproject_rays(
-            background, origin_m, direction, vote, most=most, far_m=far_m, objects=near.at(time_s),
-            time_s=time_s,
-        )  # fmt: skip
+            surfels, origin_m, direction, vote, most=most, far_m=far_m, objects=objects, time_s=time_s
+        )
 
     return answer
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.objects import objects_at
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
@@ -52,13 +51,11 @@ def _meet(
     lidar: LidarRecording, field: LidarField, number: int, both: tuple[tuple[LidarRays, np.ndarray], ...]
 ) -> list[LidarRays]:
     """Rays of a training scan with the moving objects that they meet, as all scans but theirs prove them."""
-    sweeps, evidence = lidar.sweeps, lidar.evidence
+    evidence = lidar.evidence
     assert evidence.dynamic is not None
     objects, places = evidence.dynamic.objects, field.places(evidence.dynamic.objects)
-    votes = ObjectVotes(
-        evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
-    )
-    there = objects_at(objects, float(evidence.prior.time_s[number]), votes, leave_out=number)
+    time_s = float(evidence.prior.time_s[number])
+    there = objects_at(objects, time_s, lidar.object_votes, leave_out=number)
     return [
         replace(
             rays,

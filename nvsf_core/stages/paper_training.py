@@ -45,6 +45,9 @@ def train_on_frames(
     state = _state(trainee, recipe, seed)
     state = fit(task, work, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
     assert state.average is not None
+    if state.step % len(frames.frames) == 0:
+        # The last epoch has no next step that would take its average.
+        state.average.update()
     curves, seconds = {"field": state.curve}, state.seconds
     tensors: dict[str, Tensor] = {}
     with state.average.in_place():

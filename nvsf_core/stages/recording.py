@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import DataError
+from nvsf_core.evidence.object_votes import ObjectVotes
+from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.sensors.sweep import Trajectory
@@ -27,6 +29,19 @@ class LidarRecording:
     def far_m(self) -> float:
         """How far a simulated ray is followed."""
         return float(self.sweeps.table.max_range_m)
+
+    @property
+    def object_votes(self) -> ObjectVotes:
+        """Tells how often the scans saw a place on a moving object return."""
+        sweeps, evidence = self.sweeps, self.evidence
+        return ObjectVotes(
+            evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
+        )
+
+    def moving(self) -> NearObjects | None:
+        """What moves, ready to be asked for about any time; None where nothing does."""
+        dynamic = self.evidence.dynamic
+        return None if dynamic is None else NearObjects(dynamic.objects, self.object_votes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

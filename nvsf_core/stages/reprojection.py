@@ -21,12 +21,9 @@ def reprojection(recording: Recording) -> SceneModel:
     spec = EvidenceSpec()
     lidar = None
     if recording.lidar is not None:
-        recorded = recording.lidar.sweeps
         lidar = evidence_renderer(
-            recording.lidar.evidence,
-            recorded.trajectory,
-            recorded.table,
-            recorded.elevation_correction_rad,
+            recording.lidar.evidence.standing,
+            recording.lidar.moving(),
             most=spec.lidar_candidates,
             far_m=recording.lidar.far_m,
         )

@@ -62,13 +62,10 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     lidar = camera = None
     if fields.lidar is not None and recording.lidar is not None:
         fields.lidar.load_state_dict(_named(tensors, "lidar."))
-        recorded = recording.lidar.sweeps
         lidar = field_renderer(
             fields.lidar,
-            recording.lidar.evidence,
-            recorded.trajectory,
-            recorded.table,
-            recorded.elevation_correction_rad,
+            recording.lidar.evidence.standing,
+            recording.lidar.moving(),
             most=recipe.evidence.lidar_candidates,
             far_m=recording.lidar.far_m,
         )

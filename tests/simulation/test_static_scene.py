@@ -4,6 +4,7 @@ import numpy as np
 import torch
 
 from nvsf_core.evidence.drop_prior import build_drop_prior
+from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
@@ -15,6 +16,8 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer
+from nvsf_core.stages.evidence import Sweeps
+from nvsf_core.stages.recording import LidarRecording
 
 
 def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:
@@ -33,11 +36,19 @@ def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:
     return scene, origin, direction
 
 
+def _moving(scene: SceneEvidence) -> NearObjects | None:
+    """Of a recording whose trajectory ends at 0.1 s: whoever asks it for the pose at 99 s gets an error."""
+    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
+    sweeps = Sweeps(
+        arrays={}, is_training=np.ones(1, bool), trajectory=short, period_s=0.1, table=HDL_64E,
+        scene_origin_m=np.zeros(3), elevation_correction_rad=0.0,
+    )  # fmt: skip
+    return LidarRecording(sweeps=sweeps, evidence=scene).moving()
+
+
 def test_a_static_scene_queries_nothing_dynamic() -> None:
     scene, origin, direction = _wall()
-    # Whoever asks this trajectory, or an object, for the pose at 99 s gets an error.
-    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
-    render = evidence_renderer(scene, short, HDL_64E, 0.0, most=8, far_m=50.0)
+    render = evidence_renderer(scene.standing, _moving(scene), most=8, far_m=50.0)
     vote = np.ones(8, np.float32)
     early = render(origin, direction, vote, np.zeros(8))
     late = render(origin, direction, vote, np.full(8, 99.0))
@@ -47,11 +58,10 @@ def test_a_static_scene_queries_nothing_dynamic() -> None:
 
 def test_a_field_of_a_static_scene_asks_nobody_about_motion_and_answers_from_its_surfaces() -> None:
     scene, origin, direction = _wall()
-    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
     bounds = Bounds(centre_m=(0.0, 0.0, 0.0), half_m=20.0)
     field = LidarField(FieldSpec(levels=2, log2_table=8), bounds, torch.Generator().manual_seed(0))
     vote = np.full(8, 0.7, np.float32)
-    render = field_renderer(field, scene, short, HDL_64E, 0.0, most=8, far_m=50.0)
+    render = field_renderer(field, scene.standing, _moving(scene), most=8, far_m=50.0)
     answers = render(origin, direction, vote, np.full(8, 99.0))
     batch = surface_batch(scene.surfels, origin, direction, most=8, near_m=NEAR_M, far_m=50.0)
     assert batch.objects is None

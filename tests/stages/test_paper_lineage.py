@@ -12,11 +12,14 @@ from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import AuthorsSlips, PaperLosses, PaperRecipe, Recipe, preset
 from nvsf_core.stages import plan_run, run_named_stage, run_scene
 from nvsf_core.stages.field import load_model
+from nvsf_core.stages.paper_model import read_frames
+from nvsf_core.stages.paper_training import train_on_frames
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.stage import Task
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.tables import read_rows, read_table
+from nvsf_core.training.paper_trainee import PaperTrainee
 
 UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
 
@@ -106,6 +109,25 @@ def test_lidar_rays_alone_build_nothing_of_the_camera(drive, home):
     run = plan_run(entry(drive), home, recipe=recipe)
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=home, progress=lambda _: None)
     assert load_model(task, read_recording(run.store)).camera is None
+
+
+def test_every_whole_epoch_enters_the_average(drive, home):
+    recipe = smoke(
+        optimiser=replace(smoke().optimiser, steps=3), refinement=replace(smoke().refinement, channels=0)
+    )
+    run = plan_run(entry(drive), home, recipe=recipe)
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=home, progress=lambda _: None)
+    recording = read_recording(run.store)
+    frames = read_frames(recipe, recording, run.store)
+    assert len(frames.frames) == recipe.optimiser.steps
+    work = run.store.work_dir("field/one_epoch/0")
+    found = train_on_frames(task, recipe, recording, frames, work).tensors
+    last, _ = load_tensors(work / "field.safetensors")
+    start = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).field
+    # The first update: d_1 = min(0.95, 2 / 11) of the weights before training is kept.
+    for name, before in start.named_parameters():
+        expected = 2 / 11 * before.detach() + 9 / 11 * last[f"model.field.{name}"]
+        assert torch.allclose(found[f"field.{name}"], expected, atol=1e-6), name
 
 
 def test_a_stopped_training_ends_with_the_same_bits(drive, home):
