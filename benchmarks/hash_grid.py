@@ -1,6 +1,6 @@
 """Speed and error of the numba hash grid beside the torch oracle, forward and adjoint.
 
-Run ``python -m benchmarks.hash_grid [--points 131072] [--repeats 5]`` on an otherwise idle machine.
+Run ``python -m benchmarks.hash_grid [--points 131072] [--repeats 15]`` on an otherwise idle machine.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--points", type=int, default=1 << 17)
-    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--repeats", type=int, default=15)
     arguments = parser.parse_args()
     print(f"machine: {_machine()}")
     print(f"{arguments.points} points a call, best of {arguments.repeats}; million points a second.")

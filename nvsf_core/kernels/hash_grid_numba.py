@@ -26,12 +26,13 @@ from nvsf_core.kernels.corners_numba import (
     use_threads_of_torch,
 )
 from nvsf_core.kernels.layout import PRIMES, GridLayout
-from nvsf_core.kernels.rows_numba import gather, scatter
+from nvsf_core.kernels.rows_numba import copy_row, gather, scatter
 
 __all__ = ["adjoint", "encode"]
 
-# A level is walked over this many points before the next, so that its part of the table stays in the caches.
-_FORWARD_CHUNK = 65536
+# A level is walked over this many points before the next, so that its part of the table stays in the caches;
+# few enough for their rows of all levels to stay in the second cache until they are put in order.
+_FORWARD_CHUNK = 4096
 _HALF = np.float32(0.5)
 
 
@@ -49,10 +50,12 @@ def _forward_for(features: int, dimensions: int) -> Any:
         for chunk in prange((points + chunk_points - 1) // chunk_points):
             key, share = neutral_axes()
             entry, weight = np.empty(8 * BLOCK, np.uint32), np.empty(8 * BLOCK, np.float32)
-            end = min((chunk + 1) * chunk_points, points)
+            begin = chunk * chunk_points
+            end = min(begin + chunk_points, points)
+            rows = np.empty(levels * chunk_points * features, np.float32)
             for level in range(levels):
                 part = table[offsets[level] * features : offsets[level + 1] * features]
-                for first in range(chunk * chunk_points, end, BLOCK):
+                for first in range(begin, end, BLOCK):
                     count = min(BLOCK, end - first)
                     for axis in range(axis_count):
                         place(
@@ -61,8 +64,13 @@ def _forward_for(features: int, dimensions: int) -> Any:
                         )  # fmt: skip
                     combine(key, share, count, axis_count, dense[level], mask, entry, weight)
                     for i in range(count):
-                        start = ((first + i) * levels + level) * features
-                        gather(part, entry, weight, i, out, start, corners, BLOCK, features, features)
+                        start = (level * chunk_points + first - begin + i) * features
+                        gather(part, entry, weight, i, rows, start, corners, BLOCK, features, features)
+            for first in range(begin, end, BLOCK):
+                for level in range(levels):
+                    for point in range(first, min(first + BLOCK, end)):
+                        start = (level * chunk_points + point - begin) * features
+                        copy_row(rows, start, out, (point * levels + level) * features, features)
 
     return compiled(forward)
 
@@ -78,6 +86,12 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
     ) -> None:  # fmt: skip
         # read from an array: constants here would be unrolled and take twice as long to compile
         levels, axis_count = factors.shape
+        rows = np.empty(levels * points * features, np.float32)
+        for block in prange((points + BLOCK - 1) // BLOCK):
+            for level in range(levels):
+                for point in range(block * BLOCK, min((block + 1) * BLOCK, points)):
+                    start = (level * points + point) * features
+                    copy_row(grad, (point * levels + level) * features, rows, start, features)
         # A worker owns whole levels, so no two ever write the same entry. They are dealt out there and back:
         # finer levels miss the caches more often, and nobody should own all of them.
         for worker in prange(workers):
@@ -97,8 +111,8 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
                         )  # fmt: skip
                     combine(key, share, count, axis_count, dense[level], mask, entry, weight)
                     for i in range(count):
-                        start = ((first + i) * levels + level) * features
-                        scatter(part, entry, weight, i, grad, start, corners, BLOCK, features, features)
+                        start = (level * points + first + i) * features
+                        scatter(part, entry, weight, i, rows, start, corners, BLOCK, features, features)
 
     return compiled(adjoint)
 

@@ -15,7 +15,7 @@ from llvmlite import ir  # type: ignore[import-untyped,unused-ignore]
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["gather", "scatter"]
+__all__ = ["copy_row", "gather", "scatter"]
 
 # Rows are asked for this many points before they are needed; the processor by itself looks some seven ahead.
 _AHEAD = 32
@@ -62,6 +62,20 @@ def _prefetch(
         index = builder.zext(builder.load(builder.gep(entry, [at])), ir.IntType(64))
         row = builder.bitcast(builder.gep(table, [builder.mul(index, index.type(stride))]), _BYTES)
         builder.call(prefetch, [row, _INT32(int(write)), _INT32(3), _INT32(1)])
+
+
+@intrinsic(prefer_literal=True)
+def copy_row(typing_context, source, first, out, start, width):  # type: ignore[no-untyped-def]
+    """``out[start : start + width] = source[first : first + width]``; flat float32, width a constant."""
+    signature = types.void(source, types.intp, out, types.intp, width)
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source_data, out_data = (_data(context, builder, signature, args, position) for position in (0, 2))
+        row = builder.load(_row(builder, source_data, args[1], width.literal_value), align=4)
+        builder.store(row, _row(builder, out_data, args[3], width.literal_value), align=4)
+        return context.get_dummy_value()
+
+    return signature, code
 
 
 @intrinsic(prefer_literal=True)
