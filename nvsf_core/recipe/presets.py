@@ -47,18 +47,19 @@ _PAPER_AUTHORS = replace(
 )
 
 _SMALL_ENCODER = EncoderSpec(
-    static=GridSpec(levels=8, features=4, log2_table=15, base_resolution=32, finest_resolution=2048),
-    dynamic=TimeGridSpec(log2_tables=(15, 13, 13), base_resolution=32, finest_resolution=2048),
+    static=GridSpec(levels=6, features=4, log2_table=15, base_resolution=32, finest_resolution=2048),
+    dynamic=TimeGridSpec(levels=6, log2_tables=(15, 13, 13), base_resolution=32, finest_resolution=2048),
+    planes=PlanesSpec(scales=(1, 4)),
 )
 _PAPER_CPU = PaperRecipe(
     name="paper_cpu",
     encoder=_SMALL_ENCODER,
     flow=FlowSpec(
-        grid=GridSpec(levels=16, features=8, log2_table=15, base_resolution=32, finest_resolution=2048),
+        grid=GridSpec(levels=8, features=8, log2_table=15, base_resolution=32, finest_resolution=2048),
         points=2048,
     ),
     sampling=PaperSampling(rays=256, samples=96),
-    optimiser=PaperOptimiser(steps=180, head_rate=1e-2, checkpoint_s=10.0),
+    optimiser=PaperOptimiser(steps=100, head_rate=1e-2, checkpoint_s=30.0),
     refinement=RefinementSpec(channels=8, steps=30, rate=1e-2, frames_a_step=1, panos=3, column_step=4),
 )
 _TINY_GRID = GridSpec(levels=2, features=4, log2_table=8, base_resolution=16, finest_resolution=64)
