@@ -116,16 +116,17 @@ def turn_up(
     return turned(origin_m), turned(direction)
 
 
-def firing_grid(table: LaserTable, firings: int) -> tuple[np.ndarray, np.ndarray]:
+def firing_grid(table: LaserTable, firings: int, phase: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
     """Nominal encoder angles and times of one turn of `firings` evenly spaced firings.
 
-    Firing k comes at (k + 1/2) / firings - 1/2 of a sweep after the pose's instant; laser l then looks
-    along theta = -2 pi fraction + (phase_l - firing_shift_l) steps.
+    Firing k comes at (k + phase) / firings - 1/2 of a sweep after the pose's instant; laser l then looks
+    along theta = -2 pi fraction + (phase_l - firing_shift_l) steps. Where a turn starts against its
+    firings (`phase`, 0..1) is random from scan to scan; one half stands for all.
 
     Returns:
         azimuth_rad (L, firings) in (-pi, pi], sweep_fraction (firings,) ascending in (-0.5, 0.5).
     """
-    fraction = (np.arange(firings) + 0.5) / firings - 0.5
+    fraction = (np.arange(firings) + phase) / firings - 0.5
     shift_rad = (table.phase_steps - table.firing_shift_steps) * table.step_rad
     return wrap_angle(-2.0 * np.pi * fraction[None, :] + shift_rad[:, None]), fraction
 

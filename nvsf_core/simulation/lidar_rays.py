@@ -40,6 +40,7 @@ def sweep_rays(
     period_s: float,
     *,
     mount: np.ndarray | None = None,
+    phase: float = 0.5,
 ) -> SweepRays:
     """Rays of the sweep whose pose belongs to `time_s`.
 
@@ -51,8 +52,9 @@ def sweep_rays(
         time_s: The instant of the sweep's pose.
         period_s: Duration of a turn.
         mount: (4, 4) pose of the simulated sensor in the recording sensor's frame; None = the same place.
+        phase: Where the turn starts against its firings, 0..1 of one.
     """
-    azimuth, fraction = firing_grid(table, firings)
+    azimuth, fraction = firing_grid(table, firings, phase)
     azimuth = azimuth[lasers].reshape(-1)
     laser = np.repeat(lasers.astype(np.int64), firings)
     fraction = np.tile(fraction, len(lasers))

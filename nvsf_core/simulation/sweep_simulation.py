@@ -65,9 +65,7 @@ def field_renderer(
         objects = None
         if moving is not None and places is not None:
             there = moving.at(time_s)
-            objects = object_surfaces(
-                there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
-            )
+            objects = object_surfaces(there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m)
         batch = surface_batch(
             surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m, objects=objects
         )
@@ -120,21 +118,7 @@ def simulate_sweep(
     votes: int,
 ) -> SimulatedSweep:
     """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
-    near = evidence.prior.nearest_scans(time_s, votes)
-    if plan.is_recorded_sensor:
-        lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
-    else:
-        lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
-    rays = sweep_rays(plan.table, lasers, firings, trajectory, time_s, period_s, mount=plan.mount)
-    voter = (
-        rays.laser
-        if plan.is_recorded_sensor
-        else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
-    )
-    vote = evidence.prior.vote(voter, rays.fraction, near)
-    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
-    if plan.is_recorded_sensor:
-        answers = put_back_own_vehicle(answers, rays, evidence)
+    rays, answers = fire_sweep(plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes)
     points, intensity, laser = recorded_scan(rays, answers)
     pano = LinearPano(quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
@@ -147,6 +131,43 @@ def simulate_sweep(
         _pano_hit(pano, rays, answers),
         _grid(rays, answers),
     )
+
+
+def fire_sweep(
+    plan: SweepPlan,
+    time_s: float,
+    evidence: SceneEvidence,
+    render: RayRenderer,
+    trajectory: Trajectory,
+    period_s: float,
+    recorded_table: LaserTable,
+    votes: int,
+    *,
+    phase: float = 0.5,
+    leave_out_s: float | None = None,
+) -> tuple[SweepRays, RayAnswers]:
+    """All rays of one turn of the plan's sensor around `time_s`, answered; the own vehicle is put back.
+
+    `phase` says where the turn starts against its firings; the training scan at `leave_out_s` does not vote.
+    """
+    near = evidence.prior.nearest_scans(time_s, votes, leave_out_s=leave_out_s)
+    if plan.is_recorded_sensor:
+        lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
+    else:
+        lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
+    rays = sweep_rays(
+        plan.table, lasers, firings, trajectory, time_s, period_s, mount=plan.mount, phase=phase
+    )
+    voter = (
+        rays.laser
+        if plan.is_recorded_sensor
+        else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
+    )
+    vote = evidence.prior.vote(voter, rays.fraction, near)
+    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
+    if plan.is_recorded_sensor:
+        answers = put_back_own_vehicle(answers, rays, evidence)
+    return rays, answers
 
 
 def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:
