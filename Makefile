@@ -34,7 +34,7 @@ $(DAGSTER_HOME)/dagster.yaml: dagster.yaml | $(STAMP)
 demo: install $(DAGSTER_HOME)/dagster.yaml ## write the embedded drive and train it with the recipe quick
 	SCENES=demo RECIPE=quick $(TRAIN)
 
-train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=quick SEED=0: train catalogue scenes
+train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes
 	$(TRAIN)
 
 test: install ## the whole suite

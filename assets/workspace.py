@@ -14,7 +14,7 @@ class Workspace(dg.ConfigurableResource):
     """Recipe, seeds and places of a run; what is left empty comes from the environment."""
 
     recipe: str = ""
-    """Preset; empty = RECIPE, else the catalogue's choice for the scene, else `quick`."""
+    """Preset; empty = RECIPE, else the catalogue's choice for the scene, else `lean`."""
     seed: int | None = None
     """Seed of training; None = SEED, else 0."""
     draw_seed: int = 0

@@ -1,4 +1,4 @@
-"""The presets by name: `quick`, the paper's recipes and its ablation; `smoke` ones show that all runs."""
+"""The presets by name: ours (`lean`, `quick`), the paper's and its ablation; `smoke` ones show that all runs."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,6 +22,8 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
+# What quick learns, for as long as it pays: eight times the LiDAR's steps stay within 10 minutes on 2 cores.
+_LEAN = replace(_QUICK, name="lean", lidar_training=TrainingSpec(steps=10_000, rays=4096))
 _SMOKE = replace(
     _QUICK,
     name="smoke",
@@ -112,6 +114,7 @@ ENCODINGS = (
 _PRESETS: dict[str, Recipe] = {
     recipe.name: recipe
     for recipe in (
+        _LEAN,
         _QUICK,
         _SMOKE,
         _PAPER,

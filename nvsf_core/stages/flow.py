@@ -23,7 +23,7 @@ from nvsf_core.stores.scene_store import SceneStore
 
 DEMO_SCENE = "demo"
 """The scene whose drive is written here where it is absent."""
-DEFAULT_RECIPE = "quick"
+DEFAULT_RECIPE = "lean"
 """Used where neither the user nor the catalogue names one."""
 _SAY_EVERY_S = 4.0
 
@@ -62,7 +62,7 @@ def run_scene(
     Args:
         scene: A catalogue entry, or its name in the catalogue that NVSF_SCENES points to.
         home: Folder of all outputs; default NVSF_HOME, else `.nvsf` here.
-        recipe: A preset's name or a recipe; default the catalogue's choice, else `quick`.
+        recipe: A preset's name or a recipe; default the catalogue's choice, else `lean`.
         seed: Seed of training.
         draw_seed: Seed of what is random in the data set.
         dataset_label: First part of the data set's version.

@@ -8,7 +8,8 @@ import pytest
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe, ResidualRecipe, preset, recipe_from_json
 
-NAMES = ("quick", "smoke", "paper", "paper_authors", "paper_cpu", "paper_same", "paper_separate_fused")
+PAPER_NAMES = ("paper", "paper_authors", "paper_cpu", "paper_same", "paper_separate_fused")
+NAMES = ("lean", "quick", "smoke", *PAPER_NAMES)
 
 
 @pytest.mark.parametrize("name", [*NAMES, *(recipe.name for recipe in ABLATION + ENCODINGS)])

@@ -97,7 +97,7 @@ def test_two_recipes_lie_side_by_side(entry, tmp_path):
 def test_the_recipe_asked_for_goes_before_the_catalogues(entry, tmp_path):
     assert plan_run(entry, tmp_path, recipe="quick").config.recipe == preset("quick")
     assert plan_run(entry, tmp_path).config.recipe == preset("smoke")
-    assert plan_run(replace(entry, recipe=None), tmp_path).config.recipe == preset("quick")
+    assert plan_run(replace(entry, recipe=None), tmp_path).config.recipe == preset("lean")
     with pytest.raises(RecipeError, match="splendid"):
         plan_run(entry, tmp_path, recipe="splendid")
 
