@@ -1,4 +1,4 @@
-"""The presets by name: ours (`lean`, `quick`), the paper's and its ablation; `smoke` ones show that all runs."""
+"""The presets by name: ours (`lean`, `quick`), the paper's, its ablation; `smoke` ones show that all runs."""
 
 from dataclasses import replace
 from typing import Any
