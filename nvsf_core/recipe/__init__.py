@@ -22,6 +22,7 @@ from nvsf_core.recipe.residual import (
     EvidenceSpec,
     FieldSpec,
     LossWeights,
+    PanoSpec,
     ResidualRecipe,
     TrainingSpec,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "GridSpec",
     "HeadsSpec",
     "LossWeights",
+    "PanoSpec",
     "PaperLosses",
     "PaperOptimiser",
     "PaperRecipe",

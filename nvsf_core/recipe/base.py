@@ -54,6 +54,7 @@ def _read(kind: Any, value: Any) -> Any:
         return kind(**{name: _read(named.get(name), part) for name, part in value.items()})
     if isinstance(value, list):
         return tuple(value)
-    if get_origin(kind) is UnionType and value is None and type(None) in get_args(kind):
-        return None
+    if get_origin(kind) is UnionType and isinstance(value, dict):
+        # Which of several dataclasses was meant is not written down: only one may be among the kinds.
+        return _read(next((option for option in get_args(kind) if is_dataclass(option)), None), value)
     return value

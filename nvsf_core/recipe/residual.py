@@ -104,6 +104,28 @@ class LossWeights:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PanoSpec:
+    """The papers' range image as a view of its own, and not the projection of one simulated scan."""
+
+    phases: int = 4
+    """Turns that are fired, each starting at another phase of the firings."""
+    parts: int = 2
+    """Every turn is looked at so many times, turned by parts of what lies between two phases."""
+    channels: int = 20
+    """Width of the network over cells."""
+    layers: int = 3
+    """Layers of that width."""
+    neighbours: int = 6
+    """Nearest training panos that the network is told of."""
+    frames: int = 14
+    """Most training frames that the network learns from; evenly spread."""
+    judge_every: int = 5
+    """Of so many of these frames one is never learned from but decides whether the network is used."""
+    training: TrainingSpec | None = None
+    """None = no network; `rays` are a step's cells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualRecipe(Recipe):
     """Evidence first; what is left is learned."""
 
@@ -117,3 +139,5 @@ class ResidualRecipe(Recipe):
     depth_training: TrainingSpec = TrainingSpec(steps=120, rays=8064, network_rate=5e-3)
     camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
+    pano: PanoSpec | None = None
+    """None = the pano is the projection of the simulated scan."""
