@@ -45,9 +45,12 @@ def fit(
     def save(tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
         save_tensors(path, tensors, facts | {"recipe": recipe.identity()})
 
+    observe = task.observe
     resume(task, state, path)
     try:
-        train(state, spec, step, save, say)
+        train(
+            state, spec, step, save, say, None if observe is None else lambda seen: observe(part, seen)
+        )  # fmt: skip
     except DivergedError as error:
         raise DivergedError(f"scene {task.scene.name}, recipe {recipe.name}, {part}: {error}") from error
     return state

@@ -24,6 +24,19 @@ class Progress(Protocol):
         """Say `line`."""
 
 
+class Observer(Protocol):
+    """Watches a training from outside, for example to score it at given seconds."""
+
+    def __call__(self, part: str, state: Any, /) -> None:
+        """See a part of the model after one of its steps.
+
+        Args:
+            part: Name of the checkpoint's file: `lidar`, `camera`, ...
+            state: A `nvsf_core.training.loop.TrainingState`, not to be changed. (Its module loads torch,
+                which importing this one must not.)
+        """
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
     """What a run was asked for, beside the scene."""
@@ -74,6 +87,8 @@ class Task:
     folder: Path
     """Empty folder to fill; published whole when `run` returns."""
     progress: Progress
+    observe: Observer | None = None
+    """Watches the training; the clock stands still meanwhile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

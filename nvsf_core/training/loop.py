@@ -78,9 +78,16 @@ def make_optimiser(model: nn.Module, spec: TrainingSpec) -> torch.optim.Adam:
 
 
 def train(
-    state: TrainingState, spec: TrainingSpec, step: Step, save: Save, say: Callable[[str], None]
+    state: TrainingState,
+    spec: TrainingSpec,
+    step: Step,
+    save: Save,
+    say: Callable[[str], None],
+    observe: Callable[[TrainingState], None] | None = None,
 ) -> None:
     """Run the steps that are left; save every `checkpoint_s` seconds and at the end.
+
+    `observe` sees the state after each step; the training's clock stands still meanwhile.
 
     Raises:
         DivergedError: A loss term or a parameter is not finite; names the step and the term or tensor.
@@ -124,6 +131,11 @@ def train(
             require_finite_parameters(state.model, state.step)
             save(state.tensors(), state.facts())
             saved = time.perf_counter()
+        if observe is not None:
+            paused = time.perf_counter()
+            observe(state)
+            spent = time.perf_counter() - paused
+            began, started = began + spent, started + spent
 
 
 def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:

@@ -1,5 +1,7 @@
 """Laws of the training loop: killed and resumed is the same as never killed."""
 
+import time
+
 import pytest
 import torch
 from torch import nn
@@ -118,3 +120,18 @@ def test_the_averaged_weights_survive_a_checkpoint(tmp_path) -> None:
     again.restore(*load_tensors(path))
     with state.average.in_place(), again.average.in_place():
         assert torch.equal(again.model.weight, state.model.weight)
+
+
+def test_an_observer_changes_neither_the_bits_nor_the_clock() -> None:
+    alone, watched = fresh_state(), fresh_state()
+    train(alone, SPEC, step_of(alone), ignore, ignore)
+    seen = []
+
+    def look_long(state: TrainingState) -> None:
+        seen.append((state.step, state.seconds))
+        time.sleep(0.02)
+
+    train(watched, SPEC, step_of(watched), ignore, ignore, look_long)
+    assert torch.equal(alone.model.weight, watched.model.weight)
+    assert [step for step, _ in seen] == list(range(1, SPEC.steps + 1))
+    assert watched.seconds < 0.5 * 0.02 * SPEC.steps
