@@ -22,7 +22,7 @@ from nvsf_core.kitti360.demo_cameras import (
     render_image,
 )
 from nvsf_core.kitti360.demo_lidar import simulate_scan
-from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
+from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.kitti360.demo_street import CAR_SIZE_M
 from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.kitti360.layout import DriveLayout
@@ -89,16 +89,20 @@ def write_demo(
     *,
     size: DemoSize | None = None,
     seed: int = 0,
+    speed: EgoSpeed | None = None,
+    traffic: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write the demo drive whole: `root` appears when everything is in it.
 
-    The sequence is `DEMO_SEQUENCE`. The same seed and size give the same bytes.
+    The sequence is `DEMO_SEQUENCE`. The same arguments give the same bytes.
 
     Args:
         root: KITTI-360 root to make; it must not exist, or be an empty folder.
         size: How much; None = `DemoSize.full()`.
         seed: Of the street and of all noise.
+        speed: Of the recording car; None = the demo's own, about 9 m/s.
+        traffic: Cars that drive in addition to the demo's own, at most 12.
         progress: Told (frames done, frames) after each frame.
 
     Raises:
@@ -111,7 +115,7 @@ def write_demo(
     shutil.rmtree(part, ignore_errors=True)
     try:
         layout = DriveLayout(part, DEMO_SEQUENCE)
-        world = DemoWorld(seed)
+        world = DemoWorld(seed, speed=speed, traffic=traffic)
         cameras = _cameras(size)
         _write_calibration(layout, cameras)
         _write_poses(layout, world, cameras[0], size.frames)

@@ -6,7 +6,6 @@ import numpy as np
 
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.se3 import exp_so3, invert_pose, pose_from_parts
-from nvsf_core.kitti360.demo_motion import ego_pose
 from nvsf_core.kitti360.demo_shapes import tile_index
 from nvsf_core.kitti360.demo_street import Material
 from nvsf_core.kitti360.demo_world import HORIZON_M, DemoHits, DemoWorld
@@ -99,7 +98,7 @@ def demo_fisheye(name: str, side: int) -> DemoCamera:
 
 def render_image(world: DemoWorld, camera: DemoCamera, time_s: float) -> np.ndarray:
     """The image (H, W, 3) uint8, red first, of a shutter at `time_s`; black where the lens sees nothing."""
-    pose = ego_pose(np.array([time_s]))[0] @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
+    pose = world.lidar_to_street(np.array([time_s]))[0] @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
     directions = (camera.directions @ pose[:3, :3].T).astype(np.float32)
     origins = np.broadcast_to(pose[:3, 3].astype(np.float32), directions.shape)
     height, width = camera.model.height, camera.model.width

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S, ego_pose
+from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
 from nvsf_core.kitti360.demo_shapes import (
     Kind,
     ShapeList,
@@ -212,7 +212,8 @@ def _cast(
     """Range, material, instance and |cos incidence| (N,) of recorded rays fired at their times."""
     correction = table.elevation_correction_rad
     origin, direction = _turned_up(origin, theta, correction), _turned_up(direction, theta, correction)
-    pose = ego_pose(time_s) if mount is None else ego_pose(time_s) @ mount
+    pose = world.lidar_to_street(time_s)
+    pose = pose if mount is None else pose @ mount
     turn = pose[:, :3, :3]
     street_origin = (turn @ origin[:, :, None])[..., 0] + pose[:, :3, 3]
     street_direction = (turn @ direction[:, :, None])[..., 0]

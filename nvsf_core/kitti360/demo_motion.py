@@ -11,7 +11,15 @@ import numpy as np
 
 from nvsf_core.geometry.se3 import exp_so3, pose_from_parts
 
-__all__ = ["FRAME_PERIOD_S", "LIDAR_HEIGHT_M", "ROAD_RADIUS_M", "ArcMotion", "ego_pose", "street_to_world"]
+__all__ = [
+    "FRAME_PERIOD_S",
+    "LIDAR_HEIGHT_M",
+    "ROAD_RADIUS_M",
+    "ArcMotion",
+    "EgoSpeed",
+    "ego_pose",
+    "street_to_world",
+]
 
 ROAD_RADIUS_M = 80.0
 """Of the road's middle line."""
@@ -25,18 +33,21 @@ _EGO_SPEED_M_S = 9.0
 
 @dataclass(frozen=True, slots=True)
 class ArcMotion:
-    """Motion along a circle about the street's origin at an even speed."""
+    """Motion along a circle about the street's origin, getting faster or slower evenly."""
 
     radius_m: float
     """Of the circle."""
     start_rad: float
     """Angle at time 0."""
     speed_m_s: float
-    """Along the circle; negative is clockwise. Heading follows it."""
+    """Along the circle at time 0; negative is clockwise. Heading follows it."""
+    gain_m_s2: float = 0.0
+    """How fast the speed grows; of the other sign than the speed it brakes, and must not turn it round."""
 
     def angle_rad(self, times_s: np.ndarray) -> np.ndarray:
         """Angle on the circle at times (n,)."""
-        return self.start_rad + self.speed_m_s / self.radius_m * np.asarray(times_s, np.float64)
+        time = np.asarray(times_s, np.float64)
+        return self.start_rad + (self.speed_m_s + 0.5 * self.gain_m_s2 * time) / self.radius_m * time
 
     def pose(self, times_s: np.ndarray) -> np.ndarray:
         """Poses (n, 4, 4) in the street: x ahead, y left, z up, origin on the road."""
@@ -45,19 +56,43 @@ class ArcMotion:
         return _upright_pose(self.radius_m, angle, heading, np.zeros_like(angle))
 
 
-def ego_pose(times_s: np.ndarray) -> np.ndarray:
+@dataclass(frozen=True, slots=True)
+class EgoSpeed:
+    """How fast the recording car goes: linear between instants, even before the first and after the last."""
+
+    times_s: tuple[float, ...] = (0.0,)
+    """Ascending, from 0."""
+    speeds_m_s: tuple[float, ...] = (_EGO_SPEED_M_S,)
+    """At those instants; 0 stands still."""
+
+    def speed_m_s(self, times_s: np.ndarray) -> np.ndarray:
+        """Speeds (n,) at times (n,)."""
+        return np.interp(times_s, self.times_s, self.speeds_m_s)
+
+    def travelled_m(self, times_s: np.ndarray) -> np.ndarray:
+        """Way (n,) since time 0: the integral of the speed."""
+        knots, speeds = np.array(self.times_s), np.array(self.speeds_m_s)
+        at_knot = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(knots) * (speeds[1:] + speeds[:-1]))])
+        before = np.clip(np.searchsorted(knots, times_s, side="right") - 1, 0, None)
+        mean_m_s = 0.5 * (speeds[before] + self.speed_m_s(times_s))
+        way_m: np.ndarray = at_knot[before] + mean_m_s * (times_s - knots[before])
+        return way_m
+
+
+def ego_pose(times_s: np.ndarray, speed: EgoSpeed | None = None) -> np.ndarray:
     """LiDAR-to-street poses (n, 4, 4) of the recording car at times (n,): 8.7 to 9.3 m/s, swaying a little.
 
     The sway is slow (below 1 Hz) and small (3 mrad), so that constant motion between frames is
-    true to 2 mm at 20 m, as on a real road.
+    true to 2 mm at 20 m, as on a real road. With a `speed` of its own it sways as much less as it is slower.
     """
+    speed = EgoSpeed() if speed is None else speed
     time = np.asarray(times_s, np.float64)
-    travelled = _EGO_SPEED_M_S * time + 0.3 * np.sin(1.0 * time)
-    angle = travelled / _EGO_RADIUS_M
-    heading = angle + 0.5 * np.pi + 0.008 * np.sin(0.9 * time + 0.4)
-    height = LIDAR_HEIGHT_M + 0.008 * np.sin(4.0 * time)
+    sway = speed.speed_m_s(time) / _EGO_SPEED_M_S
+    angle = (speed.travelled_m(time) + sway * (0.3 * np.sin(1.0 * time))) / _EGO_RADIUS_M
+    heading = angle + 0.5 * np.pi + sway * (0.008 * np.sin(0.9 * time + 0.4))
+    height = LIDAR_HEIGHT_M + sway * (0.008 * np.sin(4.0 * time))
     pose = _upright_pose(_EGO_RADIUS_M, angle, heading, height)
-    roll, pitch = 0.003 * np.sin(3.1 * time + 1.0), 0.003 * np.sin(4.0 * time + 2.0)
+    roll, pitch = sway * (0.003 * np.sin(3.1 * time + 1.0)), sway * (0.003 * np.sin(4.0 * time + 2.0))
     pose[:, :3, :3] = pose[:, :3, :3] @ exp_so3(np.stack([roll, pitch, np.zeros_like(roll)], axis=-1))
     return pose
 

@@ -96,8 +96,8 @@ class Street:
     """Where the parked cars' shapes stand."""
 
 
-def build_street(seed: int) -> Street:
-    """The street of a seed: the same seed gives the same street."""
+def build_street(seed: int, *, traffic: int = 0) -> Street:
+    """The street of a seed: the same seed gives the same street, whatever `traffic` cars drive in it more."""
     rng = np.random.default_rng([seed, 360])
     shapes = ShapeList()
     _add_houses(shapes, rng)
@@ -110,7 +110,26 @@ def build_street(seed: int) -> Street:
         # Ahead on the right; the recording car comes up to 3 m at the end.
         _mover(2, "rider", ArcMotion(ROAD_RADIUS_M + 3.1, 0.2, 4.6), _CYCLIST_SIZE_M, _add_cyclist),
     )
-    return Street(shapes.build(), crowns, movers, tuple(parked))
+    return Street(shapes.build(), crowns, movers + _traffic(seed, traffic), tuple(parked))
+
+
+def _traffic(seed: int, cars: int) -> tuple[Mover, ...]:
+    """More cars, in turn on the inner lane before and behind the demo's own and on the outer one ahead.
+
+    They keep their distance for three seconds, although some brake and others get faster.
+    """
+    rng = np.random.default_rng([seed, 361])
+    inner = [0.44 + step for step in (-0.14, 0.14, -0.28, 0.28, 0.42, 0.56)]
+    outer = [0.16 + step for step in (0.0, 0.14, 0.28, 0.42, 0.56, 0.7)]
+    movers = []
+    for number in range(cars):
+        place, is_inner = number // 2, number % 2 == 0
+        angle = (inner if is_inner else outer)[place % len(inner)]
+        sign, radius = (-1.0, ROAD_RADIUS_M - 2.4) if is_inner else (1.0, ROAD_RADIUS_M + 1.05)
+        speed, gain = sign * rng.uniform(8.0, 9.0), rng.uniform(-0.8, 0.8)
+        motion = ArcMotion(radius, angle, speed, gain)
+        movers.append(_mover(700 + number, "car", motion, CAR_SIZE_M, _add_car))
+    return tuple(movers)
 
 
 def _mover(

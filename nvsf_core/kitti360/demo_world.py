@@ -10,7 +10,7 @@ import numpy as np
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kitti360.demo_leaves import cast_crowns
-from nvsf_core.kitti360.demo_motion import ROAD_RADIUS_M, ego_pose, street_to_world
+from nvsf_core.kitti360.demo_motion import ROAD_RADIUS_M, EgoSpeed, ego_pose, street_to_world
 from nvsf_core.kitti360.demo_shapes import (
     TILE_RAYS,
     Shapes,
@@ -59,18 +59,23 @@ class DemoWorld:
     the centre of the street's curve, exact to 0.1 mm at 100 m.
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, *, speed: EgoSpeed | None = None, traffic: int = 0) -> None:
         self.seed = seed
         """Of the street."""
-        self.street = build_street(seed)
+        self._speed = speed
+        self.street = build_street(seed, traffic=traffic)
         """What stands in it."""
         self.street_to_world = street_to_world()
         """(4, 4) float64."""
         self._world_to_street = invert_pose(self.street_to_world)
 
+    def lidar_to_street(self, times_s: np.ndarray) -> np.ndarray:
+        """Poses (n, 4, 4) float64 of the recording LiDAR in the street at any times (n,)."""
+        return ego_pose(times_s, self._speed)
+
     def lidar_to_world(self, times_s: np.ndarray) -> np.ndarray:
         """Poses (n, 4, 4) float64 of the recording LiDAR at any times (n,) since the first frame."""
-        return self.street_to_world @ ego_pose(times_s)
+        return self.street_to_world @ self.lidar_to_street(times_s)
 
     def object_to_world(self, object_id: int, times_s: np.ndarray) -> np.ndarray:
         """Poses (n, 4, 4) of a moving object: x ahead, y left, z up, origin on the road below its centre.
@@ -231,7 +236,8 @@ def _tiles_near(mover: Mover, times_s: np.ndarray, cones: TileCones) -> np.ndarr
     """Indices of the tiles whose cones touch the ball about wherever the object is in their time."""
     first, last = times_s.min(axis=1), times_s.max(axis=1)
     centre = mover.motion.pose(0.5 * (first + last))[:, :3, 3]
-    moved = np.abs(mover.motion.speed_m_s) * 0.5 * (last - first)
+    fastest_m_s = np.abs(mover.motion.speed_m_s) + np.abs(mover.motion.gain_m_s2) * np.abs(last)
+    moved = fastest_m_s * 0.5 * (last - first)
     radius = np.linalg.norm([0.5 * mover.size_m[0], 0.5 * mover.size_m[1], mover.size_m[2]]) + moved
     radius += cones.spread_m
     towards = centre - cones.apex_m
