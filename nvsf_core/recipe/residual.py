@@ -58,6 +58,11 @@ class CameraSpec:
     """Widths of the network over planes, at its two resolutions."""
     blend_channels: tuple[int, int] = (24, 32)
     """Widths of the network that blends, at half resolution and below."""
+    refinements: int = 0
+    """Depths around each believed one that are compared on images of twice the planes' resolution; odd,
+    0 = believed depths stay as they are."""
+    refined_channels: int = 24
+    """Width of the network that compares them."""
     judge_every: int = 9
     """Of so many training images one is never learned from but decides whether learning beat `reproject`."""
 
@@ -101,6 +106,8 @@ class LossWeights:
     """Of the squared colour error of all depth planes' mean."""
     plane: float = 0.15
     """Of the absolute colour error that a depth plane is believed to have."""
+    structure: float = 0.0
+    """Of 1 - SSIM in small windows: what is blurred costs as much in dim leaves as at bright edges."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
