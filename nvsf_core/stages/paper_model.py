@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,14 @@ _BOX_POINTS_STEP = 7
 def device() -> torch.device:
     """CUDA where there is any."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def needed(recipe: PaperRecipe, recording: Recording) -> PaperRecipe:
+    """The recipe without what a drive of one sensor never asks: the other's encoder, and colours."""
+    if recording.lidar is not None and recording.cameras:
+        return recipe
+    sampling = replace(recipe.sampling, camera=recipe.sampling.camera and bool(recording.cameras))
+    return replace(recipe, sampling=sampling, encoders="same")
 
 
 def frame_count(recording: Recording) -> int:
@@ -141,7 +150,7 @@ def load_paper_model(folder: Path, recording: Recording) -> SceneModel:
         StoreError: The weights cannot be read.
         RecipeError: The recipe beside them is of another version.
     """
-    recipe = PaperRecipe.from_json(json.loads((folder / "recipe.json").read_text()))
+    recipe = needed(PaperRecipe.from_json(json.loads((folder / "recipe.json").read_text())), recording)
     torch.set_num_threads(recipe.optimiser.threads)
     tensors, facts = load_tensors(folder / "weights.safetensors")
     bounds = Bounds(centre_m=tuple(facts["centre_m"]), half_m=facts["half_m"], bound=facts["bound"])

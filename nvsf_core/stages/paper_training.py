@@ -14,7 +14,7 @@ from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.stages.fitting import Trained, fit, resume
-from nvsf_core.stages.paper_model import device, frame_at, read_frames
+from nvsf_core.stages.paper_model import device, frame_at, needed, read_frames
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.stage import Scalar, Task
 from nvsf_core.stores.checkpoints import save_tensors
@@ -29,6 +29,7 @@ from nvsf_core.training.step import paper_step
 def train_paper(task: Task, recipe: PaperRecipe, recording: Recording, work: Path) -> Trained:
     """Read the training frames and train on them, resuming from the checkpoints in `work`."""
     started = time.perf_counter()
+    recipe = needed(recipe, recording)
     frames = read_frames(recipe, recording, task.store)
     prepared_s = time.perf_counter() - started
     trained = train_on_frames(task, recipe, recording, frames, work)
@@ -128,7 +129,7 @@ def _refine(
         spec,
         torch.stack(renders),
         is_return,
-        lambda tensors, facts: save_tensors(path, tensors, facts | {"recipe": recipe.identity()}),
+        lambda tensors, facts: save_tensors(path, tensors, facts | {"recipe": task.config.recipe.identity()}),
         lambda line: task.progress(f"[{task.scene.name}] field, refinement: {line}"),
         checkpoint_s=recipe.optimiser.checkpoint_s,
     )

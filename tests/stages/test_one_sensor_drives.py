@@ -184,6 +184,20 @@ def test_a_lidar_only_data_set_and_report_hold_scans_alone(lidar_only: Run) -> N
     assert "What the laser scanner sees, unrolled" in page and "Camera image_" not in page
 
 
+@pytest.mark.parametrize(("one", "absent"), [("camera_only", "unet."), ("lidar_only", "field.colour.")])
+def test_the_papers_field_allocates_one_encoder_on_a_drive_of_one_sensor(
+    one: str, absent: str, request: pytest.FixtureRequest
+) -> None:
+    done: Run = request.getfixturevalue(one)
+    scene = scene_of(done.home.parent / "drive")
+    run = plan_run(scene, done.home, recipe=preset("paper_smoke"))
+    for stage in ("field", "novel_views"):
+        run_named_stage(stage, run, lambda line: None)
+    tensors, _ = load_tensors(done.root / "field/paper_smoke/0/weights.safetensors")
+    assert any(name.startswith("field.encoders.0.") for name in tensors)
+    assert not any(name.startswith(("field.encoders.1.", absent)) for name in tensors)
+
+
 def test_each_sensor_is_asked_for_the_held_out_frames_that_it_recorded(drive: Path, tmp_path: Path) -> None:
     shutil.copytree(drive, tmp_path / "drive")
     layout = DriveLayout(tmp_path / "drive", DEMO_SEQUENCE)
