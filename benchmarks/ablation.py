@@ -112,7 +112,15 @@ def _run_scene(name: str, recipes: tuple[PaperRecipe, ...], seeds: int) -> None:
 
 
 def _prepare(name: str, recipe: PaperRecipe) -> Scene:
-    """Run the stages before `field`, and read what every run of the scene needs."""
+    """What every run of the scene needs."""
+    run, recording = prepared_recording(name, recipe)
+    # Every variant reads the cameras' images; those without camera rays leave them alone.
+    frames = read_frames(ENCODINGS[0], recording, run.store)
+    return Scene(run=run, recording=recording, frames=frames, boxes=read_moving_boxes(run.store))
+
+
+def prepared_recording(name: str, recipe: PaperRecipe) -> tuple[SceneRun, Recording]:
+    """Run the stages before `field` where they are not up to date, and read what they recorded."""
     entry = find_scene(name)
     write_demo_where_absent(entry, say_on_stderr)
     run = plan_run(entry, home_from_environment(os.environ), recipe=recipe)
@@ -120,10 +128,7 @@ def _prepare(name: str, recipe: PaperRecipe) -> Scene:
         if stage.name == "field":
             break
         run_named_stage(stage.name, run, say_on_stderr)
-    recording = read_recording(run.store)
-    # Every variant reads the cameras' images; those without camera rays leave them alone.
-    frames = read_frames(ENCODINGS[0], recording, run.store)
-    return Scene(run=run, recording=recording, frames=frames, boxes=read_moving_boxes(run.store))
+    return run, read_recording(run.store)
 
 
 def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
