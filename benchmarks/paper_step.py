@@ -6,10 +6,8 @@ machine with a GPU it runs there. It needs NVSF_SCENES and NVSF_HOME as a traini
 
 import argparse
 import json
-import os
 import resource
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -63,7 +61,7 @@ def measure(scene: str, steps: int) -> dict[str, object]:
 def table() -> str:
     """The measured rows as Markdown."""
     lines = [
-        "| scene | rays x samples | loss terms | s an iteration | rays/s | peak memory MB | machine | commit |",
+        "| scene | rays x samples | loss terms | s each | rays/s | peak MB | machine | commit |",
         "| --- | --- | --- | ---: | ---: | ---: | --- | --- |",
     ]
     for row in json.loads(RESULTS.read_text()):
