@@ -51,8 +51,8 @@ bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPE, SEEDS="0 1 2": me
 ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md
 	$(BIN)/python -m benchmarks.ablation
 
-stability: ## not built yet
-	@echo "make stability: not built yet (comes with docs/numerical_stability.md)" >&2; exit 2
+stability: install ## hard numerical cases, measured; docs/numerical_stability.md
+	$(BIN)/python -m benchmarks.stability
 
 contract: install ## write docs/data_contract.md from nvsf_core/stores/schemas.py
 	$(BIN)/python -m nvsf_core.stores.schemas > docs/data_contract.md

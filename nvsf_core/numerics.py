@@ -2,11 +2,13 @@
 
 Each function states its saturation: for every finite input the value is finite and the factor it
 multiplies the incoming gradient with is at most ``GRADIENT_LIMIT``. NaN goes in and comes out as NaN;
-`require_finite` is where it becomes an error with a name.
+`require_finite` is where it becomes an error with a name. float16 and bfloat16 are worked on in float32
+and rounded once; values and gradients that they cannot hold come out as their largest number.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
@@ -38,6 +40,43 @@ GRADIENT_LIMIT = 1e18
 """No function here multiplies a gradient with more than this."""
 
 _LN_2 = 0.6931471805599453
+_HALVES = (torch.float16, torch.bfloat16)
+
+
+class _Widen(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.dtype = x.dtype
+        return x.float()
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Tensor:
+        return _fitting(grads[0], ctx.dtype)
+
+
+class _Narrow(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, dtype: torch.dtype) -> Tensor:
+        return _fitting(x, dtype)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        return grads[0].float(), None
+
+
+def _fitting(x: Tensor, dtype: torch.dtype) -> Tensor:
+    """In a narrower type: what it cannot hold becomes its largest number."""
+    largest = torch.finfo(dtype).max
+    return x.clamp(-largest, largest).to(dtype)
+
+
+def _at_least_single(function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+    """Apply a function in float32 where the tensors are half types, else as they are."""
+    dtype = torch.result_type(tensors[0], tensors[-1])
+    if dtype not in _HALVES:
+        return function(*tensors)
+    wide = [cast(Tensor, _Widen.apply(x)) for x in tensors]  # type: ignore[no-untyped-call]
+    return cast(Tensor, _Narrow.apply(function(*wide), dtype))  # type: ignore[no-untyped-call]
 
 
 class _SafeExp(torch.autograd.Function):
@@ -64,7 +103,7 @@ def safe_exp(x: Tensor) -> Tensor:
     Returns:
         Same shape, in [0, 2.4e17].
     """
-    return cast(Tensor, _SafeExp.apply(x))  # type: ignore[no-untyped-call]
+    return _at_least_single(_SafeExp.apply, x)
 
 
 def safe_log(x: Tensor, floor: float = 1e-12) -> Tensor:
@@ -78,7 +117,7 @@ def safe_log(x: Tensor, floor: float = 1e-12) -> Tensor:
         Same shape, at least ``log(floor)``.
     """
     _require_floor(floor, "safe_log")
-    return torch.log(x.clamp(min=floor))
+    return _at_least_single(lambda y: torch.log(y.clamp(min=floor)), x)
 
 
 class _SafeDiv(torch.autograd.Function):
@@ -120,7 +159,7 @@ def safe_div(numerator: Tensor, denominator: Tensor, floor: float = 1e-12) -> Te
         The broadcast shape, within plus/minus 1e18.
     """
     _require_floor(floor, "safe_div")
-    return cast(Tensor, _SafeDiv.apply(numerator, denominator, floor))  # type: ignore[no-untyped-call]
+    return _at_least_single(lambda a, b: _SafeDiv.apply(a, b, floor), numerator, denominator)  # type: ignore[no-untyped-call]
 
 
 class _SafeSqrt(torch.autograd.Function):
@@ -148,7 +187,7 @@ def safe_sqrt(x: Tensor, floor: float = 1e-12) -> Tensor:
         Same shape, at least 0.
     """
     _require_floor(floor, "safe_sqrt")
-    return cast(Tensor, _SafeSqrt.apply(x, floor))  # type: ignore[no-untyped-call]
+    return _at_least_single(lambda y: _SafeSqrt.apply(y, floor), x)  # type: ignore[no-untyped-call]
 
 
 class _Log1mExp(torch.autograd.Function):
@@ -179,7 +218,7 @@ def log1mexp(x: Tensor) -> Tensor:
     Returns:
         Same shape, in [-41.4, 0].
     """
-    return cast(Tensor, _Log1mExp.apply(x))  # type: ignore[no-untyped-call]
+    return _at_least_single(_Log1mExp.apply, x)
 
 
 def softplus_inverse(y: Tensor) -> Tensor:
@@ -193,7 +232,7 @@ def softplus_inverse(y: Tensor) -> Tensor:
     Returns:
         Same shape.
     """
-    return y + log1mexp(y)
+    return _at_least_single(lambda x: x + log1mexp(x), y)
 
 
 def probability_logit(probability: Tensor, margin: float = 1e-6) -> Tensor:
@@ -211,8 +250,11 @@ def probability_logit(probability: Tensor, margin: float = 1e-6) -> Tensor:
     """
     if not 1e-6 <= margin < 0.5:
         raise ValueError(f"probability_logit: expected a margin in [1e-6, 0.5), found {margin}")
-    bounded = probability.clamp(margin, 1.0 - margin)
-    return torch.log(bounded) - torch.log1p(-bounded)
+    low, high = margin, 1.0 - margin
+    # 1 - p is exact for p above a half; clamped by itself, since 1 - margin is not a float32.
+    return _at_least_single(
+        lambda p: torch.log(p.clamp(low, high)) - torch.log((1.0 - p).clamp(low, high)), probability
+    )
 
 
 def require_finite(name: str, tensor: Tensor) -> Tensor:

@@ -52,7 +52,9 @@ def line_of_sight_loss(weights: Tensor, t: Tensor, true_range: Tensor, epsilon: 
     infinite = torch.full_like(t[:, :1], torch.inf)
     borders = torch.cat([-infinite, middles, infinite], dim=1)
     # The share of the normal distribution below each border, of what lies within the shell.
-    sigmas = ((borders - true_range[:, None]) * (_SIGMAS / epsilon)).clamp(-_SIGMAS, _SIGMAS)
+    # Its inverse has to be a number: 0 * inf would be NaN where a border lies on the return.
+    thinnest = _SIGMAS * torch.finfo(t.dtype).tiny
+    sigmas = ((borders - true_range[:, None]) * (_SIGMAS / max(epsilon, thinnest))).clamp(-_SIGMAS, _SIGMAS)
     within = torch.special.erf(torch.tensor(_SIGMAS / 2.0**0.5, dtype=t.dtype, device=t.device))
     below = 0.5 * (1.0 + torch.special.erf(sigmas / 2.0**0.5) / within)
     error = ((weights - (below[:, 1:] - below[:, :-1])) ** 2).sum(dim=1)

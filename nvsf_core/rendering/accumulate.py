@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from nvsf_core.errors import ShapeError
+from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.numerics import require_finite
 
 __all__ = ["expected_value", "value_at", "weighted_median_index"]
@@ -38,7 +38,7 @@ def weighted_median_index(weights: Tensor) -> Tensor:
     """Where the ray has given half of its weight: the smallest i with ``sum up to i >= half of the total``.
 
     On a ray that sees an edge the mean lies in the air between both surfaces; the median lies on one.
-    A ray without any weight answers 0: ask its total before believing it.
+    A ray without any weight answers 0: ask its total before believing it. Half types are summed in float32.
 
     Args:
         weights: (rays, samples), at least 0, at least one sample.
@@ -48,13 +48,21 @@ def weighted_median_index(weights: Tensor) -> Tensor:
 
     Raises:
         ShapeError: not two axes, or no sample.
-        DivergedError: a weight is NaN or infinite.
+        DivergedError: a weight is NaN, infinite or negative.
     """
     if weights.ndim != 2 or weights.shape[1] == 0:
         raise ShapeError(
             f"weighted_median_index: expected (rays, samples >= 1), found {tuple(weights.shape)}"
         )
-    cumulative = torch.cumsum(weights.detach(), dim=-1)
+    weights = weights.detach()
+    if weights.dtype in (torch.float16, torch.bfloat16):
+        weights = weights.float()
+    cumulative = torch.cumsum(weights, dim=-1)
+    if bool((weights < 0.0).any()):
+        raise DivergedError(
+            f"weighted_median_index: expected weights of at least 0, found {weights.min().item()}; "
+            "look at what makes them"
+        )
     half = 0.5 * require_finite("weighted_median_index: sum of the weights", cumulative[:, -1:])
     return (cumulative < half).sum(dim=-1)
 

@@ -27,18 +27,20 @@ def uniform_samples(
 
     Raises:
         ShapeError: `near` and `far` are not two vectors of one length, or `count` is below 1.
-        DataError: A ray ends before it begins, or a limit is NaN.
+        DataError: A ray ends before it begins, or a limit is not finite.
     """
     if near.ndim != 1 or near.shape != far.shape or count < 1:
         raise ShapeError(
             f"uniform_samples: expected near (r,), far (r,), count >= 1, found {tuple(near.shape)}, "
             f"{tuple(far.shape)}, {count}"
         )
-    if not bool((far >= near).all()):
-        bad = int((~(far >= near)).nonzero()[0])
+    # An infinite length times the share 0 is NaN: such a ray has no samples.
+    sound = (far >= near) & torch.isfinite(far - near)
+    if not bool(sound.all()):
+        bad = int((~sound).nonzero()[0])
         raise DataError(
-            f"uniform_samples: expected near <= far, found {near[bad].item()} and {far[bad].item()} in ray "
-            f"{bad}; leave out the rays that miss the box"
+            f"uniform_samples: expected finite near <= far, found {near[bad].item()} and {far[bad].item()} "
+            f"in ray {bad}; leave out the rays that miss the box"
         )
     length = (far - near)[:, None]
     share = torch.linspace(0.0, 1.0, count, device=near.device, dtype=near.dtype).expand(len(near), count)

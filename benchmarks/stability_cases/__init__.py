@@ -1,0 +1,1 @@
+"""Hard cases, one file a theme; see docs/numerical_stability.md."""
