@@ -19,17 +19,23 @@ def frequency_encode(x: Tensor, frequencies: int) -> Tensor:
     """``sin(2^k pi x), cos(2^k pi x)`` for k = 0 .. frequencies - 1.
 
     Whole turns are taken off before the sine (exactly: a power of two times x rounds nothing), so that high
-    octaves are as precise as low ones in float32.
+    octaves are as precise as low ones in float32. Half types are worked on in float32.
 
     Args:
-        x: (..., d) floating.
+        x: (..., d) floating, any finite number.
         frequencies: number of octaves, at least 1.
 
     Returns:
         (..., 2 * d * frequencies): for each coordinate, for each octave, sine then cosine (tiny-cuda-nn).
     """
-    octaves = torch.tensor([2.0**k for k in range(frequencies)], dtype=x.dtype, device=x.device)
-    half_turns = x[..., None] * octaves
-    half_turns = half_turns - 2.0 * torch.round(half_turns.detach() / 2.0)
-    angle_rad = pi * half_turns
-    return torch.stack([torch.sin(angle_rad), torch.cos(angle_rad)], dim=-1).flatten(-3)
+    wide = x.float() if x.dtype in (torch.float16, torch.bfloat16) else x
+    octaves = torch.tensor([2.0**k for k in range(frequencies)], dtype=wide.dtype, device=x.device)
+    # Before the octaves too, or a large x times a high octave is infinite.
+    half_turns = _within_a_turn(wide)[..., None] * octaves
+    angle_rad = pi * _within_a_turn(half_turns)
+    return torch.stack([torch.sin(angle_rad), torch.cos(angle_rad)], dim=-1).flatten(-3).to(x.dtype)
+
+
+def _within_a_turn(half_turns: Tensor) -> Tensor:
+    """The same angle, in [-1, 1] half turns."""
+    return half_turns - 2.0 * torch.round(half_turns.detach() / 2.0)
