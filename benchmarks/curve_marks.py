@@ -37,8 +37,9 @@ class Marks:
     """An observer of one training (`Task.observe`).
 
     A clock starts where the one before it stopped, the first when this object is made; so what a part
-    prepares before its first step counts, and saving does not. Of several marks that pass during one
-    step only the last is kept: before it there was no model.
+    prepares before its first step counts, and saving does not. A mark that passes before a part's first
+    step has ended is left out, because there was no model then; of several that pass during one step, all
+    but the last.
     """
 
     folder: Path
@@ -47,6 +48,7 @@ class Marks:
     seconds: dict[str, float] = field(default_factory=dict)
     """Clock to where it stands."""
     _clock: str = ""
+    _part: str = ""
     _started: float = field(default_factory=time.perf_counter)
     _seen: float = field(default_factory=time.perf_counter)
     _passed: int = 0
@@ -57,10 +59,11 @@ class Marks:
         clock, prefix = _PARTS.get(part, (self._clock or LIDAR, None))
         if clock != self._clock:
             self._started = self._seen if self._clock else self._started
-            self._clock, self._passed = clock, 0
+            self._clock = clock
         seconds = self.seconds[clock] = now - self._started
         passed = sum(mark <= seconds for mark in self.marks_s)
-        if passed > self._passed and prefix is not None:
+        is_first, self._part = part != self._part, part
+        if passed > self._passed and prefix is not None and not is_first:
             mark = self.marks_s[passed - 1]
             path = self.folder / f"{clock}-{mark:g}.safetensors"
             save_tensors(path, _weights(state, prefix))
