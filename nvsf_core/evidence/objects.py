@@ -132,9 +132,13 @@ def objects_at(
 class NearObjects:
     """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
 
-    def __init__(self, evidence: tuple[ObjectEvidence, ...], votes: ObjectVotes) -> None:
+    def __init__(
+        self, evidence: tuple[ObjectEvidence, ...], votes: ObjectVotes, *, leave_out: int | None = None
+    ) -> None:
+        """Of the objects as all scans but the training scan `leave_out` prove them."""
         self.evidence = evidence
         self._votes = votes
+        self._leave_out = leave_out
         self._frame: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
@@ -145,7 +149,9 @@ class NearObjects:
         frame_s = self.evidence[0].path.frame_s
         frame = round(float(np.median(time_s)) / frame_s)
         if frame != self._frame:
-            self._objects = objects_at(self.evidence, frame * frame_s, self._votes)
+            self._objects = objects_at(
+                self.evidence, frame * frame_s, self._votes, leave_out=self._leave_out
+            )
             self._frame = frame
         return self._objects
 

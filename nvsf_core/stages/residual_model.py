@@ -9,12 +9,14 @@ from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.pano_network import PanoNetwork
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import LEARNED, camera_renderer
+from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
 from nvsf_core.stores.checkpoints import load_tensors
 
 
@@ -24,10 +26,12 @@ class ResidualFields:
 
     lidar: LidarField | None
     camera: CameraNetworks | None
+    pano: PanoNetwork | None = None
+    """Corrects the LiDAR's panos; None where the recipe has none."""
 
     def tensors(self) -> dict[str, Tensor]:
         """All weights, by sensor and name."""
-        models = {"lidar": self.lidar, "camera": self.camera}
+        models = {"lidar": self.lidar, "camera": self.camera, "pano": self.pano}
         return {
             f"{sensor}.{name}": value
             for sensor, model in models.items()
@@ -38,14 +42,16 @@ class ResidualFields:
 
 def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
     """Untrained fields of this scene's size."""
-    lidar = camera = None
+    lidar = camera = pano = None
     if recording.lidar is not None:
         mean = recording.lidar.evidence.surfels.mean_m
         bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
         lidar = LidarField(recipe.lidar_field, bounds, torch.Generator().manual_seed(seed))
+        if recipe.pano is not None and recipe.pano.training is not None:
+            pano = PanoNetwork(recipe.pano, torch.Generator().manual_seed(seed + 2))
     if recording.cameras:
         camera = CameraNetworks(recipe.camera, torch.Generator().manual_seed(seed + 1))
-    return ResidualFields(lidar=lidar, camera=camera)
+    return ResidualFields(lidar=lidar, camera=camera, pano=pano)
 
 
 def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
@@ -59,7 +65,7 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     torch.set_num_threads(recipe.lidar_training.threads)
     tensors, facts = load_tensors(folder / "weights.safetensors")
     fields = make_fields(recipe, recording, 0)
-    lidar = camera = None
+    lidar = camera = pano = None
     if fields.lidar is not None and recording.lidar is not None:
         fields.lidar.load_state_dict(_named(tensors, "lidar."))
         lidar = field_renderer(
@@ -69,10 +75,15 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             most=recipe.evidence.lidar_candidates,
             far_m=recording.lidar.far_m,
         )
+        if recipe.pano is not None:
+            network = fields.pano if facts.get(CORRECTED) else None
+            if network is not None:
+                network.load_state_dict(_named(tensors, "pano."))
+            pano = pano_renderer(recording.lidar, recipe.pano, lidar, recipe.evidence.votes, network)
     if fields.camera is not None:
         fields.camera.load_state_dict(_named(tensors, "camera."))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED])
-    return SceneModel(lidar=lidar, camera=camera, votes=recipe.evidence.votes)
+    return SceneModel(lidar=lidar, camera=camera, pano=pano, votes=recipe.evidence.votes)
 
 
 def _named(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -11,6 +11,7 @@ from nvsf_core.stages.lidar_training_rays import training_rays
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import LEARNED, train_camera
 from nvsf_core.stages.residual_model import make_fields
+from nvsf_core.stages.residual_pano import CORRECTED, train_pano
 from nvsf_core.stages.stage import Scalar, Task
 from nvsf_core.training.lidar_step import lidar_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
@@ -34,6 +35,12 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
             lambda _, generator: [lidar_step(field, evidence.standing, rays, recipe, far_m, generator)],
         )  # fmt: skip
     facts: dict[str, object] = {}
+    if fields.pano is not None and fields.lidar is not None and recording.lidar is not None:
+        expected = train_pano(task, work, fields.pano, fields.lidar, recipe, recording.lidar)
+        states |= expected.states
+        seconds += expected.preparation_seconds
+        metadata |= expected.metadata
+        facts[CORRECTED] = expected.corrected
     if fields.camera is not None:
         trained = train_camera(task, work, fields.camera, recipe, recording)
         states |= trained.states

@@ -2,21 +2,24 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import torch
 
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.recipe import FieldSpec, PanoSpec, TrainingSpec, preset
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stores.checkpoints import load_tensors
 
 UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
 LOCATION = "field/slow/0"
+PARTS = ("lidar", "pano")
 _GRID = FieldSpec(levels=2, log2_table=8)
 SLOW = replace(
     preset("smoke"),
@@ -25,7 +28,11 @@ SLOW = replace(
     lidar_training=TrainingSpec(steps=300, rays=64, checkpoint_s=0.0, threads=1),
     depth_training=TrainingSpec(steps=5, rays=512, checkpoint_s=0.0, threads=1),
     camera_training=TrainingSpec(steps=5, rays=512, checkpoint_s=0.0, threads=1),
-)
+    pano=PanoSpec(
+        phases=1, parts=2, channels=4, layers=1,
+        training=TrainingSpec(steps=300, rays=264, checkpoint_s=0.0, threads=1),
+    ),
+)  # fmt: skip
 
 
 def run_of(root: Path, home: Path):
@@ -39,16 +46,24 @@ def train_field(root: Path, home: Path) -> None:
     run_named_stage("field", run_of(root, home), lambda line: None)
 
 
-def test_a_killed_field_resumes_and_ends_with_the_same_weights(tmp_path) -> None:
-    root = tmp_path / "drive"
-    write_demo(root, size=DemoSize.tiny())
-    for home in ("whole", "killed"):
-        for stage in UPSTREAM:
-            run_named_stage(stage, run_of(root, tmp_path / home), lambda line: None)
-    train_field(root, tmp_path / "whole")
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A folder with a drive, and with its field trained without a break."""
+    folder = tmp_path_factory.mktemp("killed")
+    write_demo(folder / "drive", size=DemoSize.tiny())
+    for stage in UPSTREAM:
+        run_named_stage(stage, run_of(folder / "drive", folder / "whole"), lambda line: None)
+    for part in PARTS:
+        shutil.copytree(folder / "whole", folder / part)
+    train_field(folder / "drive", folder / "whole")
+    return folder
 
-    checkpoint = tmp_path / "killed" / "tiny" / ".work" / LOCATION / "lidar.safetensors"
-    child = multiprocessing.get_context("spawn").Process(target=train_field, args=(root, tmp_path / "killed"))
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_killed_field_resumes_and_ends_with_the_same_weights(whole: Path, part: str) -> None:
+    root, home = whole / "drive", whole / part
+    checkpoint = home / "tiny" / ".work" / LOCATION / f"{part}.safetensors"
+    child = multiprocessing.get_context("spawn").Process(target=train_field, args=(root, home))
     child.start()
     deadline = time.monotonic() + 60.0
     while not checkpoint.is_file() and time.monotonic() < deadline:
@@ -56,12 +71,13 @@ def test_a_killed_field_resumes_and_ends_with_the_same_weights(tmp_path) -> None
     os.kill(child.pid, signal.SIGKILL)
     child.join()
     _, facts = load_tensors(checkpoint)
-    assert 0 < facts["step"] < SLOW.lidar_training.steps
-    assert not (tmp_path / "killed" / "tiny" / LOCATION).exists()
+    assert 0 < facts["step"] < 300
+    assert not (home / "tiny" / LOCATION).exists()
 
     said: list[str] = []
-    run_named_stage("field", run_of(root, tmp_path / "killed"), said.append)
-    assert any(f"resumed from the checkpoint at step {facts['step']}" in line for line in said)
-    whole, _ = load_tensors(tmp_path / "whole" / "tiny" / LOCATION / "weights.safetensors")
-    killed, _ = load_tensors(tmp_path / "killed" / "tiny" / LOCATION / "weights.safetensors")
-    assert all(torch.equal(whole[name], killed[name]) for name in whole)
+    run_named_stage("field", run_of(root, home), said.append)
+    assert any(f"{part}: resumed from the checkpoint at step {facts['step']}" in line for line in said)
+    unbroken, _ = load_tensors(whole / "whole" / "tiny" / LOCATION / "weights.safetensors")
+    resumed, _ = load_tensors(home / "tiny" / LOCATION / "weights.safetensors")
+    assert any(name.startswith(f"{part}.") for name in unbroken)
+    assert all(torch.equal(unbroken[name], resumed[name]) for name in unbroken)

@@ -1,0 +1,69 @@
+"""An expected pano, what its neighbours show, and what a network makes of both."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.fields.pano_network import FEATURES, PanoNetwork
+from nvsf_core.simulation.pano_estimate import PanoEstimate
+from nvsf_core.simulation.pano_neighbours import Neighbours
+
+_HIT_LIMIT = 0.01
+_INTENSITY_LIMIT = 0.01
+
+
+def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:
+    """What the network is told of each cell, (FEATURES, h, w) float32, each about -1..1."""
+    near_m, median_m, far_m = estimate.range_m
+    height, width = estimate.hit.shape
+    level = np.broadcast_to(np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None], (height, width))
+    columns = [
+        estimate.hit - 0.5,
+        np.log(_limited(estimate.hit) / (1.0 - _limited(estimate.hit))) / 4.0,
+        estimate.hit > 0.0,
+        median_m / 40.0,
+        np.log1p(median_m) / 2.0 - 1.0,
+        np.arcsinh(median_m - near_m),
+        np.arcsinh(far_m - median_m),
+        estimate.intensity,
+        estimate.rays / 2.0 - 1.0,
+        neighbours.filled - 0.5,
+        neighbours.same - 0.5,
+        neighbours.through,
+        neighbours.empty,
+        neighbours.intensity,
+        neighbours.offset_m * 2.0,
+        level,
+    ]
+    assert len(columns) == FEATURES
+    return torch.from_numpy(np.stack(columns).astype(np.float32))
+
+
+def hit_prior(estimate: PanoEstimate) -> Tensor:
+    """(h, w) logit of the expected hit; cells without any ray have no return to show."""
+    return torch.logit(torch.from_numpy(_limited(estimate.hit)))
+
+
+def intensity_prior(estimate: PanoEstimate) -> Tensor:
+    """(h, w) logit of the expected intensity."""
+    limited = np.clip(estimate.intensity, _INTENSITY_LIMIT, 1.0 - _INTENSITY_LIMIT)
+    return torch.logit(torch.from_numpy(limited))
+
+
+@torch.no_grad()
+def corrected_pano(
+    network: PanoNetwork, estimate: PanoEstimate, neighbours: Neighbours
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Range in metres, intensity and hit probability (h, w) float32 as the network has them."""
+    correction = network(cell_features(estimate, neighbours)[None])
+    hit = torch.sigmoid(hit_prior(estimate) + correction.hit_logit[0])
+    intensity = torch.sigmoid(intensity_prior(estimate) + correction.intensity_logit[0])
+    chosen = correction.choice[0].argmax(dim=0).numpy()
+    range_m = np.take_along_axis(estimate.range_m, chosen[None], axis=0)[0]
+    is_shown = estimate.range_m[1] > 0.0
+    return range_m, intensity.numpy() * is_shown, hit.numpy() * is_shown
+
+
+def _limited(hit: np.ndarray) -> np.ndarray:
+    limited: np.ndarray = np.clip(hit, _HIT_LIMIT, 1.0 - _HIT_LIMIT)
+    return limited

@@ -1,0 +1,134 @@
+"""A range image expected over what nobody can know: where a turn starts against its firings.
+
+A recorded pano keeps the nearest return of each cell. Which rays fall into a cell depends on the phase of
+the firings, random from scan to scan. Rays i of one phase in a cell, by range, return with probability
+p_i; the cell then shows ray i with probability p_i prod_{j nearer} (1 - p_j), and nothing with
+prod (1 - p_i). Phases are equally likely: their mixture is averaged.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.lidar_rays import SweepRays
+
+QUANTILES = (0.15, 0.5, 0.85)
+"""Shares of a cell's mixture at which it is asked for a range: a near one, the median, a far one."""
+_MOST_HIT = 1.0 - 1e-7
+
+Fire = Callable[[float], tuple[SweepRays, RayAnswers]]
+"""From a phase of the firings, 0..1, to a turn's rays and their answers."""
+
+
+@dataclass(frozen=True, slots=True)
+class PanoRays:
+    """n rays that fall into cells of a pano."""
+
+    cell: np.ndarray
+    """(n,) int64: row x width + column."""
+    range_m: np.ndarray
+    """(n,) float64 from the sensor's centre."""
+    hit: np.ndarray
+    """(n,) float64: probability of a return."""
+    intensity: np.ndarray
+    """(n,) float64, 0..1."""
+
+
+@dataclass(frozen=True, slots=True)
+class PanoEstimate:
+    """What is expected in each cell (h, w) of a pano; all float32."""
+
+    hit: np.ndarray
+    """Probability that the cell shows a return."""
+    range_m: np.ndarray
+    """(3, h, w): ranges below which `QUANTILES` of what the cell shows lie; 0 where it shows nothing."""
+    intensity: np.ndarray
+    """Mean intensity of what the cell shows, 0 where that is nothing."""
+    rays: np.ndarray
+    """Rays that fall into the cell, mean over phases."""
+
+    @property
+    def median_m(self) -> np.ndarray:
+        """(h, w) the range that errs least."""
+        return np.asarray(self.range_m[1])
+
+
+def estimate_pano(fire: Fire, pano: LinearPano, phases: int, *, parts: int = 1) -> PanoEstimate:
+    """Fire turns at evenly spaced phases and combine what they show.
+
+    Args:
+        fire: Answers a turn.
+        pano: Whose cells are asked about.
+        phases: How many turns are fired.
+        parts: Each turn stands for so many phases: its answers, turned about the sensor's axis by parts
+            of what lies between two phases, as if the scene were the same there.
+    """
+    found = []
+    for number in range(phases):
+        rays, answers = fire((number + 0.5) / phases)
+        firing_rad = 2.0 * np.pi / rays.shape[1]
+        for part in range(parts):
+            # Later firings look farther to the right.
+            turn_rad = -firing_rad * ((part + 0.5) / parts - 0.5) / phases
+            found.append(rays_in_cells(pano, rays, answers, turn_rad))
+    return combine_phases(found, pano)
+
+
+def rays_in_cells(pano: LinearPano, rays: SweepRays, answers: RayAnswers, turn_rad: float = 0.0) -> PanoRays:
+    """A turn's rays where its points would be recorded, turned to the left by an angle."""
+    known = np.isfinite(answers.range_m) & (answers.hit > 0.0)
+    points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * answers.range_m[known, None]
+    if turn_rad != 0.0:
+        cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+        points[:, :2] = points[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
+    row, column, range_m, kept = pano.cells(points)
+    return PanoRays(
+        cell=(row * pano.width + column)[kept],
+        range_m=range_m[kept],
+        hit=np.clip(answers.hit[known][kept].astype(np.float64), 0.0, _MOST_HIT),
+        intensity=np.clip(answers.intensity[known][kept].astype(np.float64), 0.0, 1.0),
+    )
+
+
+def combine_phases(phases: Sequence[PanoRays], pano: LinearPano) -> PanoEstimate:
+    """The mixture of equally likely phases, as the module's head says."""
+    cells = pano.height * pano.width
+    weighed = [_shown(rays) for rays in phases]
+    cell, range_m, intensity, weight = (np.concatenate(columns) for columns in zip(*weighed, strict=True))
+    weight = weight / len(phases)
+    hit = np.bincount(cell, weights=weight, minlength=cells)
+    bright = np.bincount(cell, weights=weight * intensity, minlength=cells)
+    count = np.bincount(cell, minlength=cells) / len(phases)
+    order = np.lexsort((range_m, cell))
+    cell, range_m, weight = cell[order], range_m[order], weight[order]
+    ranges = np.zeros((len(QUANTILES), cells))
+    if len(cell):
+        below = np.cumsum(weight)
+        before = np.concatenate([[0.0], below])[np.searchsorted(cell, cell)]
+        share = (below - before) / np.maximum(hit[cell], 1e-300)
+        last = np.append(cell[1:] != cell[:-1], True)
+        for number, quantile in enumerate(QUANTILES):
+            reached = np.flatnonzero((share >= quantile) | last)
+            # Written from the farthest to the nearest, so that the nearest that reaches it stays.
+            ranges[number, cell[reached[::-1]]] = range_m[reached[::-1]]
+    bright = np.divide(bright, hit, out=np.zeros(cells), where=hit > 0.0)
+    shape = (pano.height, pano.width)
+    return PanoEstimate(
+        hit=hit.reshape(shape).astype(np.float32),
+        range_m=ranges.reshape(-1, *shape).astype(np.float32),
+        intensity=bright.reshape(shape).astype(np.float32),
+        rays=count.reshape(shape).astype(np.float32),
+    )
+
+
+def _shown(rays: PanoRays) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Cell, range, intensity and the probability that the cell shows it, of one phase's rays."""
+    order = np.lexsort((rays.range_m, rays.cell))
+    cell, hit = rays.cell[order], rays.hit[order]
+    missed = np.cumsum(np.log1p(-hit))
+    before = np.concatenate([[0.0], missed])
+    through = np.exp(before[:-1] - before[np.searchsorted(cell, cell)])
+    return cell, rays.range_m[order], rays.intensity[order], hit * through

@@ -1,0 +1,247 @@
+"""The residual recipes' pano: expected over the firings' phases, and corrected by a small network."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from nvsf_core.errors import RecipeError
+from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.pano_network import PanoNetwork
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.metrics.hit import hit_image_metrics
+from nvsf_core.metrics.range import range_image_metrics
+from nvsf_core.recipe import PanoSpec, ResidualRecipe
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.pano_correction import cell_features, corrected_pano, hit_prior, intensity_prior
+from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
+from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
+from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer
+from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.stages.fitting import fit
+from nvsf_core.stages.recording import LidarRecording
+from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.pano_step import PanoExample, pano_step
+
+CORRECTED = "pano_corrected"
+"""Name of the fact: whether the network beat the phases on panos that it never learned from."""
+_FEWEST_SCANS = 3
+"""With fewer, a pano that is left out has hardly others to be expected from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOutPano:
+    """A training pano as the other scans lead to expect it, and as it was recorded."""
+
+    estimate: PanoEstimate
+    neighbours: Neighbours
+    true_range_m: np.ndarray
+    """(66, 1030), 0 = empty."""
+    true_intensity: np.ndarray
+    """(66, 1030)."""
+
+    def example(self) -> PanoExample:
+        """For training."""
+        return PanoExample(
+            features=cell_features(self.estimate, self.neighbours),
+            hit_logit=hit_prior(self.estimate),
+            intensity_logit=intensity_prior(self.estimate),
+            range_m=torch.from_numpy(self.estimate.range_m),
+            true_range_m=torch.from_numpy(self.true_range_m),
+            true_intensity=torch.from_numpy(self.true_intensity),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedPano:
+    """What training gave beside the network's weights."""
+
+    states: dict[str, TrainingState]
+    preparation_seconds: float
+    metadata: dict[str, Scalar]
+    corrected: bool
+    """Whether panos are shown by the network; else the phases alone show them."""
+
+
+def train_pano(
+    task: Task,
+    work: Path,
+    network: PanoNetwork,
+    field: LidarField,
+    recipe: ResidualRecipe,
+    lidar: LidarRecording,
+) -> TrainedPano:
+    """Train on panos of training frames, each expected without its own scan's votes; then ask the judges."""
+    spec = recipe.pano
+    if spec is None or spec.training is None:
+        raise RecipeError(f"recipe {recipe.name}: expected a pano with training, found none")
+    panos = recorded_panos(lidar)
+    if len(panos.time_s) < _FEWEST_SCANS:
+        return TrainedPano(
+            states={},
+            preparation_seconds=0.0,
+            metadata={"pano_shows": "phases: too few scans"},
+            corrected=False,
+        )
+    started = time.perf_counter()
+    scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
+    left_out = []
+    for scan in scans.tolist():
+        left_out.append(leave_out(field, recipe, lidar, panos, scan))
+        task.progress(f"[{task.scene.name}] field, pano: expected {len(left_out)} of {len(scans)}")
+    judged = judges(len(left_out), spec)
+    examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
+    preparation = time.perf_counter() - started
+    generator = torch.Generator().manual_seed(task.config.seed * 5 + 3)
+    state = TrainingState(network, make_optimiser(network, spec.training), generator)
+    fit(
+        task, work, "pano", state, spec.training,
+        lambda _, drawn: [pano_step(network, examples, spec, recipe.losses, drawn)],
+    )  # fmt: skip
+    verdict, corrected = judge(network, [left_out[number] for number in judged])
+    return TrainedPano(
+        states={"pano": state}, preparation_seconds=preparation, metadata=verdict, corrected=corrected
+    )
+
+
+def judges(panos: int, spec: PanoSpec) -> range:
+    """Numbers of the panos that are never learned from; at least one, never all."""
+    return range(min(spec.judge_every // 2, panos // 2), panos, spec.judge_every)
+
+
+def judge(network: PanoNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], bool]:
+    """Whether the network beats the phases in range PSNR without losing hits, and both their figures."""
+    scores = {
+        "phases": [_score(phases_alone(one.estimate), one) for one in left_out],
+        "network": [_score(corrected_pano(network, one.estimate, one.neighbours), one) for one in left_out],
+    }
+    (plain_db, plain_hits), (learned_db, learned_hits) = (
+        np.mean(scores[name], axis=0).tolist() for name in ("phases", "network")
+    )
+    better = learned_db > plain_db and learned_hits >= plain_hits
+    return {
+        "pano_judged_psnr_db": learned_db, "pano_judged_phases_psnr_db": plain_db,
+        "pano_judged_hit_accuracy": learned_hits, "pano_judged_phases_hit_accuracy": plain_hits,
+        "pano_shows": "network" if better else "phases: learning did not beat them",
+    }, better  # fmt: skip
+
+
+def pano_renderer(
+    lidar: LidarRecording, spec: PanoSpec, render: RayRenderer, votes: int, network: PanoNetwork | None
+) -> PanoRenderer:
+    """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
+
+    Args:
+        lidar: The recording.
+        spec: Of the recipe.
+        render: Answers the sensor's rays.
+        votes: Scans that vote.
+        network: Trained; None where it is not used.
+    """
+    panos = None if network is None else recorded_panos(lidar)
+
+    def show(pose: np.ndarray, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rotation, position = lidar.sweeps.trajectory.at(np.array([time_s]))
+        recorded = np.eye(4)
+        recorded[:3, :3], recorded[:3, 3] = rotation[0], position[0]
+        mount = invert_pose(recorded) @ pose
+        is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
+        estimate = expected_pano(lidar, spec, render, votes, time_s, None if is_there else mount)
+        if network is None or panos is None or not is_there:
+            return phases_alone(estimate)
+        return corrected_pano(network, estimate, _neighbours(lidar, panos, spec, estimate, time_s))
+
+    return show
+
+
+def phases_alone(estimate: PanoEstimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Range in metres, intensity and hit probability (66, 1030) without a network."""
+    return estimate.median_m, estimate.intensity, estimate.hit
+
+
+def expected_pano(
+    lidar: LidarRecording,
+    spec: PanoSpec,
+    render: RayRenderer,
+    votes: int,
+    time_s: float,
+    mount: np.ndarray | None,
+    *,
+    leave_out_s: float | None = None,
+) -> PanoEstimate:
+    """The pano at a time, from the phases; the training scan at `leave_out_s` does not vote."""
+    sweeps = lidar.sweeps
+    plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, sweeps.table, True)
+    return estimate_pano(
+        lambda phase: fire_sweep(
+            plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, votes,
+            phase=phase, leave_out_s=leave_out_s,
+        ),
+        LinearPano(quirks=True), spec.phases, parts=spec.parts,
+    )  # fmt: skip
+
+
+def leave_out(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, panos: RecordedPanos, scan: int
+) -> LeftOutPano:
+    """A training pano (`scan` counts training scans) as the field and all other scans' votes have it."""
+    assert recipe.pano is not None
+    dynamic, time_s = lidar.evidence.dynamic, float(panos.time_s[scan])
+    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=scan)
+    render = field_renderer(
+        field, lidar.evidence.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
+    )
+    estimate = expected_pano(
+        lidar, recipe.pano, render, recipe.evidence.votes, time_s, None, leave_out_s=time_s
+    )
+    return LeftOutPano(
+        estimate=estimate,
+        neighbours=_neighbours(lidar, panos, recipe.pano, estimate, time_s, leave_out_s=time_s),
+        true_range_m=panos.range_m[scan],
+        true_intensity=panos.intensity[scan],
+    )
+
+
+def recorded_panos(lidar: LidarRecording) -> RecordedPanos:
+    """All training scans as the papers project them."""
+    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
+    pano = LinearPano(quirks=True)
+    training = np.flatnonzero(sweeps.is_training)
+    parts = [sweeps.returns_of(int(scan)) for scan in training]
+    images = [pano.project(a["points_m"][part], a["intensity"][part]) for part in parts]
+    return RecordedPanos(
+        time_s=a["time_s"][training].astype(np.float64),
+        range_m=np.stack([range_m for range_m, _ in images]),
+        intensity=np.stack([intensity for _, intensity in images]),
+        trajectory=sweeps.trajectory,
+        period_s=sweeps.period_s,
+        turn_up_rad=sweeps.elevation_correction_rad,
+    )
+
+
+def _neighbours(
+    lidar: LidarRecording,
+    panos: RecordedPanos,
+    spec: PanoSpec,
+    estimate: PanoEstimate,
+    time_s: float,
+    *,
+    leave_out_s: float | None = None,
+) -> Neighbours:
+    scans = lidar.evidence.prior.nearest_scans(time_s, spec.neighbours, leave_out_s=leave_out_s)
+    return ask_neighbours(panos, scans, estimate.median_m, time_s, LinearPano(quirks=True))
+
+
+def _score(shown: tuple[np.ndarray, np.ndarray, np.ndarray], truth: LeftOutPano) -> tuple[float, float]:
+    """Range PSNR in dB and hit accuracy, as the protocol `lidar4d` has them."""
+    range_m, _, hit = shown
+    ranges = range_image_metrics(np.where(hit > HIT_THRESHOLD, range_m, 0.0), truth.true_range_m)
+    hits = hit_image_metrics(hit, truth.true_range_m > 0.0)
+    return ranges["range_psnr_db"].value, hits["hit_accuracy"].value
