@@ -6,7 +6,7 @@ PYTHON       ?= python3.11
 PORT         ?= 3000
 override NVSF_HOME := $(abspath $(NVSF_HOME))
 override DAGSTER_HOME := $(abspath $(DAGSTER_HOME))
-export NVSF_HOME DAGSTER_HOME SEED SEEDS SCENES RECIPE NVSF_SCENES NVSF_KITTI360_ROOT NVSF_EXECUTOR
+export NVSF_HOME DAGSTER_HOME SEED SEEDS SCENES RECIPE RECIPES SPLITS MARKS NVSF_SCENES NVSF_KITTI360_ROOT NVSF_EXECUTOR
 export DAGSTER_MODULE_NAME := pipelines.definitions
 
 BIN   := .venv/bin
@@ -45,7 +45,7 @@ check: install ## ruff, mypy strict on the core, import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPE, SEEDS="0 1 2": measure and write the results
+bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPES, SEEDS="0 1 2", SPLITS="full every2": error over training time and all metrics
 	$(BIN)/python -m benchmarks.run
 
 ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md

@@ -1,5 +1,7 @@
 """Report: the metrics of each scene, and one page over all of them."""
 
+from pathlib import Path
+
 import dagster as dg
 
 from assets.factory import assets_of_group
@@ -9,6 +11,8 @@ from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 
 METRICS_STAGE = "scene_metrics"
+CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curves"
+"""What `make bench` measured of error over training time; the report shows it."""
 
 
 @dg.asset(
@@ -23,7 +27,7 @@ def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
     home = workspace.home()
     measured = measured_scenes(home)
     no_data = [entry.name for entry in catalogue() if entry.name not in measured and not has_data(entry)]
-    path = make_benchmark_report(home, [], {}, no_data)
+    path = make_benchmark_report(home, [], {}, no_data, CURVES)
     return dg.MaterializeResult(
         metadata={
             "path": dg.MetadataValue.path(str(path)),

@@ -13,7 +13,7 @@ from nvsf_core.training.loop import TrainingState
 
 LIDAR, CAMERA, BOTH = "lidar", "camera", "both"
 _PARTS = {"lidar": (LIDAR, "lidar."), "depth": (CAMERA, None), "camera": (CAMERA, "camera."),
-          "field": (BOTH, "field.")}  # fmt: skip
+          "pano": ("pano", None), "field": (BOTH, "field.")}  # fmt: skip
 """Part of a training to the clock that it runs by, and what stands before its weights' names in the published
 model; None = what it trains shows nothing by itself yet. Other parts go on by the clock that runs."""
 

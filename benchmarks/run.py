@@ -1,7 +1,9 @@
-"""Train SCENES with RECIPE from each seed of SEEDS (default: SEED), then write the results: ``make bench``.
+"""``make bench``: speed against error, then every metric of the recipes that learn a residual.
 
-A run of Dagster's job ``benchmark`` has one seed, as every run of this project has, so that its rules of
-skipping, resuming and failing hold for benchmarks as they are; what is up to date is not trained again.
+First the runs of `benchmarks.curves`, which train. Then, of whole scenes, Dagster's job ``benchmark`` for
+each recipe and seed: its stage ``field`` goes on from the finished checkpoint that the curve's run left, so
+that nothing is trained twice; the metrics over all rays and pixels, the report and README's table follow.
+What is up to date is not repeated. SCENES, RECIPES, SEEDS, SPLITS, MARKS say what is measured.
 """
 
 import os
@@ -9,21 +11,40 @@ import subprocess
 import sys
 from pathlib import Path
 
+from benchmarks.curve_document import write_document
+from benchmarks.curve_plan import FULL, RESULTS
+from benchmarks.curves import Asked, asked_from, measure
 from benchmarks.results_table import ROOT, write
 from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.recipe import PaperRecipe, preset
 
 
 def main() -> int:
     """Exit code of the worst run; the results of the others are written all the same."""
-    seeds = (os.environ.get("SEEDS") or os.environ.get("SEED") or "0").split()
+    asked = asked_from(os.environ)
+    failed = measure(asked)
+    print(write_document(RESULTS))
+    worst = _measure_whole(asked) if FULL in asked.splits else 0
+    print(write(home_from_environment(os.environ), ROOT))
+    for reason in failed:
+        print(f"FAILED  {reason}")
+    return max(worst, 1 if failed else 0)
+
+
+def _measure_whole(asked: Asked) -> int:
+    """The job ``benchmark``, one recipe and one seed a run, like every run of this project."""
     dagster = Path(sys.executable).parent / "dagster"
     worst = 0
-    for seed in seeds:
-        print(f"benchmark: seed {seed}", flush=True)
-        environment = os.environ | {"SEED": seed, "DAGSTER_MODULE_NAME": "pipelines.definitions"}
-        done = subprocess.run([dagster, "job", "execute", "-j", "benchmark"], env=environment, check=False)
-        worst = max(worst, abs(done.returncode))
-    print(write(home_from_environment(os.environ), ROOT))
+    for recipe in asked.recipes:
+        # A curve trains the paper's family for a fixed time, which is no preset; `make train` measures these.
+        for seed in () if isinstance(preset(recipe), PaperRecipe) else asked.seeds:
+            print(f"benchmark: {recipe}, seed {seed}", flush=True)
+            chosen = {"SCENES": " ".join(asked.scenes), "RECIPE": recipe, "SEED": str(seed)}
+            environment = os.environ | chosen | {"DAGSTER_MODULE_NAME": "pipelines.definitions"}
+            done = subprocess.run(
+                [dagster, "job", "execute", "-j", "benchmark"], env=environment, check=False
+            )
+            worst = max(worst, abs(done.returncode))
     return worst
 
 

@@ -16,7 +16,7 @@ import dagster as dg
 from pydantic import Field
 
 from assets.factory import events_of, failed_check
-from assets.report import METRICS_STAGE
+from assets.report import CURVES, METRICS_STAGE
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.kitti360.catalogue import has_data
@@ -148,7 +148,8 @@ def report_all(
     """
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
-    path = make_benchmark_report(workspace.home(), [state["scene"] for state in states], failures, absent)
+    named = [state["scene"] for state in states]
+    path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
     context.log_event(dg.AssetMaterialization(asset_key="benchmark_report", metadata=metadata))
     sys.stdout.write(_closing_words(workspace, measured, states, failures, absent, path))

@@ -37,23 +37,26 @@ _COSTS = (
 )  # fmt: skip
 
 
-def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str]) -> str:
+def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: str = "") -> str:
     """The page, as text.
 
     Args:
         scenes: What each scene's outputs hold, in the order to show them.
         no_data: Catalogue scenes whose recordings are not on this machine.
+        more: Ready-made sections (HTML) that stand below the scenes.
     """
     measured = [scene for scene in scenes if scene.runs]
     parts = [_intro(scenes), _summary(scenes, measured, no_data), _how_to_read()]
-    parts += [_scene(scene) for scene in scenes]
+    parts += [*(_scene(scene) for scene in scenes), more]
     return page("NVSF benchmark report", "\n".join(parts))
 
 
-def write_report(folder: Path, scenes: Sequence[SceneOutputs], no_data: Sequence[str]) -> Path:
-    """Write `index.html` into a folder; returns its path."""
+def write_report(
+    folder: Path, scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: str = ""
+) -> Path:
+    """Write `index.html` into a folder; returns its path. Arguments as of `report_html`."""
     path = folder / "index.html"
-    path.write_text(report_html(scenes, no_data), encoding="utf-8")
+    path.write_text(report_html(scenes, no_data, more), encoding="utf-8")
     return path
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from nvsf_core.errors import NvsfError
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
+from nvsf_core.reporting.speed_plots import speed_section
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.stage import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import publish_folder
@@ -15,7 +16,11 @@ _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RE
 
 
 def make_benchmark_report(
-    home: Path, scene_names: Sequence[str], failures: Mapping[str, str], no_data: Sequence[str]
+    home: Path,
+    scene_names: Sequence[str],
+    failures: Mapping[str, str],
+    no_data: Sequence[str],
+    curves: Path | None = None,
 ) -> Path:
     """Make the page from everything that was measured under a home, and publish it whole.
 
@@ -24,6 +29,7 @@ def make_benchmark_report(
         scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
         failures: Scene to the reason why its run failed; such a scene is shown with what it has.
         no_data: Catalogue scenes whose recordings are not on this machine.
+        curves: Where `make bench` left its runs of error over training time, if anywhere.
 
     Returns:
         Path of `<home>/benchmark_report/index.html`.
@@ -39,7 +45,7 @@ def make_benchmark_report(
     no_data = [name for name in no_data if name not in others]
     target = home / "benchmark_report"
     with publish_folder(target) as folder:
-        written = write_report(folder, scenes, no_data)
+        written = write_report(folder, scenes, no_data, speed_section(curves))
     return target / written.name
 
 
