@@ -133,8 +133,10 @@ def firing_grid(table: LaserTable, firings: int, phase: float = 0.5) -> tuple[np
 
 def wrap_angle(angle_rad: np.ndarray) -> np.ndarray:
     """The same angle in (-pi, pi]."""
-    wrapped: np.ndarray = np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
-    return wrapped
+    wrapped = np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
+    # The remainder of a number just below 0 rounds up to the whole turn: -pi, which is not of the interval.
+    inside: np.ndarray = np.where(wrapped <= -np.pi, np.pi, wrapped)
+    return inside
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.errors import ShapeError
+from nvsf_core.errors import DataError, ShapeError
 
 __all__ = ["nearest_in_cells", "project_nearest"]
 
@@ -20,9 +20,15 @@ def nearest_in_cells(cell: np.ndarray, range_m: np.ndarray, cell_count: int) -> 
 
     Raises:
         ShapeError: The two arrays differ in length.
+        DataError: A range is not finite: it would empty its whole cell.
     """
     if cell.shape != range_m.shape or cell.ndim != 1:
         raise ShapeError(f"expected cell and range_m (N,) alike, found {cell.shape} and {range_m.shape}")
+    if not np.isfinite(range_m).all():
+        broken = int(np.count_nonzero(~np.isfinite(range_m)))
+        raise DataError(
+            f"nearest_in_cells: {broken} of {len(range_m)} ranges are not finite; leave those returns out"
+        )
     nearest_m = np.full(cell_count, np.inf)
     np.minimum.at(nearest_m, cell, range_m.astype(np.float64))
     winner = np.flatnonzero(nearest_m[cell] == range_m)

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nvsf_core.errors import DataError
+
 RANGE_NOISE_M = 0.015
 """Standard deviation of the range noise; an HDL-64E's maker states below 2 cm (one sigma)."""
 DRAW_SHARPNESS = 3.0
@@ -48,7 +50,17 @@ def draw_scan(
 
     Returns:
         (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees.
+
+    Raises:
+        DataError: An array of the grid holds NaN; as a hit it would silently be a drop.
     """
+    for name in GRID_ARRAYS:
+        broken = int(np.count_nonzero(np.isnan(grid[name])))
+        if broken:
+            raise DataError(
+                f"draw_scan: {broken} of {grid[name].size} values of {name} are NaN; the model that rendered "
+                "them has diverged: train it again"
+            )
     range_m = grid["grid_range_m"].astype(np.float64)
     kept = generator.random(range_m.shape) < sharpen_hits(grid["grid_hit"])
     noise_m = generator.normal(0.0, range_noise_m, range_m.shape)
