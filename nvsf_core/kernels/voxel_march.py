@@ -11,6 +11,9 @@ from numba import njit, prange
 
 BRICK = 8
 _NO_PLANE_COSINE = 0.5
+_NEVER_M = 1e300
+RAYS_A_TASK = 256
+"""Rays that one thread answers before it asks for more."""
 
 
 @njit(inline="always")
@@ -96,6 +99,126 @@ def count_passes(origins, directions, stops_m, grid_origin, voxel_m, bricks, cel
     return partial.sum(axis=0)
 
 
+@njit(inline="always")
+def _clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untyped-def]
+    """[t_near, t_far] cut to a slab along one axis; an empty interval has t_near > t_far."""
+    if direction == 0.0:
+        if origin < low or origin >= high:
+            return 1.0, 0.0
+        return t_near, t_far
+    a = (low - origin) / direction
+    b = (high - origin) / direction
+    return max(t_near, min(a, b)), min(t_far, max(a, b))
+
+
+@njit(inline="always")
+def _first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: ignore[no-untyped-def]
+    """Along one axis at distance t: voxel, its step, distance to its border, distance between borders."""
+    index = min(max(math.floor((origin + t * direction - grid_origin) / voxel_m), 0), voxels - 1)
+    if direction > 0.0:
+        return index, 1, (grid_origin + (index + 1) * voxel_m - origin) / direction, voxel_m / direction
+    if direction < 0.0:
+        return index, -1, (grid_origin + index * voxel_m - origin) / direction, voxel_m / -direction
+    # Never reached; times 0 it must not become NaN.
+    return index, 1, _NEVER_M, 0.0
+
+
+@njit(inline="always")
+def _left(index, step):  # type: ignore[no-untyped-def]
+    """Voxels that are left in the brick along one axis."""
+    return BRICK - 1 - (index & 7) if step > 0 else index & 7
+
+
+@njit(inline="always")
+def _steps_before(leave, t_next, borders_a_metre, left):  # type: ignore[no-untyped-def]
+    """Borders along one axis that are crossed before `leave`, of those inside the brick."""
+    if t_next >= leave:
+        return 0
+    return min(left, int((leave - t_next) * borders_a_metre) + 1)
+
+
+@njit(cache=True)
+def walk(  # type: ignore[no-untyped-def]
+    ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
+    means, normals, opacities, missed_share, stop_transmittance,
+    range_m, voxels, opacity, cosine,
+):  # fmt: skip
+    """Fill the last four arrays (k,) with the surfaces of one ray, see `find_candidates`; how many there are.
+
+    Empty bricks are crossed in one step. All state is in scalars: the compiler keeps no array in registers.
+    """
+    most = range_m.shape[0]
+    ny_bricks, nz_bricks = bricks.shape[1], bricks.shape[2]
+    x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, ny_bricks * BRICK, nz_bricks * BRICK
+    ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
+    dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+    t, t_far = _clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, near_m, far_m)
+    t, t_far = _clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
+    t, t_far = _clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
+    if t >= t_far:
+        return 0
+    x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
+    y, y_step, y_next, y_length = _first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
+    z, z_step, z_next, z_length = _first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
+    x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
+    light = 1.0
+    found = 0
+    while True:
+        row = bricks[x >> 3, y >> 3, z >> 3]
+        if row < 0:
+            x_left, y_left, z_left = _left(x, x_step), _left(y, y_step), _left(z, z_step)
+            leave = min(
+                x_next + x_left * x_length, min(y_next + y_left * y_length, z_next + z_left * z_length)
+            )
+            steps = _steps_before(leave, x_next, x_density, x_left)
+            x, x_next = x + steps * x_step, x_next + steps * x_length
+            steps = _steps_before(leave, y_next, y_density, y_left)
+            y, y_next = y + steps * y_step, y_next + steps * y_length
+            steps = _steps_before(leave, z_next, z_density, z_left)
+            z, z_next = z + steps * z_step, z_next + steps * z_length
+        else:
+            voxel = cells[row, ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)]
+            if voxel >= 0:
+                t_out = min(min(x_next, min(y_next, z_next)), t_far)
+                mx, my, mz = means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz
+                nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
+                alpha = float(opacities[voxel])
+                slant = nx * dx + ny * dy + nz * dz
+                if nx == 0.0 and ny == 0.0 and nz == 0.0:
+                    hit = float(mx * dx + my * dy + mz * dz)
+                    incidence = _NO_PLANE_COSINE
+                else:
+                    incidence = float(abs(slant))
+                    hit = float((nx * mx + ny * my + nz * mz) / slant) if incidence > 1e-6 else -1.0
+                    if hit < t or hit > t_out:
+                        alpha *= missed_share
+                range_m[found] = min(max(hit, t), t_out)
+                voxels[found] = voxel
+                opacity[found] = alpha
+                cosine[found] = incidence
+                found += 1
+                light *= 1.0 - alpha
+                if found == most or light < stop_transmittance:
+                    return found
+        if x_next <= y_next and x_next <= z_next:
+            t = x_next
+            x += x_step
+            x_next += x_length
+            inside = x >= 0 and x < x_voxels
+        elif y_next <= z_next:
+            t = y_next
+            y += y_step
+            y_next += y_length
+            inside = y >= 0 and y < y_voxels
+        else:
+            t = z_next
+            z += z_step
+            z_next += z_length
+            inside = z >= 0 and z < z_voxels
+        if t >= t_far or not inside:
+            return found
+
+
 @njit(parallel=True, cache=True)
 def find_candidates(  # type: ignore[no-untyped-def]
     origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
@@ -112,63 +235,16 @@ def find_candidates(  # type: ignore[no-untyped-def]
         opacity (n, k) float32; cosine of incidence (n, k) float32; count (n,) int32.
     """
     n = origins.shape[0]
-    shape = np.array([bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK])
-    high = grid_origin + shape * voxel_m
     range_m = np.zeros((n, n_candidates), np.float32)
     voxels = np.full((n, n_candidates), -1, np.int32)
     opacity = np.zeros((n, n_candidates), np.float32)
     cosine = np.zeros((n, n_candidates), np.float32)
     count = np.zeros(n, np.int32)
-    n_chunks = (n + 255) // 256
-    for chunk in prange(n_chunks):
-        index = np.zeros(3, np.int64)
-        step = np.zeros(3, np.int64)
-        t_next = np.zeros(3)
-        t_step = np.zeros(3)
-        for ray in range(chunk * 256, min(n, (chunk + 1) * 256)):
-            o = origins[ray]
-            d = directions[ray]
-            t, t_far = _enter(o, d, grid_origin, high, near_m, far_m)
-            if t >= t_far:
-                continue
-            _start(o, d, t, grid_origin, voxel_m, shape, index, step, t_next, t_step)
-            light = 1.0
-            found = 0
-            while True:
-                axis = _nearest_axis(t_next)
-                t_out = min(t_next[axis], t_far)
-                voxel = _voxel(index, bricks, cells)
-                if voxel >= 0:
-                    mx = means[voxel, 0] - o[0]
-                    my = means[voxel, 1] - o[1]
-                    mz = means[voxel, 2] - o[2]
-                    nx = normals[voxel, 0]
-                    ny = normals[voxel, 1]
-                    nz = normals[voxel, 2]
-                    alpha = opacities[voxel]
-                    slant = nx * d[0] + ny * d[1] + nz * d[2]
-                    if nx == 0.0 and ny == 0.0 and nz == 0.0:
-                        hit = mx * d[0] + my * d[1] + mz * d[2]
-                        incidence = _NO_PLANE_COSINE
-                    else:
-                        incidence = abs(slant)
-                        hit = (nx * mx + ny * my + nz * mz) / slant if incidence > 1e-6 else -1.0
-                        if hit < t or hit > t_out:
-                            alpha *= missed_share
-                    range_m[ray, found] = min(max(hit, t), t_out)
-                    voxels[ray, found] = voxel
-                    opacity[ray, found] = alpha
-                    cosine[ray, found] = incidence
-                    found += 1
-                    light *= 1.0 - alpha
-                    if found == n_candidates or light < stop_transmittance:
-                        break
-                if t_next[axis] >= t_far:
-                    break
-                t = t_next[axis]
-                index[axis] += step[axis]
-                if index[axis] < 0 or index[axis] >= shape[axis]:
-                    break
-                t_next[axis] += t_step[axis]
-            count[ray] = found
+    for chunk in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
+        for ray in range(chunk * RAYS_A_TASK, min(n, (chunk + 1) * RAYS_A_TASK)):
+            count[ray] = walk(
+                ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
+                means, normals, opacities, missed_share, stop_transmittance,
+                range_m[ray], voxels[ray], opacity[ray], cosine[ray],
+            )  # fmt: skip
     return range_m, voxels, opacity, cosine, count

@@ -1,0 +1,88 @@
+"""Laws of the walk through a sparse voxel grid."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.kernels.voxel_march import find_candidates
+
+VOXEL_M = 0.5
+NEAR_M, FAR_M = 0.9, 60.0
+
+
+@pytest.fixture(scope="module")
+def sparse() -> Surfels:
+    """Surfels of thirty heaps of returns in a room of 40 m, most of whose bricks are empty."""
+    generator = np.random.default_rng(0)
+    points = np.repeat(heaps_m(), 200, axis=0) + generator.normal(0.0, 0.8, (6000, 3))
+    range_m = np.linalg.norm(points, axis=1)
+    direction = points / range_m[:, None]
+    origin = np.zeros((6000, 3), np.float32)
+    return build_surfels(
+        origin, direction.astype(np.float32), range_m.astype(np.float32), np.full(6000, 0.4),
+        voxel_m=VOXEL_M, threads=1,
+    )  # fmt: skip
+
+
+def heaps_m() -> np.ndarray:
+    return np.random.default_rng(2).uniform(-20.0, 20.0, (30, 3)) * [1.0, 1.0, 0.2]
+
+
+def some_rays() -> tuple[np.ndarray, np.ndarray]:
+    """Rays from inside and from outside, oblique, along axes, and away."""
+    generator = np.random.default_rng(1)
+    origin = generator.uniform(-30.0, 30.0, (400, 3)) * [1.0, 1.0, 0.2]
+    direction = heaps_m()[generator.integers(0, 30, 400)] - origin
+    direction[::8] *= -1.0
+    direction[:60, generator.integers(0, 3)] = 0.0
+    direction[:20] = np.eye(3)[generator.integers(0, 3, 20)] * generator.choice([-1.0, 1.0], (20, 1))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return origin.astype(np.float32), direction.astype(np.float32)
+
+
+def crossed_m(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where one ray enters and leaves every voxel (v,), near to far: by its slabs, without a walk."""
+    index = surfels.index
+    brick, within = np.nonzero(index.cells >= 0)
+    corner = np.zeros((index.count, 3))
+    place = np.argwhere(index.bricks >= 0)[np.argsort(index.bricks[index.bricks >= 0])][brick] * 8
+    place = place + np.stack([within >> 6, (within >> 3) & 7, within & 7], axis=1)
+    corner[index.cells[brick, within]] = index.origin_m + place * VOXEL_M
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a = (corner - origin.astype(np.float64)) / direction.astype(np.float64)
+        b = (corner + VOXEL_M - origin.astype(np.float64)) / direction.astype(np.float64)
+    enter = np.fmax.reduce(np.fmin(a, b), axis=1, initial=NEAR_M)
+    leave = np.fmin.reduce(np.fmax(a, b), axis=1, initial=FAR_M)
+    return enter, leave
+
+
+def test_a_ray_meets_exactly_the_voxels_whose_slabs_it_crosses_in_their_order(sparse) -> None:
+    origin, direction = some_rays()
+    index = sparse.index
+    range_m, voxel, opacity, _, count = find_candidates(
+        origin, direction, NEAR_M, FAR_M, index.origin_m, VOXEL_M, index.bricks, index.cells,
+        sparse.mean_m, sparse.normal, sparse.opacity, 0.1, 0.0, 200,
+    )  # fmt: skip
+    assert count.max() > 10 and (count == 0).any()
+    for ray in range(len(origin)):
+        enter, leave = crossed_m(sparse, origin[ray], direction[ray])
+        found = voxel[ray, : count[ray]]
+        # A corner that is cut by less than a micrometre may be on either side of rounding.
+        assert np.isin(np.flatnonzero(leave - enter > 1e-6), found).all()
+        assert (leave[found] - enter[found] > -1e-6).all()
+        assert (np.diff(enter[found]) > -1e-6).all() and len(np.unique(found)) == len(found)
+        assert (range_m[ray, : count[ray]] >= enter[found] - 1e-5).all()
+        assert (range_m[ray, : count[ray]] <= leave[found] + 1e-5).all()
+        assert (voxel[ray, count[ray] :] == -1).all() and (opacity[ray, count[ray] :] == 0.0).all()
+
+
+def test_the_walk_ends_where_no_light_is_left(sparse) -> None:
+    origin, direction = some_rays()
+    index = sparse.index
+    grid = (NEAR_M, FAR_M, index.origin_m, VOXEL_M, index.bricks, index.cells, sparse.mean_m, sparse.normal)
+    everything = find_candidates(origin, direction, *grid, sparse.opacity, 0.1, 0.0, 200)
+    lit = find_candidates(origin, direction, *grid, sparse.opacity, 0.1, 0.3, 200)
+    before = np.cumprod(1.0 - everything[2].astype(np.float64), axis=1)
+    ends = (before >= 0.3).sum(axis=1) + 1
+    assert (lit[4] == np.minimum(ends, everything[4])).all()
+    assert (lit[4] < everything[4]).any()
