@@ -44,12 +44,32 @@ class DropPrior:
         """Share (r,) float32 of `scans` whose firing nearest to each ray (laser, fraction: (r,)) returned."""
         total = np.zeros(len(laser), np.float32)
         for scan in scans:
-            firings = self.fraction[scan]
-            count = int(np.isfinite(firings).sum())
-            right = np.clip(np.searchsorted(firings[:count], fraction), 1, count - 1)
-            left_is_nearer = fraction - firings[right - 1] < firings[right] - fraction
-            total += self.is_hit[scan, laser, right - left_is_nearer]
+            total += self.is_hit[scan, laser, self.nearest_firing(scan, fraction)]
         return total / np.float32(len(scans))
+
+    def nearest_firing(self, scan: int, fraction: np.ndarray) -> np.ndarray:
+        """Columns (r,) int64 of a scan's firings nearest to the sweep fractions (r,)."""
+        firings = self.fraction[scan][: self.firings_of(scan)]
+        right = np.clip(np.searchsorted(firings, fraction), 1, len(firings) - 1)
+        left_is_nearer = fraction - firings[right - 1] < firings[right] - fraction
+        nearest: np.ndarray = right - left_is_nearer
+        return nearest
+
+    def firings_of(self, scan: int) -> int:
+        """How often each laser of a scan fired."""
+        return int(np.isfinite(self.fraction[scan]).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class FiredCells:
+    """Where N returns lie in the grid of a `DropPrior`."""
+
+    scan: np.ndarray
+    """(N,) int64."""
+    column: np.ndarray
+    """(N,) int64 firing."""
+    is_known: np.ndarray
+    """(N,) bool: laser and firing are; the other arrays mean nothing where not."""
 
 
 def build_drop_prior(
@@ -67,10 +87,32 @@ def build_drop_prior(
 
     Scans whose firings are unknown (`firings` 0) are laid on evenly spaced nominal ones by their time.
     """
-    n = len(time_s)
+    fraction, cells = find_cells(
+        laser, firing, sweep_fraction, offsets, firings, nominal_firings=nominal_firings
+    )
+    is_hit = np.zeros((len(time_s), lasers, fraction.shape[1]), bool)
+    known = cells.is_known
+    is_hit[cells.scan[known], laser[known], cells.column[known]] = True
+    return DropPrior(np.asarray(time_s, np.float64), fraction, is_hit)
+
+
+def find_cells(
+    laser: np.ndarray,
+    firing: np.ndarray,
+    sweep_fraction: np.ndarray,
+    offsets: np.ndarray,
+    firings: np.ndarray,
+    *,
+    nominal_firings: int,
+) -> tuple[np.ndarray, FiredCells]:
+    """Each scan's sweep fractions (n, f), infinite behind the last, and where each return (N,) lies.
+
+    Arguments as of `build_drop_prior`.
+    """
+    n = len(firings)
     counts = np.where(firings > 0, firings, nominal_firings)
     fraction = np.full((n, counts.max()), np.inf, np.float32)
-    is_hit = np.zeros((n, lasers, counts.max()), bool)
+    columns, is_known = np.zeros(len(laser), np.int64), np.zeros(len(laser), bool)
     for scan in range(n):
         part = slice(offsets[scan], offsets[scan + 1])
         even = ((np.arange(counts[scan]) + 0.5) / counts[scan] - 0.5).astype(np.float32)
@@ -85,5 +127,5 @@ def build_drop_prior(
             even[column[known]] = sweep_fraction[part][known]
             even = np.maximum.accumulate(even)
         fraction[scan, : counts[scan]] = even
-        is_hit[scan, laser[part][known], column[known]] = True
-    return DropPrior(np.asarray(time_s, np.float64), fraction, is_hit)
+        columns[part], is_known[part] = column, known
+    return fraction, FiredCells(np.repeat(np.arange(n), np.diff(offsets)), columns, is_known)

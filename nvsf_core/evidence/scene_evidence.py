@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nvsf_core.evidence.at_rest import AtRest
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.surfels import Surfels
@@ -26,6 +27,8 @@ class SceneEvidence:
     """(lasers, cells) float32."""
     dynamic: DynamicEvidence | None = None
     """What moves, and the scene without it; None where nothing was seen to move."""
+    at_rest: AtRest | None = None
+    """What was measured where the sensor stood or crawled; None where it never did."""
 
     @property
     def standing(self) -> Surfels:
@@ -35,7 +38,8 @@ class SceneEvidence:
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         moving = {} if self.dynamic is None else self.dynamic.to_arrays()
-        return self.surfels.to_arrays() | moving | {
+        at_rest = {} if self.at_rest is None else self.at_rest.to_arrays()
+        return self.surfels.to_arrays() | moving | at_rest | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -49,5 +53,5 @@ class SceneEvidence:
         return SceneEvidence(
             surfels=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
-            dynamic=DynamicEvidence.from_arrays(a),
+            dynamic=DynamicEvidence.from_arrays(a), at_rest=AtRest.from_arrays(a),
         )  # fmt: skip

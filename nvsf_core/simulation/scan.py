@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from nvsf_core.evidence.at_rest import FiredRays, answer_at_rest
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.simulation.lidar_rays import SweepRays
 
 HIT_THRESHOLD = 0.5
@@ -11,6 +13,27 @@ HIT_THRESHOLD = 0.5
 
 _TYPICAL_OWN_RANGE_M = 2.0
 """Where a laser's ray is taken to meet the own vehicle when its azimuth is looked up."""
+
+
+def measured_at_rest(
+    answers: RayAnswers,
+    laser: np.ndarray,
+    fraction: np.ndarray,
+    evidence: SceneEvidence,
+    instant_s: float,
+    trajectory: Trajectory,
+    period_s: float,
+) -> RayAnswers:
+    """Let rays (laser, fraction: (r,)) of the recording sensor's sweep that were fired before say so.
+
+    The same `answers` where the sensor never stood or crawled.
+    """
+    if evidence.at_rest is None:
+        return answers
+    rays = FiredRays(laser, fraction, answers.range_m, answers.hit, answers.intensity)
+    return RayAnswers(
+        *answer_at_rest(evidence.at_rest, evidence.prior, rays, instant_s, trajectory, period_s)
+    )
 
 
 def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:

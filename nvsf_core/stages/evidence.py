@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.drop_prior import build_drop_prior
+from nvsf_core.evidence.at_rest import AtRest, keep_scans, scans_at_rest
+from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior, find_cells
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.find_moving import find_moving
 from nvsf_core.evidence.objects import prove_objects
@@ -148,7 +149,24 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
         dynamic=_prove_motion(sweeps, of_training, used),
+        at_rest=_keep_at_rest(sweeps, of_training, prior),
     )
+
+
+def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> AtRest | None:
+    """What was measured where the sensor stood or crawled; None where it never did."""
+    scans = scans_at_rest(prior.time_s, sweeps.trajectory)
+    if len(scans) == 0:
+        return None
+    a, training = sweeps.arrays, np.flatnonzero(sweeps.is_training)
+    lengths = np.diff(a["offsets"])[training]
+    _, cells = find_cells(
+        a["laser"][of_training], a["firing"][of_training], a["sweep_fraction"][of_training],
+        np.concatenate([[0], np.cumsum(lengths)]), a["firings"][training],
+        nominal_firings=sweeps.table.firings_per_turn,
+    )  # fmt: skip
+    laser, range_m = a["laser"][of_training], a["range_m"][of_training]
+    return keep_scans(scans, prior, cells, laser, range_m, a["intensity"][of_training])
 
 
 def training_returns(sweeps: Sweeps) -> TimedReturns:
@@ -237,6 +255,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="2",
+    version="3",
     run=_run,
 )
