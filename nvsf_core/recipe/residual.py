@@ -114,9 +114,9 @@ class LossWeights:
 class PanoSpec:
     """The papers' range image as a view of its own, and not the projection of one simulated scan."""
 
-    phases: int = 4
+    phases: int = 2
     """Turns that are fired, each starting at another phase of the firings."""
-    parts: int = 2
+    parts: int = 4
     """Every turn is looked at so many times, turned by parts of what lies between two phases."""
     channels: int = 20
     """Width of the network over cells."""
@@ -124,7 +124,7 @@ class PanoSpec:
     """Layers of that width."""
     neighbours: int = 6
     """Nearest training panos that the network is told of."""
-    frames: int = 14
+    frames: int = 28
     """Most training frames that the network learns from; evenly spread."""
     judge_every: int = 5
     """Of so many of these frames one is never learned from but decides whether the network is used."""

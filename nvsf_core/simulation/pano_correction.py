@@ -1,5 +1,7 @@
 """An expected pano, what its neighbours show, and what a network makes of both."""
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -8,6 +10,8 @@ from nvsf_core.fields.pano_network import FEATURES, PanoNetwork
 from nvsf_core.simulation.pano_estimate import PanoEstimate
 from nvsf_core.simulation.pano_neighbours import Neighbours
 
+PARTS = ("hit", "range", "intensity")
+"""What a network may correct, each by itself."""
 _HIT_LIMIT = 0.01
 _INTENSITY_LIMIT = 0.01
 
@@ -52,16 +56,30 @@ def intensity_prior(estimate: PanoEstimate) -> Tensor:
 
 @torch.no_grad()
 def corrected_pano(
-    network: PanoNetwork, estimate: PanoEstimate, neighbours: Neighbours
+    network: PanoNetwork, estimate: PanoEstimate, neighbours: Neighbours, parts: Collection[str] = PARTS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range in metres, intensity and hit probability (h, w) float32 as the network has them."""
+    """Range in metres, intensity and hit probability (h, w) float32, some `parts` as the network has them.
+
+    The others are the phases': the median range, the mean intensity, the expected hit.
+    """
+    range_m, intensity, hit = phases_alone(estimate)
     correction = network(cell_features(estimate, neighbours)[None])
-    hit = torch.sigmoid(hit_prior(estimate) + correction.hit_logit[0])
-    intensity = torch.sigmoid(intensity_prior(estimate) + correction.intensity_logit[0])
-    chosen = correction.choice[0].argmax(dim=0).numpy()
-    range_m = np.take_along_axis(estimate.range_m, chosen[None], axis=0)[0]
-    is_shown = estimate.range_m[1] > 0.0
-    return range_m, intensity.numpy() * is_shown, hit.numpy() * is_shown
+    is_shown = range_m > 0.0
+    if "range" in parts:
+        chosen = correction.choice[0].argmax(dim=0).numpy()
+        range_m = np.take_along_axis(estimate.range_m, chosen[None], axis=0)[0]
+    if "intensity" in parts:
+        intensity = (
+            torch.sigmoid(intensity_prior(estimate) + correction.intensity_logit[0]).numpy() * is_shown
+        )
+    if "hit" in parts:
+        hit = torch.sigmoid(hit_prior(estimate) + correction.hit_logit[0]).numpy() * is_shown
+    return range_m, intensity, hit
+
+
+def phases_alone(estimate: PanoEstimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Range in metres, intensity and hit probability (h, w) without a network."""
+    return estimate.median_m, estimate.intensity, estimate.hit
 
 
 def _limited(hit: np.ndarray) -> np.ndarray:

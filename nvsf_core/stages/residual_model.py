@@ -76,10 +76,10 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             far_m=recording.lidar.far_m,
         )
         if recipe.pano is not None:
-            network = fields.pano if facts.get(CORRECTED) else None
-            if network is not None:
-                network.load_state_dict(_named(tensors, "pano."))
-            pano = pano_renderer(recording.lidar, recipe.pano, lidar, recipe.evidence.votes, network)
+            if fields.pano is not None:
+                fields.pano.load_state_dict(_named(tensors, "pano."))
+            votes, corrected = recipe.evidence.votes, facts.get(CORRECTED, ())
+            pano = pano_renderer(recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected)
     if fields.camera is not None:
         fields.camera.load_state_dict(_named(tensors, "camera."))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED])

@@ -14,10 +14,18 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.pano_network import PanoNetwork
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.hit import hit_image_metrics
+from nvsf_core.metrics.intensity import intensity_image_metrics
 from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.recipe import PanoSpec, ResidualRecipe
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.pano_correction import cell_features, corrected_pano, hit_prior, intensity_prior
+from nvsf_core.simulation.pano_correction import (
+    PARTS,
+    cell_features,
+    corrected_pano,
+    hit_prior,
+    intensity_prior,
+    phases_alone,
+)
 from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
 from nvsf_core.simulation.scan import HIT_THRESHOLD
@@ -31,7 +39,7 @@ from nvsf_core.training.loop import TrainingState, make_optimiser
 from nvsf_core.training.pano_step import PanoExample, pano_step
 
 CORRECTED = "pano_corrected"
-"""Name of the fact: whether the network beat the phases on panos that it never learned from."""
+"""Name of the fact: parts of the pano that the network shows better than the phases do."""
 _FEWEST_SCANS = 3
 """With fewer, a pano that is left out has hardly others to be expected from."""
 
@@ -66,8 +74,8 @@ class TrainedPano:
     states: dict[str, TrainingState]
     preparation_seconds: float
     metadata: dict[str, Scalar]
-    corrected: bool
-    """Whether panos are shown by the network; else the phases alone show them."""
+    corrected: list[str]
+    """Parts of the pano that the network shows; the others stay as the phases have them."""
 
 
 def train_pano(
@@ -84,12 +92,8 @@ def train_pano(
         raise RecipeError(f"recipe {recipe.name}: expected a pano with training, found none")
     panos = recorded_panos(lidar)
     if len(panos.time_s) < _FEWEST_SCANS:
-        return TrainedPano(
-            states={},
-            preparation_seconds=0.0,
-            metadata={"pano_shows": "phases: too few scans"},
-            corrected=False,
-        )
+        few: dict[str, Scalar] = {"pano_corrected": "nothing: too few scans to learn from"}
+        return TrainedPano(states={}, preparation_seconds=0.0, metadata=few, corrected=[])
     started = time.perf_counter()
     scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
     left_out = []
@@ -116,25 +120,42 @@ def judges(panos: int, spec: PanoSpec) -> range:
     return range(min(spec.judge_every // 2, panos // 2), panos, spec.judge_every)
 
 
-def judge(network: PanoNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], bool]:
-    """Whether the network beats the phases in range PSNR without losing hits, and both their figures."""
-    scores = {
-        "phases": [_score(phases_alone(one.estimate), one) for one in left_out],
-        "network": [_score(corrected_pano(network, one.estimate, one.neighbours), one) for one in left_out],
+def judge(network: PanoNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
+    """What the network does better than the phases, part by part, and the figures that say so.
+
+    A corrected hit must raise the range image's PSNR without losing hits, another choice of ranges must
+    raise it, a corrected intensity must raise the intensity image's.
+    """
+
+    def scored(*parts: str) -> tuple[float, float, float]:
+        found = [
+            _score(corrected_pano(network, one.estimate, one.neighbours, parts), one) for one in left_out
+        ]
+        range_db, hits, intensity_db = np.mean(found, axis=0).tolist()
+        return range_db, hits, intensity_db
+
+    phases = scored()
+    hit, choice, brightness = (scored(part) for part in PARTS)
+    wins = (hit[0] > phases[0] and hit[1] >= phases[1], choice[0] > phases[0], brightness[2] > phases[2])
+    corrected = [part for part, is_better in zip(PARTS, wins, strict=True) if is_better]
+    shown = scored(*corrected)
+    names = ("psnr_db", "hit_accuracy", "intensity_psnr_db")
+    metadata: dict[str, Scalar] = {
+        f"pano_judged_{whose}{name}": value
+        for whose, values in (("", shown), ("phases_", phases))
+        for name, value in zip(names, values, strict=True)
     }
-    (plain_db, plain_hits), (learned_db, learned_hits) = (
-        np.mean(scores[name], axis=0).tolist() for name in ("phases", "network")
-    )
-    better = learned_db > plain_db and learned_hits >= plain_hits
-    return {
-        "pano_judged_psnr_db": learned_db, "pano_judged_phases_psnr_db": plain_db,
-        "pano_judged_hit_accuracy": learned_hits, "pano_judged_phases_hit_accuracy": plain_hits,
-        "pano_shows": "network" if better else "phases: learning did not beat them",
-    }, better  # fmt: skip
+    metadata["pano_corrected"] = ", ".join(corrected) or "nothing: learning did not beat the phases"
+    return metadata, corrected
 
 
 def pano_renderer(
-    lidar: LidarRecording, spec: PanoSpec, render: RayRenderer, votes: int, network: PanoNetwork | None
+    lidar: LidarRecording,
+    spec: PanoSpec,
+    render: RayRenderer,
+    votes: int,
+    network: PanoNetwork | None,
+    corrected: Sequence[str] = (),
 ) -> PanoRenderer:
     """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
 
@@ -143,9 +164,10 @@ def pano_renderer(
         spec: Of the recipe.
         render: Answers the sensor's rays.
         votes: Scans that vote.
-        network: Trained; None where it is not used.
+        network: Trained; None where there is none.
+        corrected: What it corrects.
     """
-    panos = None if network is None else recorded_panos(lidar)
+    panos = recorded_panos(lidar) if network is not None and corrected else None
 
     def show(pose: np.ndarray, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rotation, position = lidar.sweeps.trajectory.at(np.array([time_s]))
@@ -156,14 +178,10 @@ def pano_renderer(
         estimate = expected_pano(lidar, spec, render, votes, time_s, None if is_there else mount)
         if network is None or panos is None or not is_there:
             return phases_alone(estimate)
-        return corrected_pano(network, estimate, _neighbours(lidar, panos, spec, estimate, time_s))
+        neighbours = _neighbours(lidar, panos, spec, estimate, time_s)
+        return corrected_pano(network, estimate, neighbours, corrected)
 
     return show
-
-
-def phases_alone(estimate: PanoEstimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range in metres, intensity and hit probability (66, 1030) without a network."""
-    return estimate.median_m, estimate.intensity, estimate.hit
 
 
 def expected_pano(
@@ -239,9 +257,13 @@ def _neighbours(
     return ask_neighbours(panos, scans, estimate.median_m, time_s, LinearPano(quirks=True))
 
 
-def _score(shown: tuple[np.ndarray, np.ndarray, np.ndarray], truth: LeftOutPano) -> tuple[float, float]:
-    """Range PSNR in dB and hit accuracy, as the protocol `lidar4d` has them."""
-    range_m, _, hit = shown
-    ranges = range_image_metrics(np.where(hit > HIT_THRESHOLD, range_m, 0.0), truth.true_range_m)
+def _score(
+    shown: tuple[np.ndarray, np.ndarray, np.ndarray], truth: LeftOutPano
+) -> tuple[float, float, float]:
+    """Range PSNR in dB, hit accuracy and intensity PSNR in dB, as the protocol `lidar4d` has them."""
+    range_m, intensity, hit = shown
+    answered = hit > HIT_THRESHOLD
+    ranges = range_image_metrics(np.where(answered, range_m, 0.0), truth.true_range_m)
     hits = hit_image_metrics(hit, truth.true_range_m > 0.0)
-    return ranges["range_psnr_db"].value, hits["hit_accuracy"].value
+    bright = intensity_image_metrics(np.where(answered, intensity, 0.0), truth.true_intensity)
+    return ranges["range_psnr_db"].value, hits["hit_accuracy"].value, bright["intensity_psnr_db"].value
