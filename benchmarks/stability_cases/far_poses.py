@@ -83,8 +83,8 @@ def _street(trajectory: Trajectory, offset: np.ndarray) -> tuple[Surfels, np.nda
         when = np.full(len(azimuth), frame * _PERIOD_S) - azimuth / (2 * np.pi) * _PERIOD_S
         origin, direction = trajectory.move_rays(origin_s, direction_s, when)
         with np.errstate(divide="ignore"):
-            ground = (-1.7 - (origin + offset)[:, 2]) / direction[:, 2]
-            walls = (8.0 * np.sign(direction[:, 1]) - (origin + offset)[:, 1]) / direction[:, 1]
+            ground = (-1.73 - (origin + offset)[:, 2]) / direction[:, 2]
+            walls = (8.1 * np.sign(direction[:, 1]) - (origin + offset)[:, 1]) / direction[:, 1]
         ranges = np.minimum(*(np.where(r > 0.5, r, np.inf) for r in (ground, walls)))
         kept = ranges < 60.0
         parts.append((origin[kept], direction[kept], ranges[kept]))

@@ -26,7 +26,13 @@ def median_abs_error(predicted: np.ndarray, truth: np.ndarray) -> Measure:
 
 
 def psnr(predicted: np.ndarray, truth: np.ndarray, peak: float) -> Measure:
-    """10 log10(peak^2 / MSE) in dB over all elements (same shape), at most `PSNR_CAP_DB`."""
+    """10 log10(peak^2 / MSE) in dB over all elements (same shape), at most `PSNR_CAP_DB`.
+
+    Raises:
+        ValueError: The peak is not above 0.
+    """
+    if not peak > 0.0:
+        raise ValueError(f"psnr: expected a peak above 0, found {peak}; pass the largest value there can be")
     bad = _fault(predicted, truth)
     if bad is not None:
         return bad

@@ -37,9 +37,10 @@ def hit_cell_metrics(
     """`hit_accuracy` and `hit_f_score` on the grid of lasers x 2000 cells of 0.18 degrees.
 
     A cell is hit if at least one return lies in it: laser of the return, floor(azimuth / 0.18 deg)
-    of the point as recorded (sensor frame, metres). Undefined where lasers are unknown (-1).
+    of the point as recorded (sensor frame, metres). Undefined where lasers are unknown (-1) or a point is
+    not finite.
     """
-    bad = _no_cells(predicted_laser, truth_laser, n_lasers)
+    bad = _no_cells(predicted_m, predicted_laser, truth_m, truth_laser, n_lasers)
     if bad is not None:
         return {"hit_accuracy": bad, "hit_f_score": bad}
     return _agreement(
@@ -70,7 +71,7 @@ def hit_region_metrics(
         truth_in: (M,) bool, recorded returns of the region.
         complement: False = the cells that a return of the region fills on either side; True = the others.
     """
-    bad = _no_cells(predicted_laser, truth_laser, n_lasers)
+    bad = _no_cells(predicted_m, predicted_laser, truth_m, truth_laser, n_lasers)
     if bad is not None:
         return {"hit_accuracy": bad, "hit_f_score": bad}
     filled = hit_cells(predicted_m[predicted_in], predicted_laser[predicted_in], n_lasers)
@@ -85,13 +86,23 @@ def hit_region_metrics(
     )
 
 
-def _no_cells(predicted_laser: np.ndarray, truth_laser: np.ndarray, n_lasers: int) -> Measure | None:
+def _no_cells(
+    predicted_m: np.ndarray,
+    predicted_laser: np.ndarray,
+    truth_m: np.ndarray,
+    truth_laser: np.ndarray,
+    n_lasers: int,
+) -> Measure | None:
     """Why hits cannot be put into cells; None where they can."""
     unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
     if unknown or n_lasers < 1:
         return undefined(f"the laser of {unknown} returns is unknown")
-    if predicted_laser.size and int(predicted_laser.max()) >= n_lasers:
-        return undefined(f"predicted laser {int(predicted_laser.max())}, but the sensor has {n_lasers}")
+    for side, points_m, laser in (("predicted", predicted_m, predicted_laser), ("true", truth_m, truth_laser)):
+        if laser.size and int(laser.max()) >= n_lasers:
+            return undefined(f"{side} laser {int(laser.max())}, but the sensor has {n_lasers}")
+        broken = int(np.count_nonzero(~np.isfinite(points_m).all(axis=1)))
+        if broken:
+            return undefined(f"{broken} of {len(points_m)} {side} points are not finite")
     return None
 
 

@@ -59,6 +59,11 @@ def _ssim_map(predicted: np.ndarray, truth: np.ndarray, data_range: float) -> np
     var_p = sample * (uniform_filter(p * p, WINDOW) - mean_p**2)
     var_t = sample * (uniform_filter(t * t, WINDOW) - mean_t**2)
     covariance = sample * (uniform_filter(p * t, WINDOW) - mean_p * mean_t)
+    # In a window that is constant but for rounding these differences of squares are rounding too, of either
+    # sign, and their quotient anything. A variance is never negative, a covariance never beyond both.
+    var_p, var_t = np.maximum(var_p, 0.0), np.maximum(var_t, 0.0)
+    most = np.sqrt(var_p * var_t)
+    covariance = np.clip(covariance, -most, most)
     c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
     above = (2.0 * mean_p * mean_t + c1) * (2.0 * covariance + c2)
     similarity: np.ndarray = above / ((mean_p**2 + mean_t**2 + c1) * (var_p + var_t + c2))
