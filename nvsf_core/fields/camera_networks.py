@@ -55,6 +55,41 @@ class DepthNetwork(nn.Module):
         return logits
 
 
+class RefineNetwork(nn.Module):
+    """Probabilities of depths around each hypothesis, from how well the sources agree there.
+
+    Before training, each hypothesis keeps the share it came with, spread evenly over its depths.
+    """
+
+    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`."""
+        super().__init__()
+        count, w = spec.refinements, spec.refined_channels
+        self.first = _drawn(undrawn(nn.Conv2d, 2 * count + 3, w, 3, padding=1), generator)
+        self.wide = _drawn(undrawn(nn.Conv2d, w, w, 3, padding=2, dilation=2), generator)
+        self.out = _drawn(undrawn(nn.Conv2d, w, count, 3, padding=1), generator)
+        with torch.no_grad():
+            self.out.weight.zero_()
+
+    def forward(self, spread: Tensor, pair: Tensor, shown: Tensor, share: Tensor) -> Tensor:
+        """Probability (c, h, w) of each hypothesis' depths, c = hypotheses x refinements; they add up to 1.
+
+        Args:
+            spread: (c, h, w) mean distance of the sources to their mean.
+            pair: (c, h, w) distance of the two nearest.
+            shown: (c, h, w) share of sources that show it.
+            share: (3, h, w) in 0..1, how far each hypothesis is believed.
+        """
+        believed = (share + _OFFSET[:, None, None])[:, None]
+        is_lidar = torch.zeros_like(believed)
+        is_lidar[-1] = 1.0
+        spread, pair, shown = (x.reshape(HYPOTHESES, -1, *x.shape[1:]) for x in (spread, pair, shown))
+        x = torch.cat([4.0 * spread, 4.0 * pair, shown.mean(dim=1, keepdim=True), believed, is_lidar], dim=1)
+        x = functional.relu(self.wide(functional.relu(self.first(x))))
+        logits = self.out(x) + believed.log()
+        return logits.flatten(0, 1).softmax(dim=0)
+
+
 class BlendNetwork(nn.Module):
     """A pixel's colour: a weighted mean of what the sources show at its hypotheses, plus a small residual.
 
@@ -84,24 +119,23 @@ class BlendNetwork(nn.Module):
             self.out.weight.zero_()
 
     def forward(
-        self, colour: Tensor, seen: Tensor, belief: Tensor, coarse: Tensor, nearness: Tensor
+        self, colour: Tensor, seen: Tensor, share: Tensor, coarse: Tensor, nearness: Tensor
     ) -> Tensor:
         """Colour (3, h, w), about 0..1.
 
         Args:
             colour: (s, 3, h, w) of s = hypotheses x sources, a hypothesis' sources side by side.
             seen: (s, h, w) bool, the source shows it.
-            belief: (3, h, w) in 0..1: probability of both sweep hypotheses, trust in the LiDAR's.
+            share: (3, h, w) in 0..1, how far each hypothesis is believed.
             coarse: (3, h, w), the mean over all depth planes, blurred and without holes.
             nearness: (k,) of the sources, 1 for the nearest.
         """
         height, width = coarse.shape[-2:]
         weighted = seen * nearness.repeat(HYPOTHESES)[:, None, None]
         offset = ((colour - coarse) * seen[:, None]).flatten(0, 1)
-        out = self._network(torch.cat([offset, weighted, belief, coarse - 0.5])[None])[:, :height, :width]
-        free = 1.0 - belief[2]
-        share = torch.stack([belief[0] * free, belief[1] * free, belief[2]]) + _OFFSET[:, None, None]
-        prior = (share[:, None] * nearness[None, :, None, None]).flatten(0, 1)
+        out = self._network(torch.cat([offset, weighted, share, coarse - 0.5])[None])[:, :height, :width]
+        believed = share + _OFFSET[:, None, None]
+        prior = (believed[:, None] * nearness[None, :, None, None]).flatten(0, 1)
         prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)])
         # A place holder's nearness is 0, whose logarithm has no gradient.
         prior = prior.clamp_min(1e-6).log()
@@ -124,13 +158,14 @@ class BlendNetwork(nn.Module):
 
 
 class CameraNetworks(nn.Module):
-    """Both networks of a drive, shared by its cameras."""
+    """The networks of a drive, shared by its cameras."""
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
         """Draw all weights from `generator`."""
         super().__init__()
         self.depth = DepthNetwork(spec, generator)
         self.blend = BlendNetwork(spec, generator)
+        self.refine = RefineNetwork(spec, generator) if spec.refinements else None
 
 
 def _resized(x: Tensor, like: Tensor) -> Tensor:

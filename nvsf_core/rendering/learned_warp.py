@@ -5,126 +5,42 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from nvsf_core.fields.camera_networks import BlendNetwork, CameraNetworks, DepthNetwork
-from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork, RefineNetwork
 from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor
 from nvsf_core.rendering.plane_volume import (
     DepthBelief,
-    Sources,
     depth_belief,
     plane_inverses,
     plane_volume,
     volume_features,
 )
-from nvsf_core.rendering.reproject_camera import nearest_sources, view_depth
-from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shrunk, source_pixels, to_float
+from nvsf_core.rendering.sources import look_up
+from nvsf_core.rendering.warping import plane_rays, sample
 
-_DISTANCE_FLOOR_M = 0.05
 _TRUST_PX = 12.0
 """Distance in the image over which a return's depth loses its hold on the blend."""
-
-Window = tuple[slice, slice]
-"""Rows and columns of an image."""
-WHOLE: Window = (slice(None), slice(None))
-
-
-@dataclass(frozen=True, slots=True)
-class CameraView:
-    """Everything that is known about a view before the networks look at it."""
-
-    pinhole: Pinhole
-    small: Pinhole
-    factor: int
-    """Pixels of the image a side of a pixel of the shrunk one."""
-    inverse: Tensor
-    """(H, W) inverse depth that the LiDAR gives, 1/m."""
-    gap_px: Tensor
-    """(H, W) distance to the nearest return."""
-    images: Tensor
-    """(j, 4, H, W) float32, all of the camera, as `shown_images` makes them."""
-    chosen: list[int]
-    """Images that are looked at, the nearest first; as many as the recipe wants, the last repeated."""
-    motion: Tensor
-    """(k, 4, 4)."""
-    nearness: Tensor
-    """(k,)."""
-
-    def sources(self) -> Sources:
-        """The images at full resolution."""
-        return Sources(tuple(self.images[index] for index in self.chosen), self.motion, self.nearness)
-
-    def small_sources(self) -> Sources:
-        """The shrunk images."""
-        full = self.sources()
-        small = tuple(functional.avg_pool2d(image, self.factor) for image in full.image)
-        return Sources(small, self.motion, self.nearness)
-
-
-def shown_images(images: np.ndarray, valid: np.ndarray) -> Tensor:
-    """Images (j, H, W, 3) uint8 and what of them shows anything, (H, W) bool, as sources: (j, 4, H, W)."""
-    shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
-    return torch.cat([to_float(images), shown], dim=1)
-
-
-def camera_view(
-    pose: np.ndarray,
-    pinhole: Pinhole,
-    points_m: np.ndarray,
-    images: Tensor,
-    poses: np.ndarray,
-    spec: CameraSpec,
-    *,
-    leave_out: int | None = None,
-) -> CameraView:
-    """Choose sources of a view and look at the LiDAR's depth from it.
-
-    Args:
-        pose: (4, 4) camera to scene-local.
-        pinhole: Of the view and of all images.
-        points_m: (m, 3) float32 scene-local, for depth.
-        images: (j, 4, H, W) as `shown_images` makes them.
-        poses: (j, 4, 4).
-        spec: Of the networks.
-        leave_out: Image that may not be a source: the one that the view is compared with.
-    """
-    depth_m, gap_px = view_depth(pose, pinhole, points_m)
-    known = [index for index in range(len(images)) if index != leave_out]
-    chosen = [known[index] for index in nearest_sources(pose, poses[known], spec.sources)]
-    distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
-    nearness = torch.zeros(spec.sources)
-    nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
-    chosen += [chosen[-1]] * (spec.sources - len(chosen))
-    factor = max(1, round((pinhole.width * pinhole.height / spec.plane_px) ** 0.5))
-    return CameraView(
-        pinhole=pinhole,
-        small=shrunk(pinhole, factor),
-        factor=factor,
-        inverse=torch.from_numpy(1.0 / depth_m),
-        gap_px=torch.from_numpy(gap_px),
-        images=images,
-        chosen=chosen,
-        motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
-        nearness=nearness,
-    )
+_FINER = 0.25
+"""Step between refined depths, of that between planes."""
 
 
 def planes_of(
-    network: DepthNetwork, view: CameraView, sources: Sources, spec: CameraSpec, window: Window = WHOLE
+    network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
 ) -> tuple[Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of the planes of shrunk pixels.
 
     Args:
         network: Says which planes to believe.
         view: What is looked at.
-        sources: Its shrunk images.
         spec: Of the networks.
         window: Of the shrunk image.
     """
-    inverses = plane_inverses(spec)
-    volume = plane_volume(sources, plane_rays(view.small)[window], view.small, inverses)
-    prior, gap_px = (_thinned(x, view)[window] for x in (view.inverse, view.gap_px))
+    inverses, small = plane_inverses(spec), view.small
+    label = view.label_of(view.factor, window)
+    sources = view.sources(view.images.small)
+    volume = plane_volume(sources, plane_rays(small)[window], small, inverses[:, None, None], label)
+    prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
     features = volume_features(volume, prior, gap_px / view.factor, inverses)
     return network(features).softmax(dim=0), volume.mean_colour()
 
@@ -132,51 +48,150 @@ def planes_of(
 @torch.no_grad()
 def believe_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> DepthBelief:
     """What the whole view's shrunk pixels are believed to show."""
-    probability, colour = planes_of(network, view, view.small_sources(), spec)
+    probability, colour = planes_of(network, view, spec)
     return depth_belief(probability, colour, plane_inverses(spec))
 
 
+@dataclass(frozen=True, slots=True)
+class Hypotheses:
+    """The depths at which a view's pixels are looked up in its sources."""
+
+    inverse: Tensor
+    """(3, h, w) 1/m: the two that images agree on best, and the LiDAR's."""
+    share: Tensor
+    """(3, h, w) in 0..1, how far each is believed."""
+
+    def resized(self, places: Tensor) -> "Hypotheses":
+        """The same at other places (h, w, 2), in grid_sample's coordinates."""
+        both = sample(torch.cat([self.inverse, self.share]), places)
+        return Hypotheses(both[: len(self.inverse)], both[len(self.inverse) :])
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """Depths around hypotheses, compared."""
+
+    hypotheses: Hypotheses
+    """Moved to where they are believed."""
+    probability: Tensor
+    """(c, h, w) of every depth that was compared."""
+    colour: Tensor
+    """(c, 3, h, w) mean of the sources there."""
+
+
+def hypotheses(view: CameraView, belief: DepthBelief, factor: int, window: Window) -> Hypotheses:
+    """What is believed of a window of the view shrunk by `factor`; the LiDAR's word first where it reaches.
+
+    Args:
+        view: What is looked at.
+        belief: Of all its shrunk pixels.
+        factor: 1 for the image itself.
+        window: Of the image that is `factor` times smaller.
+    """
+    channels = sample(belief.stacked(), _places(view, factor, view.factor)[window])
+    inverse, gap_px = (view.thinned(x, factor)[window] for x in (view.inverse, view.gap_px))
+    trust = torch.exp(-gap_px / _TRUST_PX)
+    return Hypotheses(
+        torch.cat([channels[:2], inverse[None]]), torch.cat([channels[2:4] * (1.0 - trust), trust[None]])
+    )
+
+
+def refine(
+    network: RefineNetwork, view: CameraView, coarse: Hypotheses, spec: CameraSpec, window: Window = WHOLE
+) -> Refinement:
+    """Compare depths around each hypothesis on images of the middle size.
+
+    Args:
+        network: Says which to believe.
+        view: What is looked at.
+        coarse: Of the window's pixels.
+        spec: Of the networks.
+        window: Of the image of the middle size.
+    """
+    count = spec.refinements
+    step = (1.0 / spec.near_m - 1.0 / spec.far_m) / (spec.planes - 1) * _FINER
+    offsets = (torch.arange(count) - count // 2) * step
+    depths = (coarse.inverse.detach()[:, None] + offsets[:, None, None]).clamp_min(0.0).flatten(0, 1)
+    middle = view.middle
+    label = view.label_of(middle_factor(view.factor), window)
+    volume = plane_volume(view.sources(view.images.middle), plane_rays(middle)[window], middle, depths, label)
+    spread, pair, shown, _ = volume.agreement()
+    probability = network(spread, pair, shown, coarse.share)
+    each = probability.reshape(-1, count, *probability.shape[1:])
+    share = each.sum(dim=1)
+    moved = (each * offsets[:, None, None]).sum(dim=1) / share.clamp_min(1e-6)
+    return Refinement(Hypotheses(coarse.inverse + moved, share), probability, volume.mean_colour())
+
+
 def blend_sources(
-    network: BlendNetwork, view: CameraView, belief: DepthBelief, window: Window = WHOLE
-) -> Tensor:
-    """Colour (3, h, w), about 0..1, of a window of the view."""
-    rays = plane_rays(view.pinhole)[window]
-    channels = sample(belief.stacked(), _places_in_shrunk(view)[window])
-    inverse, probability, coarse = channels[:2], channels[2:4], channels[4:]
-    hypotheses = torch.cat([inverse, view.inverse[window][None]])
-    sources = view.sources()
-    found, shown = [], []
-    for image, motion, nearness in zip(sources.image, sources.motion, sources.nearness, strict=True):
-        grid, inside = source_pixels(motion, rays, hypotheses, view.pinhole)
-        looked_up = sample(image, grid.flatten(0, 1)).reshape(4, *hypotheses.shape)
-        found.append(looked_up[:3])
-        shown.append(inside & (looked_up[3] > 0.999) & (nearness > 0))
-    trust = torch.exp(-view.gap_px[window] / _TRUST_PX)
-    return network(
-        torch.stack(found, dim=0).permute(2, 0, 1, 3, 4).flatten(0, 1),
-        torch.stack(shown, dim=1).flatten(0, 1),
-        torch.cat([probability, trust[None]]),
+    networks: CameraNetworks,
+    view: CameraView,
+    belief: DepthBelief,
+    spec: CameraSpec,
+    window: Window = WHOLE,
+    around: Window = WHOLE,
+) -> tuple[Tensor, Refinement | None]:
+    """Colour (3, h, w), about 0..1, of a window of the view, and what refining its depths was like.
+
+    Args:
+        networks: That blend and, where the recipe wants it, refine.
+        view: What is shown.
+        belief: Of all its shrunk pixels.
+        spec: Of the networks.
+        window: Of the view.
+        around: Of the shrunk view, holds the window: where depths are refined.
+    """
+    refinement = None
+    if networks.refine is None:
+        found = hypotheses(view, belief, 1, window)
+    else:
+        part = scaled(around, view.factor // middle_factor(view.factor))
+        refinement = refine(networks.refine, view, hypotheses(view, belief, _middle(view), part), spec, part)
+        found = refinement.hypotheses.resized(_places(view, 1, _middle(view), part)[window])
+    coarse = sample(belief.colour, _places(view, 1, view.factor)[window])
+    label = view.label_of(1, window)
+    sources, rays = view.sources(view.images.full), plane_rays(view.pinhole)[window]
+    looked_up = [
+        look_up(sources, k, rays, found.inverse, view.pinhole, label) for k in range(len(view.chosen))
+    ]
+    colour = networks.blend(
+        torch.stack([colour for colour, _ in looked_up]).permute(2, 0, 1, 3, 4).flatten(0, 1),
+        torch.stack([seen for _, seen in looked_up], dim=1).flatten(0, 1),
+        found.share,
         coarse,
         view.nearness,
     )
+    return colour, refinement
 
 
 @torch.no_grad()
 def render_view(networks: CameraNetworks, view: CameraView, spec: CameraSpec) -> np.ndarray:
     """The whole view, (H, W, 3) uint8."""
-    colour = blend_sources(networks.blend, view, believe_depth(networks.depth, view, spec))
+    colour, _ = blend_sources(networks, view, believe_depth(networks.depth, view, spec), spec)
     image = (colour.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
     return image.permute(1, 2, 0).contiguous().numpy()
 
 
-def _thinned(image: Tensor, view: CameraView) -> Tensor:
-    """An image's (H, W) middle pixel of each shrunk one."""
-    half, step = view.factor // 2, view.factor
-    return image[half::step, half::step][: view.small.height, : view.small.width]
+def _middle(view: CameraView) -> int:
+    return middle_factor(view.factor)
 
 
-def _places_in_shrunk(view: CameraView) -> Tensor:
-    """grid_sample's coordinates (H, W, 2) of the image's pixels in the shrunk one."""
-    row = (torch.arange(view.pinhole.height) + 0.5) / view.factor * 2.0 / view.small.height - 1.0
-    column = (torch.arange(view.pinhole.width) + 0.5) / view.factor * 2.0 / view.small.width - 1.0
-    return torch.stack(torch.meshgrid(row, column, indexing="ij")[::-1], dim=-1)
+def scaled(window: Window, by: int) -> Window:
+    """The same part of an image `by` times as large."""
+    rows, columns = (
+        side if side == slice(None) else slice(side.start * by, side.stop * by) for side in window
+    )
+    return rows, columns
+
+
+def _places(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:
+    """Where the pixels of the view `factor` times smaller lie in a window of that `shrunk_by` times smaller.
+
+    grid_sample's coordinates (h, w, 2) in the window.
+    """
+    sides = []
+    for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):
+        first, last, _ = side.indices(length // shrunk_by)
+        place = (torch.arange(length // factor) + 0.5) * factor / shrunk_by - first
+        sides.append(place * 2.0 / (last - first) - 1.0)
+    return torch.stack(torch.meshgrid(*sides, indexing="ij")[::-1], dim=-1)

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.warping import sample, source_pixels
+from nvsf_core.rendering.sources import Sources, look_up
 
 _UNSEEN_DIFFERENCE = 0.25
 """Difference in colour that counts where fewer than two sources show a plane."""
@@ -24,18 +24,6 @@ _MODE_PLANES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Sources:
-    """Recorded images around a view, the nearest first."""
-
-    image: tuple[Tensor, ...]
-    """k of (4, H, W) float32: colour in 0..1, and 1 where the pixel shows anything."""
-    motion: Tensor
-    """(k, 4, 4) float32 from the view's frame to the source's."""
-    nearness: Tensor
-    """(k,) float32, 1 for the nearest; inversely proportional to the distance. 0: a place holder."""
-
-
-@dataclass(frozen=True, slots=True)
 class PlaneVolume:
     """What k sources show on d depth planes of a view."""
 
@@ -43,6 +31,25 @@ class PlaneVolume:
     """(k, d, 3, h, w) in 0..1."""
     seen: Tensor
     """(k, d, h, w) bool."""
+
+    def agreement(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """How well the sources agree on each plane.
+
+        Returns:
+            The mean distance of all sources to their mean and that of the two nearest to each other, both
+            (d, h, w) in 0..1; the share of sources that show the plane (d, h, w); their mean (d, 3, h, w).
+        """
+        shown = self.seen[:, :, None].float()
+        count = shown.sum(dim=0)
+        mean = (self.colour * shown).sum(dim=0) / count.clamp_min(1e-6)
+        spread = ((self.colour - mean).abs() * shown).sum(dim=0) / count.clamp_min(1e-6)
+        count = count[:, 0]
+        spread = torch.where(count > 1.5, spread.mean(dim=1), _UNSEEN_DIFFERENCE)
+        pair = spread
+        if len(shown) > 1:
+            difference = (self.colour[0] - self.colour[1]).abs().mean(dim=1)
+            pair = torch.where(self.seen[0] & self.seen[1], difference, _UNSEEN_DIFFERENCE)
+        return spread, pair, count / len(shown), mean
 
     def mean_colour(self) -> Tensor:
         """(d, 3, h, w), mostly of the two nearest sources; 0 where none shows a plane."""
@@ -80,23 +87,22 @@ def plane_inverses(spec: CameraSpec) -> Tensor:
     return torch.linspace(1.0 / spec.far_m, 1.0 / spec.near_m, spec.planes)
 
 
-def plane_volume(sources: Sources, rays: Tensor, pinhole: Pinhole, inverses: Tensor) -> PlaneVolume:
+def plane_volume(
+    sources: Sources, rays: Tensor, pinhole: Pinhole, inverses: Tensor, label: Tensor | None = None
+) -> PlaneVolume:
     """Look every plane up in every source.
 
     Args:
-        sources: Shrunk images of the camera `pinhole`.
-        rays: (h, w, 3) of the shrunk pixels, a window or all.
-        pinhole: Of the shrunk images.
-        inverses: (d,) of the planes.
+        sources: Images of the camera `pinhole`.
+        rays: (h, w, 3) of the view's pixels, a window or all.
+        pinhole: Of these images.
+        inverses: (d, 1, 1) of planes, or (d, h, w) of each pixel's own depths, 1/m.
+        label: (h, w), which moving object a pixel shows; None = nothing moves.
     """
-    planes, (height, width) = len(inverses), rays.shape[:2]
-    colours, shown = [], []
-    for image, motion, nearness in zip(sources.image, sources.motion, sources.nearness, strict=True):
-        grid, inside = source_pixels(motion, rays, inverses[:, None, None], pinhole)
-        found = sample(image, grid.reshape(planes * height, width, 2)).reshape(4, planes, height, width)
-        colours.append(found[:3].transpose(0, 1))
-        shown.append(inside & (found[3] > 0.999) & (nearness > 0))
-    return PlaneVolume(torch.stack(colours), torch.stack(shown))
+    found = [look_up(sources, k, rays, inverses, pinhole, label) for k in range(len(sources.image))]
+    return PlaneVolume(
+        torch.stack([colour.transpose(0, 1) for colour, _ in found]), torch.stack([seen for _, seen in found])
+    )
 
 
 def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
@@ -108,16 +114,7 @@ def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses
         gap_px: (h, w) distance to the nearest return in shrunk pixels, inf where there is none at all.
         inverses: (d,) of the planes.
     """
-    seen = volume.seen[:, :, None].float()
-    count = seen.sum(dim=0)
-    mean = (volume.colour * seen).sum(dim=0) / count.clamp_min(1e-6)
-    spread = ((volume.colour - mean).abs() * seen).sum(dim=0) / count.clamp_min(1e-6)
-    count = count[:, 0]
-    spread = torch.where(count > 1.5, spread.mean(dim=1), _UNSEEN_DIFFERENCE)
-    pair = spread
-    if len(seen) > 1:
-        difference = (volume.colour[0] - volume.colour[1]).abs().mean(dim=1)
-        pair = torch.where(volume.seen[0] & volume.seen[1], difference, _UNSEEN_DIFFERENCE)
+    spread, pair, share, mean = volume.agreement()
     # Without a single return the prior is a placeholder that says nothing.
     is_known = torch.isfinite(gap_px).float()
     trust = torch.exp(-gap_px / _TRUST_PX)
@@ -129,7 +126,7 @@ def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses
             4.0 * pair,
             4.0 * _window_mean(spread),
             4.0 * _window_mean(pair),
-            count / len(seen),
+            share,
             at_prior * trust,
             at_prior * (1.0 - trust),
             offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,

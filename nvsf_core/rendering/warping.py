@@ -10,20 +10,32 @@ from torch.nn import functional
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 
+_NEAREST_Z = 1e-3
+"""Of a point scaled by its inverse depth; what is nearer lies behind the source."""
+
 
 def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
-    """Where a source shows each pixel: grid_sample's coordinates (H, W, 2), and whether it does.
+    """Where a source shows each pixel: grid_sample's coordinates (..., 2), and whether it does (...).
 
     A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
     """
-    point = rays @ motion[:3, :3].T + inverse[..., None] * motion[:3, 3]
-    front = point[..., 2] > 1e-3
-    divisor = torch.where(front, point[..., 2], 1.0)
-    u = pinhole.fx * point[..., 0] / divisor + pinhole.cx
-    v = pinhole.fy * point[..., 1] / divisor + pinhole.cy
-    seen = front & (u >= 0) & (u <= pinhole.width - 1) & (v >= 0) & (v <= pinhole.height - 1)
-    grid = torch.stack([(2 * u + 1) / pinhole.width - 1, (2 * v + 1) / pinhole.height - 1], dim=-1)
-    return grid, seen
+    width, height = pinhole.width, pinhole.height
+    # Pixels and grid_sample's coordinates are linear in each other: both steps are one matrix.
+    to_grid = torch.tensor(
+        [
+            [2.0 * pinhole.fx / width, 0.0, (2.0 * pinhole.cx + 1.0) / width - 1.0],
+            [0.0, 2.0 * pinhole.fy / height, (2.0 * pinhole.cy + 1.0) / height - 1.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    turned = rays @ (to_grid @ motion[:3, :3]).T
+    shift = to_grid @ motion[:3, 3]
+    x, y, z = (turned[..., axis] + inverse * shift[axis] for axis in range(3))
+    scale = z.clamp_min(_NEAREST_Z).reciprocal()
+    x, y = x * scale, y * scale
+    most_x, most_y = 1.0 - 1.0 / width, 1.0 - 1.0 / height
+    seen = (z > _NEAREST_Z) & (x.abs() <= most_x) & (y.abs() <= most_y)
+    return torch.stack([x, y], dim=-1), seen
 
 
 def sample(image: Tensor, grid: Tensor) -> Tensor:

@@ -37,9 +37,7 @@ def warping_renderer(recording: Recording) -> ImageRenderer:
     def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
         images = recording.cameras[camera].training
         points = depth_points(recording, time_s)
-        rgb, _ = render_by_warping(
-            pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid
-        )
+        rgb, _ = render_by_warping(pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid)
         return rgb
 
     return warp
@@ -55,20 +53,31 @@ def depth_points(recording: Recording, instant_s: float, *, leave_out: bool = Fa
     """
     if recording.lidar is None:
         return np.zeros((0, 3), np.float32)
-    return _returns_around(recording.lidar.sweeps, instant_s, leave_out)
+    sweeps = recording.lidar.sweeps
+    scans = depth_scans(sweeps, instant_s, leave_out=leave_out)
+    return np.concatenate([returns_of_scan(sweeps, scan)[0] for scan in scans]).astype(np.float32)
 
 
-def _returns_around(sweeps: Sweeps, instant_s: float, leave_out: bool) -> np.ndarray:
-    """Returns (m, 3) scene-local of the training scans around an instant, without the own vehicle."""
-    a = sweeps.arrays
+def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) -> list[int]:
+    """Training scans around an instant that give images their depth, the nearest first.
+
+    Args:
+        sweeps: Of the drive.
+        instant_s: Seconds since the first frame.
+        leave_out: Do as if the scan of that instant were held out.
+    """
+    time_s = sweeps.arrays["time_s"]
     training = np.flatnonzero(sweeps.is_training)
     if leave_out and len(training) > 1:
-        apart_s = np.abs(a["time_s"][training] - instant_s)
-        training = training[apart_s > _SAME_INSTANT_S]
-    near = training[np.argsort(np.abs(a["time_s"][training] - instant_s), kind="stable")[:_DEPTH_SCANS]]
-    parts = []
-    for scan in near:
-        part = sweeps.returns_of(int(scan))
-        seen = ~a["is_own_vehicle"][part]
-        parts.append(a["origin_m"][part][seen] + a["direction"][part][seen] * a["range_m"][part][seen, None])
-    return np.concatenate(parts).astype(np.float32)
+        training = training[np.abs(time_s[training] - instant_s) > _SAME_INSTANT_S]
+    order = np.argsort(np.abs(time_s[training] - instant_s), kind="stable")
+    return [int(scan) for scan in training[order[:_DEPTH_SCANS]]]
+
+
+def returns_of_scan(sweeps: Sweeps, scan: int) -> tuple[np.ndarray, np.ndarray]:
+    """A scan's returns (m, 3) scene-local, without the own vehicle's, and when each was fired (m,)."""
+    a, part = sweeps.arrays, sweeps.returns_of(scan)
+    seen = ~a["is_own_vehicle"][part]
+    points = a["origin_m"][part][seen] + a["direction"][part][seen] * a["range_m"][part][seen, None]
+    fired_s = float(a["time_s"][scan]) + a["sweep_fraction"][part][seen].astype(np.float64) * sweeps.period_s
+    return points, fired_s

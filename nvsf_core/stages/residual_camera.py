@@ -7,18 +7,27 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
-from nvsf_core.rendering.learned_warp import CameraView, camera_view, render_view, shown_images
+from nvsf_core.rendering.camera_view import (
+    CameraView,
+    ShownImages,
+    camera_view,
+    middle_factor,
+    shown_images,
+    shrinking,
+)
+from nvsf_core.rendering.learned_warp import render_view
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.stages.fitting import fit
+from nvsf_core.stages.moving_things import moving_things, shadows, still_points
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
 from nvsf_core.stages.stage import Scalar, Task
@@ -48,7 +57,7 @@ def train_camera(
     """Train both networks on every image that is not a judge, then ask the judges."""
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
-    shown = {name: _shown(recording, name) for name in usable}
+    shown = {name: _shown(recording, name, recipe.camera) for name in usable}
     examples = [
         left_out(recording, name, index, shown[name], recipe.camera)
         for name in usable
@@ -88,14 +97,16 @@ def camera_renderer(
 ) -> ImageRenderer:
     """Images by the networks where they beat `reproject`, else by that."""
     warp = warping_renderer(recording)
-    shown = {name: _shown(recording, name) for name in learned}
+    shown = {name: _shown(recording, name, spec) for name in learned}
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
         if camera not in learned:
             return warp(camera, pinhole, pose, time_s)
-        poses = recording.cameras[camera].training.pose
-        points = depth_points(recording, time_s)
-        view = camera_view(pose, pinhole, points, shown[camera], poses, spec)
+        one = recording.cameras[camera]
+        view = camera_view(
+            pose, pinhole, still_points(recording, time_s), shown[camera], one.training.pose, spec,
+            things=moving_things(recording, time_s, one.training_time_s),
+        )  # fmt: skip
         return render_view(networks, view, spec)
 
     return render
@@ -107,7 +118,7 @@ def judges(images: int, spec: CameraSpec) -> range:
 
 
 def judge(
-    networks: CameraNetworks, recording: Recording, camera: str, images_shown: Tensor, spec: CameraSpec
+    networks: CameraNetworks, recording: Recording, camera: str, images_shown: ShownImages, spec: CameraSpec
 ) -> tuple[float, float]:
     """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
     images = recording.cameras[camera].training
@@ -116,8 +127,11 @@ def judge(
         truth = images.rgb[index][images.valid] / 255.0
         others = np.arange(len(images.rgb)) != index
         shown = render_view(networks, _left_out_view(recording, camera, index, images_shown, spec), spec)
+        points = depth_points(
+            recording, float(recording.cameras[camera].training_time_s[index]), leave_out=True
+        )
         warped, _ = render_by_warping(
-            images.pose[index], images.pinhole, _points(recording, camera, index),
+            images.pose[index], images.pinhole, points,
             images.rgb[others], images.pose[others], source_valid=images.valid,
         )  # fmt: skip
         scores.append([psnr(image[images.valid] / 255.0, truth, 1.0).value for image in (shown, warped)])
@@ -126,33 +140,35 @@ def judge(
 
 
 def left_out(
-    recording: Recording, camera: str, index: int, images_shown: Tensor, spec: CameraSpec
+    recording: Recording, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> LeftOut:
     """A training image as the others know it; `images_shown` are all of the camera's."""
     view = _left_out_view(recording, camera, index, images_shown, spec)
     truth = recording.cameras[camera].training.rgb[index]
-    small = functional.avg_pool2d(to_float(truth[None]), view.factor)[0]
-    full = torch.from_numpy(truth).permute(2, 0, 1)
-    return LeftOut(view, full, small, view.small_sources())
+    middle, small = (
+        functional.avg_pool2d(to_float(truth[None]), by)[0]
+        for by in (middle_factor(view.factor), view.factor)
+    )
+    return LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), middle, small)
 
 
 def _left_out_view(
-    recording: Recording, camera: str, index: int, images_shown: Tensor, spec: CameraSpec
+    recording: Recording, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> CameraView:
-    images = recording.cameras[camera].training
+    one = recording.cameras[camera]
+    images, time_s = one.training, float(one.training_time_s[index])
     return camera_view(
-        images.pose[index], images.pinhole, _points(recording, camera, index), images_shown, images.pose,
-        spec, leave_out=index,
+        images.pose[index], images.pinhole, still_points(recording, time_s, leave_out=True), images_shown,
+        images.pose, spec, leave_out=index,
+        things=moving_things(recording, time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip
 
 
-def _points(recording: Recording, camera: str, index: int) -> np.ndarray:
-    return depth_points(recording, float(recording.cameras[camera].training_time_s[index]), leave_out=True)
-
-
-def _shown(recording: Recording, camera: str) -> Tensor:
-    images = recording.cameras[camera].training
-    return shown_images(images.rgb, images.valid)
+def _shown(recording: Recording, camera: str, spec: CameraSpec) -> ShownImages:
+    one = recording.cameras[camera]
+    images = one.training
+    factor = shrinking(images.pinhole, spec)
+    return shown_images(images.rgb, images.valid, factor, shadows(recording, one))
 
 
 def _images(recording: Recording, camera: str) -> int:

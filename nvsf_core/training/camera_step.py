@@ -8,10 +8,12 @@ import torch
 from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork
+from nvsf_core.losses.structure import structure
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.rendering.learned_warp import CameraView, Window, blend_sources, planes_of
-from nvsf_core.rendering.plane_volume import Sources, depth_belief, plane_inverses
+from nvsf_core.rendering.camera_view import CameraView, Window, middle_factor
+from nvsf_core.rendering.learned_warp import blend_sources, planes_of, scaled
+from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses
 
 _MARGIN = 6
 """Shrunk pixels at a window's rim whose depth is not looked through: their surroundings are cut off."""
@@ -25,10 +27,10 @@ class LeftOut:
     """Without the image itself, and without the scan of its instant."""
     truth: Tensor
     """(3, H, W) uint8."""
+    middle_truth: Tensor
+    """(3, h, w) float32 in 0..1, of the size on which depths are refined."""
     small_truth: Tensor
-    """(3, h, w) float32 in 0..1, shrunk."""
-    small_sources: Sources
-    """The view's, shrunk."""
+    """(3, h, w) float32 in 0..1, of the size on which planes are compared."""
 
 
 def depth_step(
@@ -38,7 +40,7 @@ def depth_step(
     example = _drawn(examples, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = draw_window(shape, recipe.depth_training.rays, generator)
-    probability, colour = planes_of(network, example.view, example.small_sources, recipe.camera, window)
+    probability, colour = planes_of(network, example.view, recipe.camera, window)
     return total_loss(_plane_terms(example, window, probability, colour), asdict(recipe.losses))
 
 
@@ -50,29 +52,42 @@ def camera_step(
     view = example.view
     shape = (view.small.height, view.small.width)
     around = draw_window(shape, recipe.camera_training.rays, generator)
-    probability, colour = planes_of(networks.depth, view, example.small_sources, recipe.camera, around)
+    probability, colour = planes_of(networks.depth, view, recipe.camera, around)
     belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
     window = _full_size(around, shape, view.factor)
-    shown = blend_sources(networks.blend, view, belief.placed(around, shape), window)
-    difference = shown - example.truth[:, *window].float() / 255.0
-    answered = _shown(example, window, shrunk=False)
+    placed = belief.placed(around, shape)
+    shown, refinement = blend_sources(networks, view, placed, recipe.camera, window, around)
+    truth = example.truth[:, *window].float() / 255.0
+    difference = shown - truth
+    answered = _shown(view.images.full, window)
     terms = _plane_terms(example, around, probability, colour) | {
         "colour": difference.square().mean(dim=0)[answered],
         "colour_distance": difference.abs().mean(dim=0)[answered],
     }
-    return total_loss(terms, asdict(recipe.losses))
+    if refinement is not None:
+        middle = scaled(around, view.factor // middle_factor(view.factor))
+        finer = _believed_error(refinement.probability, refinement.colour, example.middle_truth[:, *middle])
+        terms["refined"] = finer[_shown(view.images.middle, middle)]
+    if recipe.losses.structure > 0.0:
+        blank = answered.logical_not().float()[None]
+        terms["structure"] = structure(shown * (1.0 - blank), truth * (1.0 - blank))
+    return total_loss(terms, asdict(recipe.losses) | {"refined": recipe.losses.plane})
 
 
 def _plane_terms(example: LeftOut, window: Window, probability: Tensor, colour: Tensor) -> dict[str, Tensor]:
     """What planes show against the left-out image: their mean, and each as far as it is believed."""
     truth = example.small_truth[:, *window]
     mean = (probability[:, None] * colour).sum(dim=0)
-    plane_error = (colour - truth).abs().mean(dim=1)
-    shown = _shown(example, window, shrunk=True)
+    shown = _shown(example.view.images.small, window)
     return {
         "coarse": (mean - truth).square().mean(dim=0)[shown],
-        "plane": (probability * plane_error).sum(dim=0)[shown],
+        "plane": _believed_error(probability, colour, truth)[shown],
     }
+
+
+def _believed_error(probability: Tensor, colour: Tensor, truth: Tensor) -> Tensor:
+    """Absolute colour error (h, w) of depths (d, 3, h, w), each as far as it is believed (d, h, w)."""
+    return (probability * (colour - truth).abs().mean(dim=1)).sum(dim=0)
 
 
 def _full_size(window: Window, shape: tuple[int, int], factor: int) -> Window:
@@ -99,8 +114,7 @@ def _drawn(examples: Sequence[LeftOut], generator: torch.Generator) -> LeftOut:
     return examples[int(torch.randint(len(examples), (), generator=generator))]
 
 
-def _shown(example: LeftOut, window: Window, *, shrunk: bool) -> Tensor:
+def _shown(images: Tensor, window: Window) -> Tensor:
     """(h, w) bool: pixels of the window at which the left-out image shows anything."""
     # All images of a camera show the same pixels.
-    image = example.small_sources.image[0] if shrunk else example.view.images[0]
-    return image[3][window] > 0.999
+    return images[0, 3][window] > 0.999

@@ -19,7 +19,7 @@ def inputs() -> dict[str, torch.Tensor]:
     return {
         "colour": torch.rand(looked_up, 3, *SHAPE, generator=seeded(1)),
         "seen": torch.ones(looked_up, *SHAPE, dtype=torch.bool),
-        "belief": torch.rand(HYPOTHESES, *SHAPE, generator=seeded(2)),
+        "share": torch.rand(HYPOTHESES, *SHAPE, generator=seeded(2)),
         "coarse": torch.rand(3, *SHAPE, generator=seeded(3)),
         "nearness": torch.tensor([1.0, 0.5]),
     }

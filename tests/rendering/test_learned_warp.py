@@ -1,5 +1,7 @@
 """Laws of depth planes and of the learned camera, on photographs of a textured wall."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,14 +9,16 @@ import torch
 from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.learned_warp import (
+from nvsf_core.rendering.camera_view import (
+    WHOLE,
     CameraView,
-    believe_depth,
-    blend_sources,
+    MovingThing,
     camera_view,
-    render_view,
+    middle_factor,
+    moving_pixels,
     shown_images,
 )
+from nvsf_core.rendering.learned_warp import believe_depth, blend_sources, hypotheses, refine, render_view
 from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses, plane_volume, volume_features
 from nvsf_core.rendering.warping import plane_rays
 
@@ -53,7 +57,7 @@ def view(points: np.ndarray, *, images: int = 4, leave_out: int | None = 1) -> C
         pose(0.0),
         CAMERA,
         points,
-        shown_images(PHOTOGRAPHS[:images], VALID),
+        shown_images(PHOTOGRAPHS[:images], VALID, 2),
         PLACES[:images],
         SPEC,
         leave_out=leave_out,
@@ -69,7 +73,8 @@ def test_a_left_out_image_is_no_source_and_missing_sources_have_no_weight() -> N
 
 def test_sources_agree_best_on_the_plane_of_the_wall() -> None:
     one, inverses = view(NOTHING), plane_inverses(SPEC)
-    volume = plane_volume(one.small_sources(), plane_rays(one.small), one.small, inverses)
+    planes = inverses[:, None, None]
+    volume = plane_volume(one.sources(one.images.small), plane_rays(one.small), one.small, planes)
     size = (one.small.height, one.small.width)
     features = volume_features(volume, torch.full(size, 1 / 300.0), torch.full(size, torch.inf), inverses)
     assert features.shape == (VOLUME_FEATURES, SPEC.planes, *size)
@@ -100,5 +105,60 @@ def test_a_window_shows_what_the_whole_view_shows_there() -> None:
     one = view(wall_points())
     belief = believe_depth(networks.depth, one, SPEC)
     window = (slice(8, 40), slice(16, 80))
-    part = blend_sources(networks.blend, one, belief, window)
-    torch.testing.assert_close(part, blend_sources(networks.blend, one, belief)[:, *window])
+    part, _ = blend_sources(networks, one, belief, SPEC, window)
+    whole, _ = blend_sources(networks, one, belief, SPEC)
+    torch.testing.assert_close(part, whole[:, *window])
+
+
+@torch.no_grad()
+def test_untrained_refinement_leaves_depths_and_shares_as_they_were() -> None:
+    spec = replace(SPEC, refinements=3)
+    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
+    one = view(wall_points())
+    before = hypotheses(one, believe_depth(networks.depth, one, spec), 1, WHOLE)
+    assert networks.refine is not None
+    after = refine(networks.refine, one, before, spec)
+    torch.testing.assert_close(after.hypotheses.inverse, before.inverse, atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(after.probability.sum(dim=0), torch.ones(64, 128))
+    assert middle_factor(4) == 2 and middle_factor(1) == 1
+
+
+THING_M = 4.0
+"""Depth of a plate that moves to the right in front of the wall, 0.5 m wide, uniformly bright."""
+
+
+def plate(centre_m: float) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(-0.25, 0.26, 0.02), np.arange(-0.25, 0.26, 0.02))
+    return np.stack([x + centre_m, y, np.full_like(x, THING_M)], axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+def with_plate(place: np.ndarray, centre_m: float) -> np.ndarray:
+    rays = CAMERA.rays(CAMERA.pixels())
+    at = rays / rays[..., 2:] * THING_M + place[:3, 3] - np.array([centre_m, 0.0, 0.0])
+    is_plate = (np.abs(at[..., :2]) <= 0.25).all(axis=-1)
+    return np.where(is_plate[..., None], np.uint8([255, 0, 255]), photograph(place))
+
+
+def test_what_moves_is_shown_once_and_where_it_is() -> None:
+    centres = (-0.9, 0.0, 0.9, 1.8)
+    images = np.stack([with_plate(place, x) for place, x in zip(PLACES, centres, strict=True)])
+    shadows = np.stack(
+        [moving_pixels(p, CAMERA, wall_points(), [plate(x)]) for p, x in zip(PLACES, centres, strict=True)]
+    )
+    moved = np.tile(np.eye(4), (4, 1, 1))
+    moved[:, 0, 3] = centres
+    one = camera_view(
+        pose(0.0), CAMERA, wall_points(), shown_images(images, VALID, 2, shadows), PLACES, SPEC, leave_out=1,
+        things=[MovingThing(plate(0.0), moved)],
+    )  # fmt: skip
+    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
+    error = np.abs(render_view(networks, one, SPEC).astype(float) - images[1]).max(axis=-1)
+    middle = (slice(28, 36), slice(60, 68))
+    assert error[middle].max() < 30.0
+    # The plate stands at another place of every source: none may leave a ghost on the wall.
+    assert np.percentile(error[8:-8, 16:-16], 95) < 60.0
+
+
+def test_a_static_view_holds_nothing_dynamic() -> None:
+    one = view(wall_points())
+    assert one.label is None and one.moved is None and one.images.full.shape[1] == 4

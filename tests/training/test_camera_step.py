@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSpec
-from nvsf_core.rendering.learned_warp import believe_depth, camera_view, shown_images
+from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
+from nvsf_core.rendering.learned_warp import believe_depth
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.training.camera_step import LeftOut, camera_step, depth_step, draw_window
 from nvsf_core.training.loop import make_optimiser
@@ -35,11 +37,13 @@ def example(spec: CameraSpec = RECIPE.camera) -> LeftOut:
     x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
     view = camera_view(
-        poses()[1], CAMERA, np.zeros((0, 3), np.float32), shown_images(images, np.ones((32, 64), np.bool_)),
-        poses(), spec, leave_out=1,
+        poses()[1], CAMERA, np.zeros((0, 3), np.float32),
+        shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec)), poses(), spec,
+        leave_out=1,
     )  # fmt: skip
     truth = torch.from_numpy(images[1]).permute(2, 0, 1)
-    return LeftOut(view, truth, to_float(images[1:2])[0], view.small_sources())
+    full = to_float(images[1:2])
+    return LeftOut(view, truth, full[0], functional.avg_pool2d(full, view.factor)[0])
 
 
 def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall() -> None:
@@ -81,3 +85,18 @@ def test_the_shown_window_trains_the_choice_of_depth_too_even_with_a_place_holde
     camera_step(networks, [example(spec)], recipe, torch.Generator().manual_seed(1)).total.backward()
     gradient = networks.depth.down.weight.grad
     assert gradient is not None and torch.isfinite(gradient).all() and gradient.abs().sum() > 0
+
+
+def test_depths_are_refined_on_larger_images_and_all_networks_learn_from_structure_and_planes() -> None:
+    spec = replace(RECIPE.camera, plane_px=64 * 32 // 4, refinements=3)
+    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
+    losses = LossWeights(colour=0.0, colour_distance=0.0, coarse=0.0, structure=1.0)
+    recipe = replace(RECIPE, camera=spec, losses=losses)
+    left_out, generator = example(spec), torch.Generator().manual_seed(1)
+    assert left_out.view.factor == 2 and left_out.middle_truth.shape == (3, 32, 64)
+    loss = camera_step(networks, [left_out], recipe, generator)
+    loss.total.backward()
+    assert {"structure", "refined", "plane"} <= loss.terms.keys()
+    for name, network in networks.named_children():
+        assert network.out.weight.grad.abs().sum() > 0 if name != "depth" else True, name
+        assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None), name
