@@ -149,9 +149,7 @@ class NearObjects:
         frame_s = self.evidence[0].path.frame_s
         frame = round(float(np.median(time_s)) / frame_s)
         if frame != self._frame:
-            self._objects = objects_at(
-                self.evidence, frame * frame_s, self._votes, leave_out=self._leave_out
-            )
+            self._objects = objects_at(self.evidence, frame * frame_s, self._votes, leave_out=self._leave_out)
             self._frame = frame
         return self._objects
 
@@ -174,36 +172,27 @@ def candidates_on(
         middle_s = float(np.median(time_s[rows]))
         rows = rows[_towards(one.path, middle_s, origin_m[rows], direction[rows], spare_m=2.0)]
     inside, origin_o, direction_o = _crossing(one.path, origin_m[rows], direction[rows], time_s[rows])
-    own = candidates_of(
-        one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m
-    )
+    own = candidates_of(one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m)
     met = own.voxel[:, 0] >= 0
     found = Candidates(own.range_m[met], own.voxel[met], own.opacity[met], own.cosine[met])
     return rows[inside[met]], found
 
 
-def add_objects(
+def merge_objects(
     found: Candidates,
+    rays: np.ndarray,
     first_voxel: int,
     objects: tuple[ObjectSurfels, ...],
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    time_s: np.ndarray,
-    *,
-    near_m: float,
-    far_m: float,
+    met: list[tuple[np.ndarray, Candidates]],
 ) -> Candidates:
-    """Merge the objects' surfaces into a static scene's candidates, by range.
+    """Merge objects' surfaces into a static scene's candidates, by range.
 
     Args:
-        found: Candidates (r, k) of the static surfels.
+        found: Candidates (m, k) of the static surfels along some rays of a batch.
+        rays: (m,) int64 ascending: which rays of the batch those are.
         first_voxel: Number that the first object's first voxel gets; the others' follow.
         objects: From `objects_at`.
-        origin_m: (r, 3) scene-local.
-        direction: (r, 3) unit.
-        time_s: (r,) when each ray is fired: every object is where it is then.
-        near_m: Nothing is nearer.
-        far_m: Nothing is farther.
+        met: What `candidates_on` found of each object in the batch; all of its rays must be in `rays`.
 
     Returns:
         Candidates of the same shape; where there are more than k the farthest are left out.
@@ -212,11 +201,9 @@ def add_objects(
         found.range_m.copy(), found.voxel.copy(), found.opacity.copy(), found.cosine.copy()
     )  # fmt: skip
     number = first_voxel
-    for one in objects:
+    for one, (ray, own) in zip(objects, met, strict=True):
         first_voxel, number = number, number + one.surfels.index.count
-        rows, own = candidates_on(one, origin_m, direction, time_s, near_m=near_m, far_m=far_m)
-        if len(rows) == 0:
-            continue
+        rows = np.searchsorted(rays, ray)
         own_voxel = np.where(own.voxel >= 0, own.voxel + first_voxel, -1)
         voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
         ranges = np.concatenate([range_m[rows], own.range_m], axis=1)

@@ -4,8 +4,15 @@ import numpy as np
 import torch
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.objects import ObjectSurfels, add_objects
-from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.evidence.objects import ObjectSurfels, candidates_on, merge_objects
+from nvsf_core.evidence.surfels import (
+    MISSED_PLANE_SHARE,
+    STOP_TRANSMITTANCE,
+    Candidates,
+    Surfels,
+    candidates_of,
+)
+from nvsf_core.kernels.proven_answers import answer_by_surfels
 from nvsf_core.rendering.accumulate import weighted_median_index
 from nvsf_core.rendering.answers import RayAnswers
 
@@ -37,28 +44,64 @@ def reproject_rays(
     the hit probability wherever there is a candidate at all. Moving objects are where they are at the
     rays' times `time_s` (r,), which must be given with them.
     """
-    candidates = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
-    shine = surfels.intensity
-    if objects:
-        if time_s is None:
-            raise ShapeError("expected the rays' times with moving objects, found none; pass time_s")
-        shine = np.concatenate([shine, *(one.surfels.intensity for one in objects)])
-        candidates = add_objects(
-            candidates, surfels.index.count, objects, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m
-        )
-    weights = composite(candidates)
-    if objects:
-        vote = _votes_with_objects(vote, weights, candidates.voxel - surfels.index.count, objects)
-    rows = np.arange(len(weights))
-    answered = candidates.voxel[:, 0] >= 0
-    chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
-    total = weights.sum(axis=1)
-    intensity = (weights * shine[candidates.voxel]).sum(axis=1) / np.where(answered, total, 1.0)
-    return RayAnswers(
-        range_m=np.where(answered, candidates.range_m[rows, chosen], np.inf).astype(np.float32),
-        hit=np.where(answered, vote, 0.0).astype(np.float32),
-        intensity=np.where(answered, intensity, 0.0).astype(np.float32),
+    answers = _answers_of_what_stands(surfels, origin_m, direction, vote, most=most, far_m=far_m)
+    if not objects:
+        return answers
+    if time_s is None:
+        raise ShapeError("expected the rays' times with moving objects, found none; pass time_s")
+    met = [candidates_on(one, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m) for one in objects]
+    rays = np.unique(np.concatenate([ray for ray, _ in met]))
+    if len(rays) > 0:
+        found = candidates_of(surfels, origin_m[rays], direction[rays], most=most, near_m=NEAR_M, far_m=far_m)
+        found = merge_objects(found, rays, surfels.index.count, objects, met)
+        for name, value in _answers_with_objects(surfels, found, vote[rays], objects).items():
+            getattr(answers, name)[rays] = value
+    return answers
+
+
+def _answers_of_what_stands(
+    surfels: Surfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    vote: np.ndarray,
+    *,
+    most: int,
+    far_m: float,
+) -> RayAnswers:
+    index = surfels.index
+    range_m, intensity = answer_by_surfels(
+        np.ascontiguousarray(origin_m, np.float32),
+        np.ascontiguousarray(direction, np.float32),
+        NEAR_M,
+        far_m,
+        index.origin_m,
+        index.voxel_m,
+        index.bricks,
+        index.cells,
+        surfels.mean_m,
+        surfels.normal,
+        surfels.opacity,
+        surfels.intensity,
+        MISSED_PLANE_SHARE,
+        STOP_TRANSMITTANCE,
+        most,
     )
+    hit = np.where(np.isfinite(range_m), vote, 0.0).astype(np.float32)
+    return RayAnswers(range_m=range_m, hit=hit, intensity=intensity)
+
+
+def _answers_with_objects(
+    surfels: Surfels, found: Candidates, vote: np.ndarray, objects: tuple[ObjectSurfels, ...]
+) -> dict[str, np.ndarray]:
+    """The same three answers of rays (m,) whose candidates are the objects' too; each has at least one."""
+    shine = np.concatenate([surfels.intensity, *(one.surfels.intensity for one in objects)])
+    weights = composite(found)
+    chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
+    return {
+        "range_m": found.range_m[np.arange(len(weights)), chosen],
+        "hit": _votes_with_objects(vote, weights, found.voxel - surfels.index.count, objects),
+        "intensity": (weights * shine[found.voxel]).sum(axis=1) / weights.sum(axis=1),
+    }
 
 
 def _votes_with_objects(

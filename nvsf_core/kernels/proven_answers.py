@@ -1,0 +1,56 @@
+"""Rays answered by surfels alone, walked and composited at once: no list of surfaces ever reaches memory."""
+
+import numpy as np
+from numba import njit, prange
+
+from nvsf_core.kernels.voxel_march import RAYS_A_TASK, walk
+
+
+@njit(parallel=True, cache=True)
+def answer_by_surfels(  # type: ignore[no-untyped-def]
+    origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
+    means, normals, opacities, intensities, missed_share, stop_transmittance, most,
+):  # fmt: skip
+    """The weighted median surface of each ray, of those that `find_candidates` gives with the same arguments.
+
+    Weights are w_i = a_i prod_{j<i} (1 - a_j); the median is the first surface with
+    ``sum up to i >= half of the total``, the intensity the mean of the voxels' `intensities` (v,) by weight.
+
+    Returns:
+        range_m (n,) float32, infinite without a surface; intensity (n,) float32, 0 there.
+    """
+    n = origins.shape[0]
+    range_m = np.full(n, np.inf, np.float32)
+    intensity = np.zeros(n, np.float32)
+    half, one = np.float32(0.5), np.float32(1.0)
+    for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
+        distance = np.empty(most, np.float32)
+        voxel = np.empty(most, np.int32)
+        opacity = np.empty(most, np.float32)
+        cosine = np.empty(most, np.float32)
+        for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
+            count = walk(
+                ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
+                means, normals, opacities, missed_share, stop_transmittance,
+                distance, voxel, opacity, cosine,
+            )  # fmt: skip
+            if count == 0:
+                continue
+            light = one
+            total = 0.0
+            shine = 0.0
+            for i in range(count):
+                weight = opacity[i] * light
+                light = light * (one - opacity[i])
+                opacity[i] = weight
+                total += weight
+                shine += weight * intensities[voxel[i]]
+            chosen = 0
+            so_far = float(opacity[0])
+            # In float32, as `weighted_median_index` compares.
+            while np.float32(so_far) < half * np.float32(total):
+                chosen += 1
+                so_far += opacity[chosen]
+            range_m[ray] = distance[chosen]
+            intensity[ray] = shine / total
+    return range_m, intensity
