@@ -37,7 +37,11 @@ class Lpips:
     """The network with its weights, on CPU in float32 (bfloat16 would cost 1.4e-3)."""
 
     def __init__(self, weights: Mapping[str, Tensor]) -> None:
-        self._weights = dict(weights)
+        # Channels last: the convolutions take half of the time.
+        self._weights = {
+            name: value.contiguous(memory_format=torch.channels_last) if value.ndim == 4 else value
+            for name, value in weights.items()
+        }
 
     @torch.no_grad()
     def __call__(self, predicted: Tensor, truth: Tensor) -> Tensor:
@@ -52,6 +56,7 @@ class Lpips:
 
     def _features(self, image: Tensor) -> list[Tensor]:
         w = self._weights
+        image = image.contiguous(memory_format=torch.channels_last)
         x = (2.0 * image.float() - 1.0 - w["shift"]) / w["scale"]
         x = functional.relu(functional.conv2d(x, w["features.0.weight"], w["features.0.bias"], stride=2))
         taps = [x]

@@ -14,7 +14,7 @@ from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows, read_table
 
-METHODS = ("model", "reproject", "copy_nearest")
+METHODS = ("model", "reproject", "copy_nearest", "mesh")
 TEST_VIEW = "test"
 
 

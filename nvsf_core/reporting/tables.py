@@ -35,7 +35,8 @@ METHOD_WORDS = {
     " nothing is"
     " learned",
     "copy_nearest": "baseline: the recorded scan and image nearest in time, as they are",
-    "mesh": "baseline: a Poisson mesh of the recorded scans, ray-cast",
+    "mesh": "baseline: what a library gives, a Poisson mesh of the other frames' returns, along whose surface"
+    " the sensor's rays end and images are warped",
 }
 
 _METRIC_WORDS = {

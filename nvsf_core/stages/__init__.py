@@ -30,6 +30,7 @@ STAGE_NAMES = (
     "undistorted",
     "evidence",
     "field",
+    "mesh",
     "novel_views",
     "scene_metrics",
     "dataset",

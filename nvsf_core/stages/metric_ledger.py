@@ -75,6 +75,13 @@ class Ledger:
                 }
             )  # fmt: skip
 
+    def take(self, other: "Ledger") -> None:
+        """Append all that another ledger holds."""
+        self.rows += other.rows
+        self.undefined += other.undefined
+        self.absent += other.absent
+        self.n_undefined_whole += other.n_undefined_whole
+
     def output(self) -> StageOutput:
         """Counts, reasons, headline means and checks."""
         values = np.array([row["value"] for row in self.rows], dtype=np.float64)

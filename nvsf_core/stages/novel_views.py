@@ -5,17 +5,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nvsf_core.errors import MissingLibraryError
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.field import load_model
+from nvsf_core.stages.mesh_baseline import mesh_baseline
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.stage import Stage, StageOutput, Task
+from nvsf_core.stages.stage import Stage, StageOutput, Task, read_record
 from nvsf_core.stages.view_camera import copied_images, image_arrays
 from nvsf_core.stages.view_files import describe_view, export_files, write_method
 from nvsf_core.stages.view_lidar import along_recorded_rays, copied_scans, own_panos, sweep_arrays, warm_up
 from nvsf_core.stages.view_planning import View, asked_view, held_out_view, reference_poses, to_world
 
-MODEL, REPROJECT, COPY = "model", "reproject", "copy_nearest"
+MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
 NO_LIDAR = "not rendered: this drive has no LiDAR"
 
 
@@ -23,6 +25,9 @@ def _run(task: Task) -> StageOutput:
     recording = read_recording(task.store)
     models = {MODEL: load_model(task, recording), REPROJECT: reprojection(recording)}
     output = StageOutput()
+    mesh = _mesh(task, recording, output)
+    if mesh is not None:
+        models[MESH] = mesh
     started = time.perf_counter()
     for model in models.values():
         if recording.lidar is not None and model.lidar is not None:
@@ -41,10 +46,23 @@ def _run(task: Task) -> StageOutput:
     return output
 
 
+def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel | None:
+    """The baseline `mesh`, and why not in the output where there is none."""
+    try:
+        mesh = mesh_baseline(task.store, recording)
+    except MissingLibraryError as error:
+        output.metadata[MESH] = str(error)
+        return None
+    if mesh is None:
+        record = read_record(task.store.require(MESH)) or {"metadata": {}}
+        output.metadata[MESH] = record["metadata"].get(MESH, "not run")
+    return mesh
+
+
 def _render_held_out(
     task: Task, recording: Recording, view: View, models: Mapping[str, SceneModel], output: StageOutput
 ) -> None:
-    """The held-out frames, by the model and by both baselines; only these are scored."""
+    """The held-out frames, by the model and by the baselines; only these are scored."""
     for method, model in models.items():
         arrays = _rendered(task, recording, view, model, method)
         if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
@@ -93,10 +111,10 @@ def _write(task: Task, recording: Recording, view: View, arrays: dict[str, np.nd
 STAGE = Stage(
     name="novel_views",
     group="synthesis",
-    inputs=("frames", "sweeps", "undistorted", "evidence", "field"),
+    inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="4",
+    version="5",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -1,11 +1,15 @@
 """`scene_metrics`: the held-out frames, measured for the model and the baselines."""
 
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
@@ -24,9 +28,19 @@ from nvsf_core.stages.stage import Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 
-METHODS = ("model", "reproject", "copy_nearest")
+METHODS = ("model", "reproject", "copy_nearest", "mesh")
 """Stored predictions of a view, in the order in which they are measured."""
 TABLE_NAME = "metrics.parquet"
+_THREADS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """One method and sensor of one view: measured by itself, beside others."""
+
+    name: str
+    measure: Callable[[Ledger], Iterator[str]]
+    """Adds rows to a ledger and says what is done."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -48,7 +62,7 @@ def _measure_held_out(
 ) -> dict[str, Scalar]:
     """Rows of the held-out frames; returns what was found of moving objects."""
     lpips, boxes = load_lpips(), read_moving_boxes(task.store)
-    images = task.store.path("undistorted") / "images.zarr"
+    images, parts = task.store.path("undistorted") / "images.zarr", list[_Part]()
     for name in METHODS:
         path = view / f"{name}.zarr"
         if not path.is_dir():
@@ -56,11 +70,12 @@ def _measure_held_out(
             continue
         method, attrs = _method(task, path)
         if recording is not None and _holds_sweeps(attrs):
-            for done in measure_lidar(path, recording, boxes, method, ledger, lpips):
-                task.progress(f"[{task.scene.name}] scene_metrics: {name}, lidar {done}")
+            lidar = partial(measure_lidar, path, recording, boxes, method, lpips=lpips)
+            parts.append(_Part(f"{name}, lidar", lidar))
         for camera in attrs.get("cameras", []):
-            for done in measure_camera(path, images, camera, boxes, recording, method, ledger, lpips):
-                task.progress(f"[{task.scene.name}] scene_metrics: {name}, {camera} {done}")
+            image = partial(measure_camera, path, images, camera, boxes, recording, method, lpips=lpips)
+            parts.append(_Part(f"{name}, {camera}", image))
+    _measure(task, parts, ledger)
     return {"foreground": NO_BOXES if boxes is None else f"{boxes.objects} moving objects, by their boxes"}
 
 
@@ -73,14 +88,31 @@ def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Sc
     about: dict[str, Scalar] = {"demo_truth_gap_m": truth.gap_m}
     if not truth.is_of_this_drive:
         return about | {"demo_truth": "views not measured: the drive is not of the demo writer's street"}
+    parts = []
     for view in asked:
         for name in METHODS:
             path = views / view.name / f"{name}.zarr"
             if not (path / "grid_hit").is_dir():
                 continue
-            for done in measure_demo_view(path, view, truth, _method(task, path)[0], ledger):
-                task.progress(f"[{task.scene.name}] scene_metrics: {name}, view {view.name}, {done}")
+            measure = partial(measure_demo_view, path, view, truth, _method(task, path)[0])
+            parts.append(_Part(f"{name}, view {view.name},", measure))
+    _measure(task, parts, ledger)
     return about
+
+
+def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
+    """Measure parts side by side; their rows stand in the ledger in the order of the parts."""
+
+    def run(part: _Part) -> Ledger:
+        own = Ledger(facts=ledger.facts)
+        for done in part.measure(own):
+            task.progress(f"[{task.scene.name}] scene_metrics: {part.name} {done}")
+        return own
+
+    # Parts share the cores among them: each stays on one, in torch too (which counts by thread).
+    with ThreadPoolExecutor(_THREADS, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        for own in pool.map(run, parts):
+            ledger.take(own)
 
 
 def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
@@ -128,7 +160,7 @@ STAGE = Stage(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
         "the trained field and for the baselines that learn nothing."
     ),
-    version="2",
+    version="3",
     run=_run,
     per_recipe=True,
 )

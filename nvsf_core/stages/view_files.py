@@ -49,6 +49,14 @@ def _costs(task: Task, method: str) -> dict[str, float]:
     """What making the method cost: seconds, numbers, megabytes."""
     if method == "copy_nearest":
         return {"train_seconds": 0.0, "parameters": 0, "model_mb": 0.0, "peak_memory_mb": 0.0}
+    if method == "mesh":
+        made = read_record(task.store.require("mesh")) or {"seconds": 0.0, "metadata": {}}
+        return {
+            "train_seconds": made["seconds"],
+            "parameters": 0,
+            "model_mb": made["metadata"].get("model_mb", 0.0),
+            "peak_memory_mb": 0.0,
+        }
     evidence = task.store.require("evidence")
     record = read_record(evidence) or {"seconds": 0.0}
     evidence_mb = sum(p.stat().st_size for p in evidence.rglob("*") if p.is_file()) / 1e6

@@ -103,7 +103,8 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("sweep_fraction", "f4", ("returns",), "turn", "after the pose's instant, -0.5 to 0.5"),
             Entry("origin_m", "f4", ("returns", 3), "m", "of the ray, scene-local"),
             Entry("direction", "f4", ("returns", 3), "1", "of the ray, unit length, scene-local axes"),
-            Entry("range_m", "f4", ("returns",), "m", "along that ray"),
+            Entry("range_m", "f4", ("returns",), "m", "along that ray, without its laser's bias"),
+            Entry("laser_range_bias_m", "f8", ("lasers",), "m", "what its recorded ranges are too long by"),
             Entry("is_own_vehicle", "bool", ("returns",), "", "whether the recording car itself was hit"),
         ),
         "scene_origin_m, sweep_period_s, elevation_correction_deg, laser_source, laser_evidence, "
@@ -131,6 +132,14 @@ CONTRACT: tuple[FileSpec, ...] = (
         "cameras: name to fx, fy, cx, cy, width, height (pixels), kind",
     ),
     FileSpec(
+        "mesh", "mesh/mesh.zarr", "zarr", "The baseline's Poisson mesh; empty where none could be made.",
+        (
+            Entry("vertices_m", "f4", ("vertices", 3), "m", "scene-local", optional=True),
+            Entry("triangles", "i4", ("triangles", 3), "1", "rows of `vertices_m`", optional=True),
+            Entry("intensity", "f4", ("vertices",), "1", "0 to 1, of the nearest point", optional=True),
+        ),
+    ),
+    FileSpec(
         "field", "field/<recipe>/<seed>/curve.parquet", "parquet",
         "Training curve; beside it `weights.safetensors` and `recipe.json`.",
         _columns(
@@ -143,7 +152,8 @@ CONTRACT: tuple[FileSpec, ...] = (
     ),
     FileSpec(
         "novel_views", "novel_views/<recipe>/<seed>/<view>/<method>.zarr", "zarr",
-        "What a method renders of a view: `model`; for the view `test` also `reproject`, `copy_nearest`.",
+        "What a method renders of a view: `model`; for the view `test` also `reproject`, `copy_nearest`,"
+        " `mesh`.",
         (
             Entry("frame", "i8", ("scans",), "1", "nearest recorded frame (of images, without LiDAR)"),
             Entry("time_s", "f8", ("scans",), "s", "since the first frame"),

@@ -1,0 +1,77 @@
+"""Stage `mesh`: the Poisson mesh of the training scans, for the baseline of that name."""
+
+import numpy as np
+
+from nvsf_core.clouds.mesh import Mesh, poisson_mesh
+from nvsf_core.errors import DataError, MissingLibraryError
+from nvsf_core.stages.evidence import Sweeps, read_sweeps
+from nvsf_core.stages.stage import Stage, StageOutput, Task
+from nvsf_core.stores.arrays import read_arrays, write_arrays
+from nvsf_core.stores.scene_store import SceneStore
+
+SPACING_M = 0.1
+"""Points nearer to each other are averaged."""
+DEPTH = 10
+"""Of the octree: cells of about 18 cm in a street 170 m long (docs/decisions/0010-mesh-baseline.md)."""
+TRIM_M = 0.25
+"""Triangles farther from every point are what Poisson closed holes with."""
+_FOLDER = "mesh.zarr"
+
+
+def read_mesh(store: SceneStore) -> Mesh | None:
+    """The scene's mesh; None where none could be made.
+
+    Raises:
+        StoreError: The stage was never run.
+    """
+    arrays = read_arrays(store.require("mesh") / _FOLDER)
+    return Mesh(**arrays) if arrays else None
+
+
+def _run(task: Task) -> StageOutput:
+    sweeps = read_sweeps(task.store)
+    try:
+        if sweeps is None:
+            raise DataError("this drive has no LiDAR")
+        mesh = _make(sweeps)
+    except (MissingLibraryError, DataError) as error:
+        # A baseline that cannot be had is no reason to train nothing.
+        write_arrays(task.folder / _FOLDER, {})
+        reason = str(error).removeprefix("not run: ")
+        task.progress(f"[{task.scene.name}] mesh: not run: {reason}")
+        return StageOutput(metadata={"mesh": f"not run: {reason}"})
+    arrays = {"vertices_m": mesh.vertices_m, "triangles": mesh.triangles, "intensity": mesh.intensity}
+    write_arrays(task.folder / _FOLDER, arrays)
+    return StageOutput(
+        metadata={
+            "mesh": f"Poisson of depth {DEPTH}, points {SPACING_M} m apart, trimmed at {TRIM_M} m",
+            "vertices": len(mesh.vertices_m),
+            "triangles": len(mesh.triangles),
+            "model_mb": sum(array.nbytes for array in arrays.values()) / 1e6,
+        }
+    )
+
+
+def _make(sweeps: Sweeps) -> Mesh:
+    a = sweeps.arrays
+    used = np.repeat(sweeps.is_training, np.diff(a["offsets"])) & ~a["is_own_vehicle"]
+    used &= a["range_m"] < sweeps.table.max_range_m
+    direction = a["direction"][used]
+    return poisson_mesh(
+        a["origin_m"][used] + direction * a["range_m"][used, None],
+        -direction,
+        a["intensity"][used],
+        spacing_m=SPACING_M,
+        depth=DEPTH,
+        trim_m=TRIM_M,
+    )
+
+
+STAGE = Stage(
+    name="mesh",
+    group="prepare",
+    inputs=("frames", "sweeps"),
+    description="A Poisson mesh of the training scans (open3d): the baseline that a library gives.",
+    version="1",
+    run=_run,
+)

@@ -1,0 +1,68 @@
+"""The baseline `mesh`: what a user builds today with a library, a Poisson mesh and rays cast against it."""
+
+import numpy as np
+
+from nvsf_core.clouds.mesh import MeshRays, mesh_rays
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.reproject import NEAR_M
+from nvsf_core.rendering.reproject_camera import render_by_warping
+from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
+from nvsf_core.stages.mesh import read_mesh
+from nvsf_core.stages.recording import Recording
+from nvsf_core.stores.scene_store import SceneStore
+
+
+def mesh_baseline(store: SceneStore, recording: Recording) -> SceneModel | None:
+    """The baseline of a scene; None where the stage `mesh` made none (its record says why).
+
+    Raises:
+        StoreError: The stage `mesh` was never run.
+        MissingLibraryError: The mesh was made elsewhere and open3d cannot be loaded here.
+    """
+    mesh = read_mesh(store)
+    if mesh is None or recording.lidar is None:
+        return None
+    cast = mesh_rays(mesh)
+    return SceneModel(
+        lidar=_lidar(cast, recording.lidar.far_m),
+        camera=_camera(cast, recording) if recording.cameras else None,
+    )
+
+
+def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
+    """A ray returns where it meets the mesh and the nearest scans' votes say so; motion is unknown to it."""
+
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
+        del time_s
+        range_m, intensity = cast(origin_m + NEAR_M * direction, direction)
+        range_m = range_m + np.float32(NEAR_M)
+        met = range_m < far_m
+        return RayAnswers(
+            range_m=np.where(met, range_m, np.inf).astype(np.float32),
+            hit=np.where(met, vote, 0.0).astype(np.float32),
+            intensity=np.where(met, intensity, 0.0).astype(np.float32),
+        )
+
+    return answer
+
+
+def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:
+    """The two nearest training images, warped by the mesh's depth and averaged; no plane sweep."""
+
+    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
+        del time_s
+        images = recording.cameras[camera].training
+        direction = (pinhole.rays(pinhole.pixels()).reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
+        origin_m = np.broadcast_to(pose[:3, 3].astype(np.float32), direction.shape)
+        range_m, _ = cast(origin_m, direction)
+        met = np.isfinite(range_m)
+        points_m = origin_m[met] + direction[met] * range_m[met, None]
+        rgb, _ = render_by_warping(
+            pose, pinhole, points_m, images.rgb, images.pose, source_valid=images.valid, sweep=None
+        )
+        return rgb
+
+    return warp
