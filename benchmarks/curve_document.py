@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.curve_plan import VAL
+from benchmarks.curve_plan import FULL, VAL
 from benchmarks.curve_sizes import SIZE_SECONDS, sizes_rows
 from nvsf_core.reporting.speed_error import (
     COSTS,
@@ -14,7 +14,6 @@ from nvsf_core.reporting.speed_error import (
     labelled,
     provenance,
     read_runs,
-    recipes_of,
 )
 from nvsf_core.reporting.speed_plots import curves_png
 
@@ -29,13 +28,13 @@ edit. Not measured on KITTI-360's ten scenes.
 ## How to read this
 
 A row or curve is a recipe; the baselines (`reproject`, `copy_nearest`, `mesh`) learn nothing. **Seconds** are
-wall clock of training, preparation included; the clock stands still while weights are saved, and scoring is
-done after training. A column is the model *as it was* then in one training with the recipe's own number of
-steps; a training planned for so short a time would lower its rates sooner and be better. Where a recipe
-trains a model for each sensor, the LiDAR's errors stand over the LiDAR's seconds and the camera's over the
-camera's; `paper_cpu` trains both together. *End*: when training ended, what is published then, seconds in
-brackets. “—”: no model yet, or training had ended. All methods but `copy_nearest` also need the stages up to
-`evidence`, whose seconds each table of growth shows.
+wall clock of training, preparation included, for `reproject` and the LiDAR of recipes that start from
+evidence also the stage `evidence`, for `mesh` the stage `mesh`; the clock stands still while weights are
+saved, and scoring is done after training. A column is the model *as it was* then in one training with the
+recipe's own number of steps; a training planned for so short a time would lower its rates sooner and be
+better. Where a recipe trains a model for each sensor, the LiDAR's errors stand over the LiDAR's seconds and
+the camera's over the camera's; `paper_cpu` trains both together. *End*: when training ended, what is
+published then, seconds in brackets. “—”: no model yet, or training had ended.
 
 Errors are of frames that were never trained, means over them, then over seeds with their standard deviation
 (±). **Bold**, and ringed in the plots: the Pareto front, than which nothing that took less time is as good.
@@ -91,35 +90,45 @@ def _growth(found: dict[tuple[str, str], list[Run]]) -> str:
     """Seconds and memory over the number of frames and the size of images."""
     parts = []
     for scene in dict.fromkeys(scene for scene, _ in found):
-        mine = {
-            s: runs for (name, s), runs in found.items() if name == scene and s.startswith((*_GROWTH, "full"))
-        }
-        if not any(split.startswith(_GROWTH) for split in mine):
+        names = [split for name, split in found if name == scene and split.startswith(_GROWTH)]
+        if not names:
             continue
-        rows = []
-        for split, runs in sorted(mine.items(), key=lambda item: _size_of(item[1])):
-            for recipe in recipes_of(runs):
-                facts = [run["run"] for run in runs if run["run"]["recipe"] == recipe]
-                first = facts[0]
-                pixels = " ".join(f"{width}x{height}" for width, height in first["image_px"]) or "—"
-                cells = cost_rows([run for run in runs if run["run"]["recipe"] == recipe])[0]
-                evidence = first["stage_seconds"].get("evidence")
-                rows.append(
-                    [split, f"`{recipe}`", str(len(first["trained"])), pixels]
-                    + [cells[2 + index] for index in (0, 3, 6, 7)]
-                    + ["—" if evidence is None else f"{evidence:.1f}"]
-                )
-        everything = [run for runs in mine.values() for run in runs]
-        parts += [f"## {scene}: how the cost grows\n", f"{provenance(everything)}\n"]
-        head = ["split", "recipe", "frames trained", "image px", "training s", "memory MB", "a sweep s",
-                "an image s", "evidence s"]  # fmt: skip
-        parts.append(_markdown(head, rows))
+        grown = {run["run"]["recipe"] for split in names for run in found[scene, split]}
+        measured = [
+            [run for run in found[scene, split] if run["run"]["recipe"] == recipe]
+            for split in (*names, *((FULL,) if (scene, FULL) in found else ()))
+            for recipe in sorted(grown - {"copy_nearest"})
+        ]
+        runs_by_size = sorted((runs for runs in measured if runs), key=_size_of)
+        parts += [f"## {scene}: how the cost grows\n"]
+        parts.append(f"{provenance([run for runs in runs_by_size for run in runs])}\n")
+        head = [
+            "recipe",
+            "split",
+            "frames trained",
+            "image px",
+            *(title for _, title, _ in COSTS),
+            "evidence s",
+        ]
+        parts.append(_markdown(head, [_growth_row(runs) for runs in runs_by_size]))
     return "\n".join(parts)
 
 
-def _size_of(runs: Sequence[Run]) -> tuple[int, int]:
+def _growth_row(runs: Sequence[Run]) -> list[str]:
+    """The costs of one recipe on one split, and of the evidence there."""
     facts = runs[0]["run"]
-    return len(facts["trained"]), sum(width * height for width, height in facts["image_px"])
+    pixels = " ".join(f"{width}x{height}" for width, height in facts["image_px"]) or "—"
+    evidence_s = facts["stage_seconds"].get("evidence")
+    return [
+        f"`{facts['recipe']}`", facts["split"], str(len(facts["trained"])), pixels, *cost_rows(runs)[0][2:],
+        "—" if evidence_s is None else f"{evidence_s:.1f}",
+    ]  # fmt: skip
+
+
+def _size_of(runs: Sequence[Run]) -> tuple[str, int, int]:
+    facts = runs[0]["run"]
+    pixels = sum(width * height for width, height in facts["image_px"])
+    return facts["recipe"], len(facts["trained"]), pixels
 
 
 def _sizes(found: dict[tuple[str, str], list[Run]]) -> str:

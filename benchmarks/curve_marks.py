@@ -1,7 +1,8 @@
 """A training's weights as they were at fixed seconds, saved while the training's clock stands still."""
 
 import time
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,9 @@ class Marks:
 
     folder: Path
     marks_s: Sequence[float]
+    """Ascending."""
+    before_s: Mapping[str, float]
+    """Clock to the seconds that were spent before training began, on what it starts from."""
     found: list[Marked] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     """Clock to where it stands."""
@@ -60,8 +64,8 @@ class Marks:
         if clock != self._clock:
             self._started = self._seen if self._clock else self._started
             self._clock = clock
-        seconds = self.seconds[clock] = now - self._started
-        passed = sum(mark <= seconds for mark in self.marks_s)
+        seconds = self.seconds[clock] = now - self._started + self.before_s.get(clock, 0.0)
+        passed = bisect_right(self.marks_s, seconds)
         is_first, self._part = part != self._part, part
         if passed > self._passed and prefix is not None and not is_first:
             mark = self.marks_s[passed - 1]
@@ -75,7 +79,8 @@ class Marks:
     def finish(self) -> None:
         """Stop the clock that runs; what came after its last step (a U-Net, judging) counts to it."""
         if self._clock:
-            self.seconds[self._clock] = time.perf_counter() - self._started
+            spent = time.perf_counter() - self._started
+            self.seconds[self._clock] = spent + self.before_s.get(self._clock, 0.0)
 
 
 def _weights(state: TrainingState, prefix: str) -> dict[str, Tensor]:

@@ -84,11 +84,12 @@ def read_result(path: Path) -> dict[str, Any] | None:
 
 
 def write_result(path: Path, facts: dict[str, Any], points: Sequence[dict[str, Any]]) -> None:
-    """Write a run as a whole, one line a point: a killed run leaves nothing."""
+    """Write a run as a whole, one line a fact and a point: a killed run leaves nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(f"  {json.dumps(point)}" for point in points)
     partial = path.with_suffix(".partial")
-    partial.write_text(f'{{\n "run": {json.dumps(facts, indent=2)},\n "points": [\n{lines}\n ]\n}}\n')
+    about = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in facts.items())
+    partial.write_text(f'{{\n "run": {{\n{about}\n }},\n "points": [\n{lines}\n ]\n}}\n')
     partial.replace(path)
 
 

@@ -142,22 +142,24 @@ def _run_baseline(setting: Setting, judge: Judge, name: str) -> tuple[dict[str, 
     if name == "copy_nearest":
         return facts, _points(judge.copy_errors(), None, 0.0)
     model: SceneModel | None = reprojection(judge.recording)
+    seconds = {LIDAR: _evidence_seconds(setting), CAMERA: 0.0}
     if name == MESH:
         # Loads open3d, whose memory is not another run's.
         from nvsf_core.stages.mesh_baseline import mesh_baseline
 
         record = read_record(setting.store.path(MESH))
         assert record is not None
-        facts |= {"train_seconds": record["seconds"], "model_mb": record["metadata"].get("model_mb")}
+        facts["model_mb"] = record["metadata"].get("model_mb")
+        seconds = dict.fromkeys(seconds, record["seconds"])
         model = mesh_baseline(setting.store, judge.recording)
         if model is None:
             return facts | {"not_run": record["metadata"][MESH]}, []
     else:
-        facts["samples_a_ray"] = samples_a_ray(judge, None)
+        facts |= {"samples_a_ray": samples_a_ray(judge, None), "model_mb": _evidence_mb(setting)}
     assert model is not None
     errors = judge.errors(_scored_parts(judge, model), thin_images=False)
     facts |= _render_seconds(judge, model, thin=False) | {"peak_memory_mb": _peak_memory_mb()}
-    return facts, _points(errors, None, facts["train_seconds"])
+    return facts | {"train_seconds": max(seconds.values())}, _final_points(errors, seconds)
 
 
 def _run_recipe(
@@ -166,13 +168,15 @@ def _run_recipe(
     with tempfile.TemporaryDirectory() as name, device_lease(setting.home / ".leases", setting.progress):
         folder = Path(name)
         recipe = _with_time(setting, recording, asked, seed)
-        marks = Marks(folder, setting.marks_s)
+        is_paper = isinstance(recipe, PaperRecipe)
+        # Our LiDAR's field starts from what the evidence proves; the paper's and our camera's do not.
+        before_s = 0.0 if is_paper else _evidence_seconds(setting)
+        marks = Marks(folder, setting.marks_s, {LIDAR: before_s})
         trained = _train(setting, recording, recipe, seed, marks)
         marks.finish()
         memory_mb = _peak_memory_mb()
         say = setting.progress
         say(f"[{setting.split.entry.name}] {recipe.name}: trained in {trained.seconds:.0f} s, scoring")
-        is_paper = isinstance(recipe, PaperRecipe)
         points = []
         for marked in marks.found:
             model = _model(folder, recipe, recording, *_as_of(marked, trained, recording))
@@ -181,15 +185,13 @@ def _run_recipe(
             points += _points(errors, marked.mark_s, marked.seconds)
         model = _model(folder, recipe, recording, trained.tensors, trained.facts)
         errors = judge.errors(_scored_parts(judge, model), thin_images=is_paper)
-        for metric, value in errors.items():
-            clock = CAMERA if metric == IMAGE_METRIC else LIDAR
-            seconds = marks.seconds.get(clock, max(marks.seconds.values()))
-            points += _points({metric: value}, None, seconds)
+        points += _final_points(errors, marks.seconds)
+        size_mb = (folder / "weights.safetensors").stat().st_size / 1e6
         facts = {
             "recipe_identity": asked.identity(), "recipe_json": recipe.to_json(),
-            "train_seconds": trained.seconds, "clock_seconds": marks.seconds,
+            "train_seconds": trained.seconds + before_s, "clock_seconds": marks.seconds,
             "parameters": sum(tensor.numel() for tensor in trained.tensors.values()),
-            "model_mb": (folder / "weights.safetensors").stat().st_size / 1e6,
+            "model_mb": size_mb + (0.0 if is_paper else _evidence_mb(setting)),
             "peak_memory_mb": memory_mb, "samples_a_ray": samples_a_ray(judge, recipe),
             "rays_per_s": _rays_per_s(trained), "training": trained.metadata,
         }  # fmt: skip
@@ -281,6 +283,15 @@ def _points(errors: Mapping[str, float], mark_s: float | None, seconds: float) -
     ]
 
 
+def _final_points(errors: Mapping[str, float], seconds: Mapping[str, float]) -> list[Point]:
+    """Each sensor's errors at the end of its own clock, or of the only one."""
+    points = []
+    for metric, value in errors.items():
+        clock = CAMERA if metric == IMAGE_METRIC else LIDAR
+        points += _points({metric: value}, None, seconds.get(clock, max(seconds.values())))
+    return points
+
+
 def _rays_per_s(trained: Trained) -> float | None:
     """Of the first part that is trained along rays, over all its steps."""
     curve = trained.curves.get("lidar") or trained.curves.get("field") or []
@@ -297,6 +308,15 @@ def _stage_seconds(setting: Setting) -> dict[str, float]:
     before = STAGE_NAMES[: STAGE_NAMES.index("field")]
     records = {name: read_record(setting.store.path(name)) for name in before}
     return {name: record["seconds"] for name, record in records.items() if record is not None}
+
+
+def _evidence_seconds(setting: Setting) -> float:
+    return _stage_seconds(setting).get("evidence", 0.0)
+
+
+def _evidence_mb(setting: Setting) -> float:
+    folder = setting.store.path("evidence")
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
 
 
 def _peak_memory_mb() -> float:

@@ -54,7 +54,7 @@ class Point:
     value: float
     """Mean."""
     spread: float | None
-    """Standard deviation; None of one seed."""
+    """Standard deviation; None of one seed, or where a value is not finite."""
     seeds: int
 
 
@@ -94,7 +94,7 @@ def curve(runs: Sequence[Run], recipe: str, metric: str) -> list[Point]:
             mark_s=mark,
             seconds=fmean(row["seconds"] for row in mine),
             value=fmean(row["value"] for row in mine),
-            spread=stdev(row["value"] for row in mine) if len(mine) > 1 else None,
+            spread=_spread([row["value"] for row in mine]),
             seeds=len(mine),
         )
         for mark, mine in rows.items()
@@ -149,19 +149,27 @@ def cost_rows(runs: Sequence[Run]) -> list[list[str]]:
 
 
 def provenance(runs: Sequence[Run]) -> str:
-    """Scene, split, protocol, seeds, machine and commit in words, of runs of one scene and split."""
+    """Scene, split, protocol, seeds, machine and commit in words, of runs of one scene."""
     facts = [run["run"] for run in runs]
     first = facts[0]
     seeds = sorted({str(f["seed"]) for f in facts if f["recipe"] not in BASELINES})
     machines, commits = (sorted({f[key] for f in facts}) for key in ("machine", "commit"))
+    frames = {f["split"]: f"{f['split']} ({len(f['trained'])} frames trained, {len(f['scored'])} scored)"
+              for f in facts}  # fmt: skip
     return (
-        f"Scene {first['scene']}, split {first['split']}: {len(first['trained'])} frames trained, "
-        f"{len(first['scored'])} scored. Protocol {first['protocol']}. Seeds {', '.join(seeds) or 'none'}. "
+        f"Scene {first['scene']}, split {', '.join(frames.values())}. Protocol {first['protocol']}. "
+        f"Seeds {', '.join(seeds) or 'none'}. "
         f"Machine: {'; '.join(machines)}. Commit {', '.join(commits)}."
     )
 
 
+def _spread(values: Sequence[float]) -> float | None:
+    return stdev(values) if len(values) > 1 and all(map(math.isfinite, values)) else None
+
+
 def _cell(point: Point, digits: int, is_end: bool) -> str:
+    if not math.isfinite(point.value):
+        return "undefined" if math.isnan(point.value) else "infinite"
     spread = "" if point.spread is None else f" ± {point.spread:.{digits}f}"
     when = f" ({point.seconds:.0f} s)" if is_end else ""
     return f"{point.value:.{digits}f}{spread}{when}"

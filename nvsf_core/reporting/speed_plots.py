@@ -47,7 +47,9 @@ def curves_png(runs: Sequence[Run]) -> bytes:
     colours = {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(learned)} | BASELINE_COLOURS
     panels = []
     for metric in METRICS:
-        curves = {name: curve(runs, name, metric.key) for name in names}
+        every = {name: curve(runs, name, metric.key) for name in names}
+        # An error is infinite where most rays got no answer.
+        curves = {name: [p for p in points if math.isfinite(p.value)] for name, points in every.items()}
         curves = {name: points for name, points in curves.items() if points}
         if curves:
             panels.append((metric, curves))
@@ -104,11 +106,12 @@ def _bold(cell: str) -> str:
 def _panel(
     axes: Axes, metric: Metric, curves: Mapping[str, Sequence[Point]], colours: Mapping[str, str]
 ) -> None:
+    longest_s = max(_shown_s(point) for points in curves.values() for point in points)
     for name, points in curves.items():
         colour, seconds = colours[name], [_shown_s(point) for point in points]
         values = [point.value for point in points]
         if name in BASELINES:
-            axes.axhline(values[0], color=colour, linestyle=":", linewidth=1.3)
+            axes.hlines(values[0], seconds[0], longest_s, color=colour, linestyle=":", linewidth=1.3)
             axes.plot(seconds[:1], values[:1], "s", color=colour, label=name)
             continue
         axes.plot(seconds, values, "-o", color=colour, markersize=4, linewidth=1.6, label=name)
@@ -122,7 +125,9 @@ def _panel(
         markerfacecolor="none", markeredgecolor="#111", markeredgewidth=1.1, label="Pareto front",
     )  # fmt: skip
     better = "higher" if metric.higher_is_better else "lower"
-    axes.set(xlabel="seconds of training", title=f"{metric.title}, {better} is better")
+    axes.set(
+        xlabel="seconds of training and what it starts from", title=f"{metric.title}, {better} is better"
+    )
     everything = [point for points in curves.values() for point in points]
     _scale(axes, everything, log_values=not metric.higher_is_better)
     axes.title.set_fontsize(10)
