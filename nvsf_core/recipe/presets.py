@@ -19,11 +19,16 @@ from nvsf_core.recipe.paper import (
     RefinementSpec,
     TimeGridSpec,
 )
-from nvsf_core.recipe.residual import ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.residual import PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
 # What quick learns, for as long as it pays: eight times the LiDAR's steps stay within 10 minutes on 2 cores.
-_LEAN = replace(_QUICK, name="lean", lidar_training=TrainingSpec(steps=10_000, rays=4096))
+_LEAN = replace(
+    _QUICK,
+    name="lean",
+    lidar_training=TrainingSpec(steps=10_000, rays=4096),
+    pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
+)
 _SMOKE = replace(
     _QUICK,
     name="smoke",

@@ -23,17 +23,22 @@ def measured_at_rest(
     instant_s: float,
     trajectory: Trajectory,
     period_s: float,
+    *,
+    leave_out: int | None = None,
 ) -> RayAnswers:
     """Let rays (laser, fraction: (r,)) of the recording sensor's sweep that were fired before say so.
 
-    The same `answers` where the sensor never stood or crawled.
+    The same `answers` where the sensor never stood or crawled; the training scan `leave_out` is silent.
     """
     if evidence.at_rest is None:
         return answers
     rays = FiredRays(laser, fraction, answers.range_m, answers.hit, answers.intensity)
     return RayAnswers(
-        *answer_at_rest(evidence.at_rest, evidence.prior, rays, instant_s, trajectory, period_s)
-    )
+        *answer_at_rest(
+            evidence.at_rest, evidence.prior, rays, instant_s, trajectory, period_s,
+            leave_out=leave_out,
+        )
+    )  # fmt: skip
 
 
 def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:

@@ -148,7 +148,7 @@ def fire_sweep(
 ) -> tuple[SweepRays, RayAnswers]:
     """All rays of one turn of the plan's sensor around `time_s`, answered; the own vehicle is put back.
 
-    `phase` says where the turn starts against its firings; the training scan at `leave_out_s` does not vote.
+    `phase` says where the turn starts against its firings; the training scan at `leave_out_s` is silent.
     """
     near = evidence.prior.nearest_scans(time_s, votes, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
@@ -166,7 +166,10 @@ def fire_sweep(
     vote = evidence.prior.vote(voter, rays.fraction, near)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
     if plan.is_recorded_sensor and plan.mount is None:
-        answers = measured_at_rest(answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s)
+        answers = measured_at_rest(
+            answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,
+            leave_out=None if leave_out_s is None else int(evidence.prior.nearest_scans(leave_out_s, 1)[0]),
+        )  # fmt: skip
     if plan.is_recorded_sensor:
         answers = put_back_own_vehicle(answers, rays, evidence)
     return rays, answers
