@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.errors import ShapeError
+from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.numerics import require_finite
 from nvsf_core.sampling.patches import require_patch_fits
 
@@ -108,6 +108,7 @@ class ErrorMap(nn.Module):
 
         Raises:
             ShapeError: The patch is larger than the image.
+            DivergedError: The map holds no cell above 0, or one that is not finite.
         """
         height, width = self.drawable.shape
         require_patch_fits((height, width), patch)
@@ -122,6 +123,9 @@ class ErrorMap(nn.Module):
         """Pixels (count,), (count,): as patches of one pixel, but only such as may be drawn.
 
         The jitter is even over the drawable pixels of the drawn cell.
+
+        Raises:
+            DivergedError: The map holds no cell above 0, or one that is not finite.
         """
         weights = self.errors[frame].flatten() * (self._inside.sum(dim=1) > 0)
         cell_row, cell_column = self._draw_cells(weights, count, generator)
@@ -133,8 +137,17 @@ class ErrorMap(nn.Module):
         return rows, cell_column * self.cell_px + pixel % self.cell_px
 
     def _draw_cells(self, weights: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Rows and columns (count,) of cells, drawn without replacement from weights (cells,)."""
-        possible = weights.nonzero()[:, 0]
+        """Rows and columns (count,) of cells, drawn without replacement from weights (cells,).
+
+        Raises:
+            DivergedError: A weight is not finite, or none is above 0.
+        """
+        possible = (require_finite("error map, cells to draw from", weights) > 0.0).nonzero()[:, 0]
+        if len(possible) == 0:
+            raise DivergedError(
+                f"error map: expected a cell above 0 to draw from, found none in {len(weights)}; the map of "
+                "this frame is no longer what updates leave behind: start without its checkpoint"
+            )
         rounds, rest = divmod(count, len(possible))
         parts = [possible] * rounds
         if rest:

@@ -90,8 +90,8 @@ def train(
     `observe` sees the state after each step; the training's clock stands still meanwhile.
 
     Raises:
-        DivergedError: A loss term or a parameter is not finite; names the step and the term or tensor.
-            The last checkpoint stays.
+        DivergedError: A loss term, a parameter or Adam's statistics are not finite; names the step, the
+            term and the tensor. The last checkpoint stays.
     """
     torch.set_num_threads(spec.threads)
     began = time.perf_counter() - state.seconds
@@ -104,7 +104,7 @@ def train(
         try:
             loss, terms = _descend(step(state.step, state.generator))
         except DivergedError as error:
-            raise DivergedError(f"step {state.step}: {error}") from error
+            raise DivergedError(f"step {state.step}: {error} ({_first_broken(state)})") from error
         state.optimiser.step()
         state.step += 1
         now = time.perf_counter()
@@ -129,6 +129,7 @@ def train(
             )
         if now - saved >= spec.checkpoint_s or state.step == spec.steps:
             require_finite_parameters(state.model, state.step)
+            _require_finite_moments(state)
             save(state.tensors(), state.facts())
             saved = time.perf_counter()
         if observe is not None:
@@ -158,6 +159,27 @@ def require_finite_parameters(model: nn.Module, step: int) -> None:
     for name, parameter in model.named_parameters():
         if not torch.isfinite(parameter).all():
             raise DivergedError(f"step {step}: weights {name!r} are not finite; lower the step size")
+
+
+def _require_finite_moments(state: TrainingState) -> None:
+    """Refuse to save an optimiser whose running statistics overflowed: such a weight would never move again."""
+    for name, parameter in state.model.named_parameters():
+        for key, value in state.optimiser.state.get(parameter, {}).items():
+            if not torch.isfinite(value).all():
+                raise DivergedError(
+                    f"step {state.step}: Adam's {key!r} of {name!r} is not finite: a gradient was too large "
+                    "to be squared in float32; lower the step size"
+                )
+
+
+def _first_broken(state: TrainingState) -> str:
+    """What is not finite besides the loss: the weights, their gradients, or what came in."""
+    for name, parameter in state.model.named_parameters():
+        if not torch.isfinite(parameter).all():
+            return f"weights {name!r} are not finite"
+        if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
+            return f"the gradient of {name!r} is not finite"
+    return "all weights are finite: the batch is not, or overflows"
 
 
 def _set_rates(optimiser: torch.optim.Adam, spec: TrainingSpec, step: int) -> None:
