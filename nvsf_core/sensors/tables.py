@@ -41,6 +41,8 @@ class LaserTable:
     """Beyond this the sensor records nothing."""
     elevation_correction_rad: float
     """Turn every recorded ray up by this on its way into the world; the files lack it."""
+    range_bias_m: np.ndarray
+    """(L,) float64, by how much a laser's recorded ranges are too long; learned from a drive, else 0."""
 
     @property
     def laser_count(self) -> int:
@@ -109,6 +111,7 @@ HDL_64E = LaserTable(
     firings_per_turn=2172,
     max_range_m=120.0,
     elevation_correction_rad=float(np.deg2rad(0.205)),
+    range_bias_m=_frozen(np.zeros(64)),
 )
 """Velodyne HDL-64E of KITTI and KITTI-360, measured on their raw scans (0.01 deg, 1 mm)."""
 
@@ -123,6 +126,7 @@ VLP_16 = LaserTable(
     firings_per_turn=1808,
     max_range_m=100.0,
     elevation_correction_rad=0.0,
+    range_bias_m=_frozen(np.zeros(16)),
 )
 """Velodyne VLP-16 at 600 turns a minute, nominal: 2 degrees apart, 55.296 us a firing."""
 
@@ -137,6 +141,7 @@ OS1_128 = LaserTable(
     firings_per_turn=1024,
     max_range_m=120.0,
     elevation_correction_rad=0.0,
+    range_bias_m=_frozen(np.zeros(128)),
 )
 """Ouster OS1-128 at 1024 columns, nominal: 45 degrees evenly divided, one origin, no column stagger."""
 

@@ -22,7 +22,8 @@ class SweepRays:
     fraction: np.ndarray
     """(r,) sweeps after the pose's instant."""
     recorded_origin_m: np.ndarray
-    """(r, 3) in the sensor's frame, as a file would have it."""
+    """(r, 3) in the sensor's frame, as a file would have it: from here, the range to the surface along the
+    ray ends where the laser, with its own bias, records the return."""
     recorded_direction: np.ndarray
     """(r, 3) likewise."""
     origin_m: np.ndarray
@@ -59,6 +60,7 @@ def sweep_rays(
     laser = np.repeat(lasers.astype(np.int64), firings)
     fraction = np.tile(fraction, len(lasers))
     recorded_origin, recorded_direction = sensor_rays(table, azimuth, laser)
+    recorded_origin = recorded_origin + table.range_bias_m[laser, None] * recorded_direction
     origin, direction = corrected_rays(table, azimuth, laser)
     if mount is not None:
         origin = origin @ mount[:3, :3].T + mount[:3, 3]

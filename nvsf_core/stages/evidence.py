@@ -1,6 +1,6 @@
 """Stage `evidence`: what the training sweeps prove about the scene."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,7 +65,7 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
         is_training=np.isin(arrays["frame"], list(training)),
         trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
         period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
-        table=sensor_table(attrs["sensor"]),
+        table=replace(sensor_table(attrs["sensor"]), range_bias_m=arrays["laser_range_bias_m"]),
         elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
         scene_origin_m=np.array(attrs["scene_origin_m"]),
     )

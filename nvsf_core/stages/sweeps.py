@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.evidence.range_bias import learn_range_bias
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.kitti360.scans import read_scan
 from nvsf_core.reporting.previews import scan_top_view
@@ -53,6 +54,7 @@ def _run(task: Task) -> StageOutput:
     own = _learn_own_vehicle(scans)
     correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
     arrays = _arrays(task, posed, scans, drive, own, correction_rad)
+    arrays |= _without_bias(scans, arrays)
     evidence = _evidence(scans, sources)
     attrs = {
         "scene_origin_m": drive["scene_origin_m"],
@@ -161,6 +163,18 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
     )
 
 
+def _without_bias(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Each laser's range bias, learned from the training scans, and the ranges of all scans without it."""
+    of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
+    used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"])
+    bias_m = learn_range_bias(
+        *(arrays[name][used] for name in ("origin_m", "direction", "range_m", "laser")), SENSOR.laser_count
+    )
+    own_m = np.where(arrays["laser"] >= 0, bias_m[arrays["laser"]], 0.0)
+    range_m = np.maximum(arrays["range_m"] - own_m, 0.0).astype(np.float32)
+    return {"laser_range_bias_m": bias_m, "range_m": range_m}
+
+
 def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> float:
     """How thick the map's surfaces are: median over flat voxels of the deviation across the plane, in metres.
 
@@ -217,6 +231,8 @@ def _output(
             "sweep_period_s": drive["sweep_period_s"],
             "sweep_period_assumed": bool(drive["period_assumed"]),
             "elevation_correction_deg": attrs["elevation_correction_deg"],
+            "laser_range_bias_rms_m": float(np.sqrt(np.mean(arrays["laser_range_bias_m"] ** 2))),
+            "laser_range_bias_max_m": float(np.abs(arrays["laser_range_bias_m"]).max()),
         },
         checks=_checks(scans, arrays, attrs, SENSOR),
     )
@@ -266,7 +282,7 @@ STAGE = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="3",
+    version="4",
     run=_run,
     reads_drive=True,
 )
