@@ -11,6 +11,7 @@ from nvsf_core.reporting import plots
 from nvsf_core.reporting.error_cloud import error_cloud_figure
 from nvsf_core.reporting.html import escape, image, number, page, plain_table, plot
 from nvsf_core.reporting.previews import image_preview, scan_top_view
+from nvsf_core.reporting.scene_notes import not_run, profile_table
 from nvsf_core.reporting.scene_outputs import (
     CameraPair,
     FieldRun,
@@ -203,6 +204,7 @@ def _scene(scene: SceneOutputs) -> str:
         _verdict(rows),
         "<h3>Error beside time</h3>",
         headline_table(rows),
+        not_run(scene),
         _provenance(scene),
         _cost_plot(rows),
     ]
@@ -216,7 +218,7 @@ def _scene(scene: SceneOutputs) -> str:
     if curves[1:]:
         older = "".join(_loss_curve(run) for run in curves[1:])
         parts.append(f"<details><summary>Loss of the older runs</summary>{older}</details>")
-    parts.append(_profile(scene))
+    parts.append(profile_table(scene))
     parts.append(_stages(scene))
     tables = "".join(f'<div class="label">{escape(name)}</div>{table}' for name, table in full_tables(rows))
     parts.append(
@@ -343,16 +345,6 @@ def _loss_curve(run: FieldRun) -> str:
     return _figure([plot(plots.curve_png(run.curve), "loss curve")], caption)
 
 
-def _profile(scene: SceneOutputs) -> str:
-    rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
-    if not rows:
-        return ""
-    table = plain_table(
-        ["what", "value"], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,)
-    )
-    return f"<h3>Profile: what the laser’s own returns say of this scene</h3>{table}"
-
-
 def _stages(scene: SceneOutputs) -> str:
     if not scene.records:
         return ""
@@ -370,18 +362,6 @@ def _stages(scene: SceneOutputs) -> str:
     rows.append(["<b>together</b>", f"<b>{number(total, 1)}</b>", "", ""])
     table = plain_table(["stage", "seconds", "", "checks"], rows, words=(2, 3))
     return f"<h3>Where the time went</h3><p>Seconds of each stage when it last ran.</p>{table}"
-
-
-def _words(key: str) -> str:
-    return key.replace("_", " ")
-
-
-def _value(value: object) -> str:
-    if isinstance(value, float):
-        return number(value, 3)
-    if isinstance(value, int) and not isinstance(value, bool):
-        return number(value, 0)
-    return escape(value)
 
 
 def _scale(png: bytes, ticks: Sequence[tuple[float, str]]) -> str:

@@ -143,11 +143,14 @@ def _metric_tables(root: Path) -> list[Path]:
 
 
 def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
-    """The evidence's own words and numbers."""
-    for record in records:
-        if record.stage == "evidence":
-            return dict(record.metadata)
-    return {}
+    """The evidence's own words and numbers, and above them what each recipe was found to need."""
+    needs = {
+        f"needs of {record.stage.removeprefix('field ')}": record.metadata["needs"]
+        for record in records
+        if record.stage.startswith("field") and "needs" in record.metadata
+    }
+    own = [record.metadata for record in records if record.stage == "evidence"]
+    return needs | (dict(own[0]) if own else {})
 
 
 def _error_cloud(metrics: Path) -> bytes | None:

@@ -27,9 +27,8 @@ def test_each_recipe_has_a_file_with_a_row_a_scene_method_and_seed(tmp_path):
     write_street(home, "avenue", recipe="smoke")
     write(home, root)
     found = [(row["scene"], row["seed"], row["method"]) for row in _rows(root, "quick")]
-    assert found == [
-        ("street", seed, method) for seed in (0, 1) for method in ("quick", "reproject", "copy_nearest")
-    ]
+    methods = ("quick", "reproject", "copy_nearest", "mesh")
+    assert found == [("street", seed, method) for seed in (0, 1) for method in methods]
     assert {row["scene"] for row in _rows(root, "smoke")} == {"avenue"}
     first = _rows(root, "quick")[0]
     assert (first["chamfer_m2"], first["f_score"], first["commit"]) == (0.03, 0.97, "abc")
@@ -57,6 +56,7 @@ def test_the_readme_holds_the_table_between_its_marks_and_nothing_else_changes(t
     assert table in readme and "old table" not in readme
     assert "| `street` | `quick` | 1 | 0.030 | 0.970 |" in table
     assert "| `street` | `reproject` |  | 0.060 |" in table
+    assert "| `street` | `mesh` |  | 0.090 |" in table
 
 
 def test_seeds_are_shown_as_mean_and_spread_and_a_baseline_once(tmp_path):

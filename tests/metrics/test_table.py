@@ -27,6 +27,7 @@ def test_means_are_of_the_defined_frames_and_say_how_many() -> None:
 def test_the_table_puts_the_model_above_the_baselines_and_time_beside_error() -> None:
     rows = [
         _row(recipe="copy_nearest", value=0.1434, train_seconds=math.nan),
+        _row(recipe="mesh", value=0.0485),
         _row(recipe="reproject", value=0.0698),
         _row(recipe="quick"),
         _row(protocol="image", sensor="image_00", metric="image_psnr_db", unit="dB", value=24.345),
@@ -34,7 +35,7 @@ def test_the_table_puts_the_model_above_the_baselines_and_time_beside_error() ->
     text = summary_table(rows)
     lines = text.splitlines()
     assert "lidar4d_scan" in lines[0]
-    assert [line.split()[0] for line in lines[2:5]] == ["quick", "reproject", "copy_nearest"]
+    assert [line.split()[0] for line in lines[2:6]] == ["quick", "reproject", "copy_nearest", "mesh"]
     assert "0.0400" in lines[2]
     assert "55.0" in lines[2]
     assert "24.34" in text

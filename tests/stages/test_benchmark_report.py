@@ -52,7 +52,8 @@ def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> 
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
     assert "<script" not in page
     assert "://" not in page
-    for words in ("quick is best in 9 of 9", "reproject", "copy_nearest", "lidar4d_scan", "118.0",
+    for words in ("quick is best in 9 of 9", "reproject", "copy_nearest", "mesh", "1.9 M parameters",
+                  "lidar4d_scan", "118.0",
                   "1 234 567", "Held-out frame 7", "View shift_1m", "Not measured on KITTI-360’s ten scenes",
                   "defined on", "occupied voxels", "scans_look_recorded"):  # fmt: skip
         assert words in text or words in page, words
@@ -105,7 +106,7 @@ def test_the_page_holds_what_earlier_runs_measured_and_says_where_each_row_is_fr
     summary = page[page.index("All scenes") :].split("</table>")[0]
     rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in summary.split("<tr>")[2:]]
     assert [(row[1], row[2]) for row in rows if row[2]] == [("<b>smoke</b>", "0"), ("<b>quick</b>", "3")]
-    assert len(rows) == 6 and all(">abc<" in row[-2] and row[-1].startswith("20") for row in rows)
+    assert len(rows) == 8 and all(">abc<" in row[-2] and row[-1].startswith("20") for row in rows)
     assert "these scenes of the catalogue: kitti360_1908 ." in text
     assert "Measured: quick , seed 3: commit abc" in text
 

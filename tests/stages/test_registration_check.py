@@ -75,4 +75,4 @@ def test_training_runs_where_open3ds_system_libraries_are_missing(tmp_path, tiny
     assert done.returncode == 0, done.stderr[-2000:]
     assert "not run: open3d cannot be loaded" in done.stdout
     assert "apt-get install" in done.stdout
-    assert "9 stages" in done.stdout
+    assert "10 stages" in done.stdout
