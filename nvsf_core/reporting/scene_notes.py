@@ -1,0 +1,34 @@
+"""What the report says of one scene in words: what it needs, and what was not run."""
+
+from nvsf_core.reporting.html import escape, number, plain_table
+from nvsf_core.reporting.scene_outputs import SceneOutputs
+
+
+def profile_table(scene: SceneOutputs) -> str:
+    """The profile of a scene and what each recipe needs for it; empty where neither is known."""
+    rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
+    if not rows:
+        return ""
+    table = plain_table(
+        ["what", "value"], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,)
+    )
+    return f"<h3>Profile: what this scene needs, by its own returns</h3>{table}"
+
+
+def not_run(scene: SceneOutputs) -> str:
+    """Why a baseline is not in the tables."""
+    reasons = [str(record.metadata.get(record.stage, "")) for record in scene.records]
+    said = [reason for reason in reasons if reason.startswith("not run")]
+    return "".join(f'<p class="soft"><code>mesh</code>: {escape(reason)}</p>' for reason in said)
+
+
+def _words(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def _value(value: object) -> str:
+    if isinstance(value, float):
+        return number(value, 3)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return number(value, 0)
+    return escape(value)
