@@ -16,7 +16,8 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
-from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.profile import scene_profile
+from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_table
@@ -91,13 +92,13 @@ def _run(task: Task) -> StageOutput:
     sweeps = read_sweeps(task.store)
     if sweeps is None:
         write_arrays(task.folder / "evidence.zarr", {})
-        return StageOutput(metadata={"profile": "no LiDAR: nothing is proven, everything is learned"})
+        return StageOutput(metadata={"profile": "cameras alone: nothing is proven, everything is learned"})
     if not sweeps.is_training.any():
         raise DataError(f"scene {task.scene.name}: expected at least one valid training scan, found none")
     evidence = _prove(sweeps)
     write_arrays(task.folder / "evidence.zarr", evidence.to_arrays())
     surfels = evidence.surfels
-    profile = _profile(evidence, task)
+    profile = _profile(evidence, sweeps, task)
     write_table(task.folder / "profile.parquet", {name: [value] for name, value in profile.items()})
     seen_through = float(surfels.hits[surfels.passes > surfels.hits].sum() / surfels.hits.sum())
     return StageOutput(
@@ -222,31 +223,12 @@ def _plane_thickness(surfels: Surfels) -> dict[str, float]:
     return {"median_plane_thickness_m": float(np.median(surfels.thickness_m[surfels.is_planar]))}
 
 
-def _profile(evidence: SceneEvidence, task: Task) -> dict[str, float | int | str]:
+def _profile(evidence: SceneEvidence, sweeps: Sweeps, task: Task) -> dict[str, Scalar]:
     """What this scene needs, in words and numbers."""
     cameras = read_rows(task.store.require("frames") / "cameras.parquet")
     names = sorted({row["camera"] for row in cameras if row["image_valid"]})
-    index = evidence.surfels.index
-    low, high = evidence.surfels.mean_m.min(axis=0), evidence.surfels.mean_m.max(axis=0)
-    surface_m2 = len(evidence.surfels.hits) * index.voxel_m**2
-    return {
-        "profile": f"LiDAR with {', '.join(names) if names else 'no camera'}; "
-        f"about {surface_m2:,.0f} m2 of surface; {_motion_in_words(evidence)}",
-        "moving_objects": 0 if evidence.dynamic is None else len(evidence.dynamic.objects),
-        "voxels": len(evidence.surfels.hits),
-        "voxel_m": index.voxel_m,
-        "surface_m2": surface_m2,
-        "extent_x_m": float(high[0] - low[0]),
-        "extent_y_m": float(high[1] - low[1]),
-        "extent_z_m": float(high[2] - low[2]),
-    }
-
-
-def _motion_in_words(evidence: SceneEvidence) -> str:
-    if evidence.dynamic is None:
-        return "static: nothing was seen to move"
-    count = len(evidence.dynamic.objects)
-    return f"dynamic: {count} object{'s' if count > 1 else ''}"
+    times_s = sweeps.arrays["time_s"][sweeps.is_training]
+    return scene_profile(evidence, names, float(times_s.max() - times_s.min()))
 
 
 STAGE = Stage(

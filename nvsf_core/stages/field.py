@@ -12,6 +12,7 @@ import torch
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import PaperRecipe, ResidualRecipe
 from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.stages.field_profile import field_profile
 from nvsf_core.stages.fitting import Trained
 from nvsf_core.stages.paper_model import load_paper_model
 from nvsf_core.stages.paper_training import train_paper
@@ -52,12 +53,16 @@ def train_model(task: Task, recording: Recording, work: Path) -> Trained:
 def _run(task: Task) -> StageOutput:
     recording = read_recording(task.store)
     location = STAGE.location(task.config)
+    needs = field_profile(task.config.recipe, recording)
+    if needs:
+        task.progress(f"[{task.scene.name}] field: {needs['needs']}")
     trained = train_model(task, recording, task.store.work_dir(location))
     _write(task, trained, recording)
     task.store.drop_work_dir(location)
     finite = all(bool(torch.isfinite(value).all()) for value in trained.tensors.values())
     output = StageOutput(
         metadata={
+            **needs,
             "train_seconds": trained.seconds,
             "parameters": sum(value.numel() for value in trained.tensors.values()),
             "model_mb": sum(value.nbytes for value in trained.tensors.values()) / 1e6,

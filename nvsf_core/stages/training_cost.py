@@ -1,0 +1,48 @@
+"""What training a residual recipe is expected to cost: a model fitted to three measured runs."""
+
+from nvsf_core.recipe import ResidualRecipe, TrainingSpec
+
+FITTED_ON = "2 cores of an AMD EPYC"
+# Fitted to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297), idle machine.
+_PREPARATION_S = 12.5
+_SECONDS_A_SAMPLE = 1.2e-6
+"""One surface of one LiDAR ray in one step, forward, backward and Adam's share."""
+_SECONDS_A_PLANE_PIXEL = 30e-6
+_SECONDS_A_BLENDED_PIXEL = 65e-6
+_SECONDS_A_PANO_CELL = 6e-6
+_SECONDS_A_PANO_TURN = 0.8
+"""One turn that is fired to make what the pano learns from."""
+_CAMERA_PARAMETERS = 111_000
+"""Of the camera's networks in these runs: larger ones cost in proportion."""
+_BASE_MB = 700.0
+_MB_A_RETURN = 4.2e-4
+
+
+def expected_seconds(recipe: ResidualRecipe, parameters: dict[str, int], samples: float) -> float:
+    """Steps x rays x samples, and the camera's and the pano's pixels; an estimate, not a promise.
+
+    Args:
+        recipe: To be trained.
+        parameters: Numbers of each part that is trained: `lidar`, `camera`, `pano`; absent = not trained.
+        samples: Mean surfaces that a ray looks at.
+    """
+    total = _PREPARATION_S
+    if "lidar" in parameters:
+        total += _drawn(recipe.lidar_training) * _SECONDS_A_SAMPLE * samples
+    if "camera" in parameters:
+        size = parameters["camera"] / _CAMERA_PARAMETERS
+        total += size * _drawn(recipe.depth_training) * _SECONDS_A_PLANE_PIXEL
+        total += size * _drawn(recipe.camera_training) * _SECONDS_A_BLENDED_PIXEL
+    if "pano" in parameters and recipe.pano is not None and recipe.pano.training is not None:
+        total += recipe.pano.frames * recipe.pano.phases * _SECONDS_A_PANO_TURN
+        total += _drawn(recipe.pano.training) * _SECONDS_A_PANO_CELL
+    return total
+
+
+def expected_memory_mb(returns: int) -> float:
+    """Peak of the training process; images weigh little beside returns."""
+    return _BASE_MB + _MB_A_RETURN * returns
+
+
+def _drawn(training: TrainingSpec) -> int:
+    return training.steps * training.rays

@@ -1,0 +1,110 @@
+"""A profile says what a scene needs; a static scene allocates and asks for nothing dynamic."""
+
+import sys
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.kitti360.catalogue import SceneEntry
+from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.recipe import ResidualRecipe, preset
+from nvsf_core.simulation.sweep_simulation import field_renderer
+from nvsf_core.stages import Outcome, plan_run, run_named_stage
+from nvsf_core.stages.field_profile import field_profile
+from nvsf_core.stages.profile import point_spacing_m
+from nvsf_core.stages.recording import Recording, read_recording
+from nvsf_core.stages.residual_model import make_fields
+from nvsf_core.stages.training_cost import expected_seconds
+
+OF_MOTION = ("evidence/objects.py", "evidence/object_votes.py", "fields/object_surfaces.py")
+
+
+@pytest.fixture(scope="module")
+def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Outcome]:
+    """The tiny drive, in which nothing is seen often enough to be proven to move."""
+    folder = tmp_path_factory.mktemp("static")
+    write_demo(folder / "drive", size=DemoSize.tiny())
+    scene = SceneEntry(
+        name="tiny", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3,
+        test_frames=(2,),
+    )  # fmt: skip
+    run = plan_run(scene, folder / "home", recipe="smoke")
+    for stage in ("frames", "sweeps", "pano", "undistorted"):
+        run_named_stage(stage, run, lambda line: None)
+    outcome = run_named_stage("evidence", run, lambda line: None)
+    return read_recording(run.store), outcome
+
+
+def test_a_static_scene_says_so_with_its_sensors_and_extent(static: tuple[Recording, Outcome]) -> None:
+    recording, outcome = static
+    assert recording.lidar is not None and recording.lidar.evidence.dynamic is None
+    said = outcome.metadata
+    assert str(said["profile"]).startswith("static street: no time branch; LiDAR and image_00; about ")
+    assert said["moving_objects"] == 0 and said["cameras"] == 1
+    assert 0.0 < float(said["point_spacing_m"]) <= float(said["voxel_m"])
+    assert 1.0 < float(said["extent_x_m"]) < 200.0
+
+
+def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Recording, Outcome]) -> None:
+    recording, _ = static
+    assert recording.lidar is not None and recording.lidar.moving() is None
+    recipe = preset("smoke")
+    assert isinstance(recipe, ResidualRecipe)
+    names = make_fields(recipe, recording, 0).tensors()
+    assert names and not [name for name in names if any(w in name for w in ("time", "flow", "dynamic"))]
+    said = field_profile(recipe, recording)
+    total = sum(value.numel() for value in names.values())
+    assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera"))
+    assert str(said["needs"]).startswith(f"static street: no time branch; {total / 1e6:.1f} M parameters; ")
+    assert 0.0 < float(said["samples_a_ray"]) <= recipe.evidence.lidar_candidates
+    assert float(said["expected_seconds"]) > 0.0 and float(said["expected_memory_mb"]) > 0.0
+
+
+def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcome]) -> None:
+    recording, _ = static
+    recipe = preset("smoke")
+    assert recording.lidar is not None and isinstance(recipe, ResidualRecipe)
+    field = make_fields(recipe, recording, 0).lidar
+    assert field is not None
+    called: set[str] = set()
+
+    def note(frame: FrameType, event: str, argument: Any) -> None:
+        if event == "call":
+            called.add(frame.f_code.co_filename)
+
+    lidar = recording.lidar
+    rays = [lidar.sweeps.arrays[name][:256] for name in ("origin_m", "direction")]
+    sys.setprofile(note)
+    try:
+        render = field_renderer(field, lidar.evidence.standing, lidar.moving(), most=8, far_m=lidar.far_m)
+        with torch.no_grad():
+            answers = render(*rays, np.ones(256, np.float32), np.zeros(256))
+    finally:
+        sys.setprofile(None)
+    assert np.isfinite(answers.range_m).any()
+    assert any(name.endswith("fields/lidar_field.py") for name in called)
+    assert not [name for name in called if name.endswith(OF_MOTION)]
+
+
+def test_spacing_is_that_of_a_plane_of_points() -> None:
+    x, y = np.meshgrid(np.arange(0.025, 4.0, 0.05), np.arange(0.025, 4.0, 0.05))
+    down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (x.size, 1))
+    origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 3.1)], axis=1).astype(np.float32)
+    surfels = build_surfels(
+        origin, down, np.full(x.size, 3.0, np.float32), np.zeros(x.size, np.float32), voxel_m=0.2, threads=1
+    )
+    assert point_spacing_m(surfels) == pytest.approx(0.05, rel=0.1)
+
+
+def test_more_steps_or_larger_networks_cost_more_and_a_sensor_that_is_absent_nothing() -> None:
+    quick, lean = preset("quick"), preset("lean")
+    assert isinstance(quick, ResidualRecipe) and isinstance(lean, ResidualRecipe)
+    lidar, both = {"lidar": 2_000_000}, {"lidar": 2_000_000, "camera": 111_000}
+    assert expected_seconds(quick, lidar, 6.5) < expected_seconds(lean, lidar, 6.5)
+    assert expected_seconds(quick, lidar, 6.5) < expected_seconds(quick, both, 6.5)
+    # Measured: 115 s on k360_street, 111 s on demo.
+    assert expected_seconds(quick, both, 6.5) == pytest.approx(113.0, rel=0.15)
