@@ -83,8 +83,8 @@ def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np
 def _flat_voxels(points: np.ndarray, voxel: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Mean (v, 3) of each voxel's points and its plane's unit normal (v, 3), 0 where it is not flat."""
     returns = np.bincount(voxel, minlength=count)
-    mean = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], axis=1)
-    mean /= returns[:, None]
+    total = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], axis=1)
+    mean = total / returns[:, None]
     centred = points - mean[voxel]
     full = np.flatnonzero(returns >= _MIN_RETURNS)
     covariance = np.empty((len(full), 3, 3))

@@ -168,8 +168,9 @@ def _without_bias(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str
     of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
     used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"])
     bias_m = learn_range_bias(
-        *(arrays[name][used] for name in ("origin_m", "direction", "range_m", "laser")), SENSOR.laser_count
-    )
+        arrays["origin_m"][used], arrays["direction"][used], arrays["range_m"][used], arrays["laser"][used],
+        SENSOR.laser_count,
+    )  # fmt: skip
     own_m = np.where(arrays["laser"] >= 0, bias_m[arrays["laser"]], 0.0)
     range_m = np.maximum(arrays["range_m"] - own_m, 0.0).astype(np.float32)
     return {"laser_range_bias_m": bias_m, "range_m": range_m}
