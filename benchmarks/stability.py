@@ -1,6 +1,7 @@
 """Numerical stability on hard cases, measured; writes JSON and docs/numerical_stability.md.
 
-Run ``python -m benchmarks.stability [--only THEME ...] [--long-steps N]`` (``make stability``).
+Run ``python -m benchmarks.stability [--only THEME ...]`` (``make stability``); some themes alone replace
+their own rows.
 """
 
 import argparse
@@ -73,9 +74,8 @@ def run_themes(names: Sequence[str]) -> list[Row]:
             rows.append(row)
             print(f"{row['result']:4} {row['seconds']:7.2f} s  {case.function}: {case.inputs}", flush=True)
             if row["result"] != "ok":
-                print(
-                    f"     {_error(row)} {row['gradient']} {row['float32_cpu']} {row['reduced']} {row['outcome']}"
-                )
+                found = (_error(row), row["gradient"], row["float32_cpu"], row["reduced"], row["outcome"])
+                print("     " + "; ".join(found))
     return rows
 
 
@@ -132,14 +132,22 @@ def _limit(row: Row) -> str:
 def main() -> None:
     """Run, print, write; 1 where a case fails."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="+", choices=THEMES, help="these themes, and write nothing")
+    parser.add_argument("--only", nargs="+", choices=THEMES, help="run these themes, keep the others' rows")
     chosen = parser.parse_args().only
     rows = run_themes(chosen or THEMES)
     failing = [row for row in rows if row["result"] != "ok"]
     print(f"{len(rows)} cases, {len(failing)} failing, {sum(row['seconds'] for row in rows):.0f} s")
-    if chosen is None:
-        write(rows)
+    write(merged(rows) if chosen else rows)
     sys.exit(1 if failing else 0)
+
+
+def merged(rows: Sequence[Row]) -> list[Row]:
+    """The rows on disk, those of the same themes replaced; in the order of `THEMES`."""
+    old: list[Row] = json.loads(RESULTS.read_text())["rows"] if RESULTS.is_file() else []
+    themes = {row["theme"] for row in rows}
+    order = [import_module(f"benchmarks.stability_cases.{name}").TITLE for name in THEMES]
+    both = [row for row in old if row["theme"] not in themes and row["theme"] in order] + list(rows)
+    return sorted(both, key=lambda row: order.index(row["theme"]))
 
 
 if __name__ == "__main__":

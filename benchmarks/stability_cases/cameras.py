@@ -58,7 +58,9 @@ def _beyond() -> Reading:
     points = np.concatenate([_directions(np.array([edge + 0.01, 150.0, 179.99, 180.0])), np.zeros((1, 3))])
     pixels, inside = KITTI_360.project(points)
     none = bool(np.isnan(pixels).all()) and not bool(inside.any())
-    return Reading(outcome=f"no image beyond {edge:.2f} degrees, nor of the centre: {none}", is_refuted=not none)
+    return Reading(
+        outcome=f"no image beyond {edge:.2f} degrees, nor of the centre: {none}", is_refuted=not none
+    )
 
 
 def _round_trip() -> Reading:
@@ -117,7 +119,9 @@ def _boxes() -> Reading:
     """A box 5e6 m out, points on its faces ± 1 mm; not finite points are in none."""
     box = np.diag([4.0, 2.0, 1.5, 1.0])
     box[:3, 3] = (5e6, -5e6, 5e6)
-    offsets = np.array([[1.999, 0, 0], [2.001, 0, 0], [0, 0.999, 0], [0, 1.001, 0], [0, 0, 0.749], [0, 0, 0.751]])
+    offsets = np.array(
+        [[1.999, 0, 0], [2.001, 0, 0], [0, 0.999, 0], [0, 1.001, 0], [0, 0, 0.749], [0, 0, 0.751]]
+    )
     points = np.concatenate([box[:3, 3] + offsets, [[np.nan] * 3, [np.inf, 0, 0]]])
     with np.errstate(invalid="ignore"):
         inside = inside_any(points, box[None])

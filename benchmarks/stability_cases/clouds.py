@@ -31,7 +31,9 @@ def _plain(points: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
 
 def _chamfer(shift: float) -> Reading:
     """Loss and gradient against all pairs in float64 of the same float32 points."""
-    found, exact = ([c.to(t).requires_grad_() for c in _clouds(shift)] for t in (torch.float32, torch.float64))
+    found, exact = (
+        [c.to(t).requires_grad_() for c in _clouds(shift)] for t in (torch.float32, torch.float64)
+    )
     value, true = chamfer_distance(*found), _plain(*exact)
     value.backward()
     true.backward()
@@ -55,7 +57,9 @@ def _all_pairs(shift: float) -> Reading:
     index = nearest_by_all_pairs(points, others)
     exact = (points.double()[:, None] - others.double()[None]).norm(dim=2)
     beyond = exact.gather(1, index[:, None])[:, 0] - exact.min(dim=1).values
-    return Reading(error=float(beyond.max()), limit=1e-5 + 2e-7 * shift, unit="m farther than the nearest", float32="ok")
+    return Reading(
+        error=float(beyond.max()), limit=1e-5 + 2e-7 * shift, unit="m farther than the nearest", float32="ok"
+    )
 
 
 def _identical(count: int) -> Reading:
@@ -94,7 +98,9 @@ def _far_metrics() -> Reading:
 
 def _rays() -> Reading:
     """A batch in which nothing returned: 0, with gradients of 0."""
-    direction = torch.nn.functional.normalize(torch.randn(64, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    direction = torch.nn.functional.normalize(
+        torch.randn(64, 3, generator=torch.Generator().manual_seed(0)), dim=1
+    )
     rendered = torch.full((64,), 17.0, requires_grad=True)
     loss = ray_batch_chamfer(direction, rendered, torch.zeros(64))
     loss.sum().backward()

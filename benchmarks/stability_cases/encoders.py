@@ -87,7 +87,9 @@ def _hash(layout: GridLayout) -> Reading:
         unit="of eps x resolution x difference",
         float32="ok" if beside <= TOLERANCES[torch.float32].elementwise_ulp else "fail",
         reduced=_half_table(layout, positions, table),
-        cuda=_on_cuda(lambda device: hash_grid_encode(positions.to(device), table.to(device), layout), oracle),
+        cuda=_on_cuda(
+            lambda device: hash_grid_encode(positions.to(device), table.to(device), layout), oracle
+        ),
         outcome=f"kernel and oracle differ by {beside:.2g} eps; box face and beyond alike",
         is_refuted=not bool(torch.isfinite(fast).all()),
     )
@@ -146,9 +148,7 @@ def _hash_gradient() -> Reading:
     inside = differing[:4000].quantile(0.99) / wide_positions.grad.abs().max()
     finite = bool(torch.isfinite(table.grad).all()) and bool(torch.isfinite(positions.grad).all())
     worst = max(error, float(inside))
-    return Reading(
-        gradient=Gradient(finite, worst, 10 * TOLERANCES[torch.float32].gradient), float32="ok"
-    )
+    return Reading(gradient=Gradient(finite, worst, 10 * TOLERANCES[torch.float32].gradient), float32="ok")
 
 
 def _hash_nan() -> Reading:
@@ -262,7 +262,9 @@ def _plain_harmonics(d: np.ndarray) -> np.ndarray:
     for band in range(4):
         for order in range(-band, band + 1):
             m = abs(order)
-            norm = math.sqrt((2 * band + 1) / (4 * math.pi) * math.factorial(band - m) / math.factorial(band + m))
+            norm = math.sqrt(
+                (2 * band + 1) / (4 * math.pi) * math.factorial(band - m) / math.factorial(band + m)
+            )
             legendre = assoc_legendre_p(band, m, polar)[0]
             turn = np.cos(m * azimuth) if order >= 0 else np.sin(m * azimuth)
             columns.append(norm * legendre * turn * (math.sqrt(2.0) if m else 1.0))
@@ -273,7 +275,9 @@ def _basis() -> Reading:
     times = np.linspace(0.0, 1.0, 2001)
     nodes = np.array([0.0, 1 / 3, 2 / 3, 1.0])
     error = max(
-        abs(float(cubic_basis(float(t)).numpy() @ nodes**power) - t**power) for t in times for power in range(4)
+        abs(float(cubic_basis(float(t)).numpy() @ nodes**power) - t**power)
+        for t in times
+        for power in range(4)
     )
     return Reading(error=error / np.finfo(np.float64).eps, limit=TOLERANCES[torch.float64].elementwise_ulp,
                    unit="eps", float32=NOT_APPLICABLE)  # fmt: skip

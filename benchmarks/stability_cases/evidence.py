@@ -20,7 +20,9 @@ TITLE = "Evidence"
 _EPS = float(np.finfo(np.float32).eps)
 
 
-def wall(origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0), *, rays: int = 4000) -> tuple[np.ndarray, ...]:
+def wall(
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0), *, rays: int = 4000
+) -> tuple[np.ndarray, ...]:
     """Rays from around a place to a wall ahead (plane x = 10.03): origins, directions, ranges, intensity."""
     rng = np.random.default_rng(0)
     origins = rng.normal(0.0, 0.5, (rays, 3))
@@ -121,14 +123,14 @@ def _axis_rays() -> Reading:
             for offset in (0.0, 0.5, 1.0):
                 origins += [low + offset * step, low + 20 * step, np.zeros(3), np.array([10.0, 0.0, 0.0])]
                 directions += [direction] * 4
-    found = candidates_of(
-        surfels, np.array(origins), np.array(directions), most=16, near_m=0.0, far_m=100.0
-    )
+    found = candidates_of(surfels, np.array(origins), np.array(directions), most=16, near_m=0.0, far_m=100.0)
     there = found.voxel >= 0
     finite = bool(np.isfinite(found.range_m).all()) and bool(np.isfinite(found.cosine).all())
     ordered = all(np.all(np.diff(r[t]) >= -1e-5) for r, t in zip(found.range_m, there, strict=True))
     inside = bool((found.range_m[there] >= 0.0).all()) and bool((found.range_m[there] <= 100.0).all())
-    outcome = f"finite {finite}, ascending {ordered}, within near and far {inside}; {int(there.sum())} surfaces"
+    outcome = (
+        f"finite {finite}, ascending {ordered}, within near and far {inside}; {int(there.sum())} surfaces"
+    )
     return Reading(outcome=outcome, is_refuted=not (finite and ordered and inside and there.any()))
 
 

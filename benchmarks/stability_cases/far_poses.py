@@ -34,7 +34,9 @@ def drive(shift_m: tuple[float, float, float], frames: int = 6) -> Trajectory:
 
 def _origin_shift(shift_m: tuple[float, float, float]) -> np.ndarray:
     """Scene-local coordinates of a shifted drive minus those of the unshifted one: whole metres' rounding."""
-    difference: np.ndarray = drive(shift_m).scene_origin_m - drive((0.0, 0.0, 0.0)).scene_origin_m - np.array(shift_m)
+    difference: np.ndarray = (
+        drive(shift_m).scene_origin_m - drive((0.0, 0.0, 0.0)).scene_origin_m - np.array(shift_m)
+    )
     return difference
 
 
@@ -102,9 +104,7 @@ def _evidence(shift_m: tuple[float, float, float]) -> Reading:
         offset = _origin_shift(shift)
         surfels, origins, directions = _street(drive(shift), offset)
         chosen = slice(0, None, 40)
-        found = candidates_of(
-            surfels, origins[chosen], directions[chosen], most=4, near_m=0.5, far_m=80.0
-        )
+        found = candidates_of(surfels, origins[chosen], directions[chosen], most=4, near_m=0.5, far_m=80.0)
         answers.append((found.range_m[:, 0], len(surfels.hits), found.voxel[:, 0] >= 0))
     (near, n_near, there), (far, n_far, also) = answers
     wrong = np.abs(near - far)

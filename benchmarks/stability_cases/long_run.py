@@ -91,9 +91,7 @@ def long_run(steps: int, seed: int = 0) -> LongRun:
     """Train the small field for so many steps of the project's own loop."""
     generator = torch.Generator().manual_seed(seed)
     field = SmallField(generator)
-    spec = TrainingSpec(
-        steps=steps, rays=_POINTS, final_share=0.1, checkpoint_s=1e9, threads=1
-    )
+    spec = TrainingSpec(steps=steps, rays=_POINTS, final_share=0.1, checkpoint_s=1e9, threads=1)
     state = TrainingState(field, make_optimiser(field, spec), generator)
     state.average = WeightAverage(field, _DECAY)
     shadow = Shadow(field.network[2].weight)  # type: ignore[arg-type]
@@ -154,7 +152,9 @@ def _case() -> Reading:
         f"the average by {found.average:.1e}; broken: {broken or 'none'}"
     )
     worst = max(found.first_moment, found.second_moment, found.average)
-    return Reading(error=worst, limit=1e-4, unit="relative", float32="ok", outcome=outcome, is_refuted=bool(broken))
+    return Reading(
+        error=worst, limit=1e-4, unit="relative", float32="ok", outcome=outcome, is_refuted=bool(broken)
+    )
 
 
 CASES = (Case("training.loop.train", f"{STEPS:,} steps of a small field, EMA every {_EPOCH}", _case),)

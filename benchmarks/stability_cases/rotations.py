@@ -22,16 +22,25 @@ _ANGLES = (
 
 def _axes() -> np.ndarray:
     random = np.random.default_rng(0).normal(size=(6, 3))
-    axes: np.ndarray = np.concatenate([np.eye(3), -np.eye(3), random / np.linalg.norm(random, axis=1)[:, None]])
+    axes: np.ndarray = np.concatenate(
+        [np.eye(3), -np.eye(3), random / np.linalg.norm(random, axis=1)[:, None]]
+    )
     return axes
 
 
 def _exact_motion(twist: np.ndarray, share: float = 1.0) -> np.ndarray:
     """The matrix exponential of share x twist by mpmath's Taylor series, 40 digits."""
     with mpmath.workdps(40):
-        rho, phi = ([mpmath.mpf(float(v)) * mpmath.mpf(share) for v in half] for half in (twist[:3], twist[3:]))
+        rho, phi = (
+            [mpmath.mpf(float(v)) * mpmath.mpf(share) for v in half] for half in (twist[:3], twist[3:])
+        )
         matrix = mpmath.matrix(
-            [[0, -phi[2], phi[1], rho[0]], [phi[2], 0, -phi[0], rho[1]], [-phi[1], phi[0], 0, rho[2]], [0] * 4]
+            [
+                [0, -phi[2], phi[1], rho[0]],
+                [phi[2], 0, -phi[0], rho[1]],
+                [-phi[1], phi[0], 0, rho[2]],
+                [0] * 4,
+            ]
         )
         return np.array(mpmath.expm(matrix, method="taylor").tolist(), dtype=np.float64)
 

@@ -85,7 +85,9 @@ def _corners() -> Reading:
     far = torch.tensor([10**6]), torch.tensor([_WIDTH - 1])
     wr, wc = patch_pixels(*far, (2, 8), (_HEIGHT, _WIDTH), wrap=True)
     wrapped = wc[0, 0].tolist() == [_WIDTH - 1, *range(7)] and int(wr.max()) == _HEIGHT - 1
-    return Reading(outcome=f"edges reached {reached}, wrapped {wrapped}", is_refuted=not (reached and wrapped))
+    return Reading(
+        outcome=f"edges reached {reached}, wrapped {wrapped}", is_refuted=not (reached and wrapped)
+    )
 
 
 def _none_drawable() -> Reading:
