@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_grid import HashGrid
 from nvsf_core.evidence.objects import ObjectEvidence
-from nvsf_core.fields.layers import network, scatter_rows
+from nvsf_core.fields.layers import network
 from nvsf_core.fields.object_surfaces import Places, object_places
 from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch
 from nvsf_core.geometry.bounds import Bounds
@@ -44,15 +44,11 @@ class LidarField(nn.Module):
         return object_places(paths, self.bounds, self.spec.coarsest_cell_m)
 
     def surfaces(self, batch: SurfaceBatch) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected opacity logit (r, k), range_m (r, k), features (r, k, d); 0 where no surface is."""
-        points = batch.origin_m[:, None] + batch.direction[:, None] * batch.range_m[..., None]
-        if batch.objects is not None:
-            points[batch.objects.mask] = batch.objects.place_m
-        there = batch.is_there
-        encoded = self.grid(self.bounds.to_unit(points[there]).clamp(0.0, 1.0))
-        raw = scatter_rows(self.density(torch.cat([encoded, batch.facts[there]], dim=1)), there)
-        shift_m = self.spec.max_shift_m * torch.tanh(raw[..., 1])
-        return batch.logit + raw[..., 0], batch.range_m + shift_m, raw[..., 2:]
+        """Corrected opacity logit (m,), range_m (m,), features (m, d) of a batch's m surfaces."""
+        encoded = self.grid(self.bounds.to_unit(batch.point_m).clamp_(0.0, 1.0))
+        raw = self.density(torch.cat([encoded, batch.facts], dim=1))
+        shift_m = self.spec.max_shift_m * torch.tanh(raw[:, 1])
+        return batch.logit + raw[:, 0], batch.range_m + shift_m, raw[:, 2:]
 
     def decode(self, ray: Tensor) -> tuple[Tensor, Tensor]:
         """Corrections of hit logit and intensity logit, (r,) each, from composited facts (r, d + 8)."""

@@ -138,3 +138,7 @@ def _nothing() -> dict[str, np.ndarray]:
         "range_m": none, "opacity": none, "cosine": none, "is_planar": np.zeros(0, bool),
         "hits": np.zeros(0, np.int32), "intensity": none, "vote": none, "place_m": none.reshape(0, 3),
     }  # fmt: skip
+
+
+NO_SURFACES = ObjectSurfaces(np.zeros(0, np.int64), np.zeros(1, np.int64), **_nothing())
+"""Of rays that meet nothing that moves."""

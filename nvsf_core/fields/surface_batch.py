@@ -1,59 +1,45 @@
-"""Rays with the surfaces that evidence proposes for them: what both fields start from."""
+"""Rays with the surfaces that evidence proposes for them: what the LiDAR's field starts from."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.evidence.surfels import Surfels, candidates_of
-from nvsf_core.fields.object_surfaces import ObjectSurfaces
+from nvsf_core.evidence.surfels import MISSED_PLANE_SHARE, STOP_TRANSMITTANCE, Surfels
+from nvsf_core.fields.object_surfaces import NO_SURFACES, ObjectSurfaces
+from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
 
-N_FACTS = 6
-_LOGIT_LIMIT = 6.0
-
-
-@dataclass(frozen=True, slots=True)
-class OnObjects:
-    """Which of a batch's surfaces are moving objects', and what differs there."""
-
-    mask: Tensor
-    """(r, k) bool, with q surfaces."""
-    place_m: Tensor
-    """(q, 3): where the field's corrections of them lie in its cube."""
-    vote: Tensor
-    """(r, k): share of the object's nearest scans that returned there, 0 on what stands."""
+__all__ = ["N_FACTS", "SurfaceBatch", "surface_batch"]
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceBatch:
-    """r rays with at most k proposed surfaces each, scene-local metres."""
+    """r rays with at most k of m proposed surfaces each, one ray after the other, scene-local metres."""
 
-    origin_m: Tensor
-    """(r, 3)."""
     direction: Tensor
     """(r, 3)."""
-    range_m: Tensor
-    """(r, k), ascending; 0 where there is no surface."""
-    logit: Tensor
-    """(r, k): logit of the evidence's opacity."""
+    first: Tensor
+    """(r + 1,) int64: where each ray's surfaces begin, ascending in range."""
     is_there: Tensor
-    """(r, k) bool."""
+    """(r, k) bool: as many as the ray has."""
+    point_m: Tensor
+    """(m, 3): where a surface's corrections lie: itself, a moving object's surface at its place."""
+    range_m: Tensor
+    """(m,)."""
+    logit: Tensor
+    """(m,): logit of the evidence's opacity."""
     facts: Tensor
-    """(r, k, 6): opacity logit, cosine of incidence, planar?, log hits, intensity, range; about 0..1."""
-    objects: OnObjects | None = None
-    """None where no ray meets anything that moves."""
+    """(m, 6): opacity logit, cosine of incidence, planar?, log hits, intensity, range; about 0..1."""
+    vote: Tensor
+    """(m,): share of a moving object's nearest scans that returned there; negative on what stands."""
 
-    @property
-    def intensity(self) -> Tensor:
-        """(r, k): the voxels' mean intensity."""
-        return self.facts[..., 4]
-
-    @property
-    def cosine(self) -> Tensor:
-        """(r, k): cosine of incidence."""
-        return self.facts[..., 1]
+    def spread(self, values: Tensor) -> Tensor:
+        """Values (m, c) of all surfaces as (r, k, c), 0 behind a ray's last."""
+        rows = self.is_there.view(-1).nonzero()
+        full = values.new_zeros(self.is_there.numel(), values.shape[1])
+        full = full.scatter(0, rows.expand_as(values), values)
+        return full.view(*self.is_there.shape, values.shape[1])
 
 
 def surface_batch(
@@ -70,85 +56,25 @@ def surface_batch(
 
     Where there are more than `most` surfaces the farthest are left out.
     """
-    found = candidates_of(surfels, origin_m, direction, most=most, near_m=near_m, far_m=far_m)
-    depth = max(1, int((found.voxel >= 0).sum(axis=1).max(initial=1)))
-    voxel = found.voxel[:, :depth]
-    columns = _Columns(
-        is_there=voxel >= 0,
-        range_m=np.ascontiguousarray(found.range_m[:, :depth]),
-        opacity=found.opacity[:, :depth],
-        cosine=found.cosine[:, :depth],
-        is_planar=surfels.is_planar[voxel],
-        hits=surfels.hits[voxel],
-        intensity=surfels.intensity[voxel],
-    )
-    merged = None
-    if objects is not None and len(objects.ray) > 0:
-        columns, merged = _merge(columns, objects, most)
-    logit, facts = _facts(columns)
+    met = NO_SURFACES if objects is None else objects
+    index, towards = surfels.index, np.ascontiguousarray(direction, np.float32)
+    first, range_m, logit, facts, point_m, vote = list_surfaces(
+        np.ascontiguousarray(origin_m, np.float32), towards, near_m, far_m,
+        index.origin_m, index.voxel_m, index.bricks, index.cells,
+        surfels.mean_m, surfels.normal, surfels.opacity, MISSED_PLANE_SHARE, STOP_TRANSMITTANCE, most,
+        surfels.hits, surfels.intensity,
+        met.ray, met.first, met.range_m, met.opacity, met.cosine, met.is_planar, met.hits, met.intensity,
+        met.place_m, met.vote,
+    )  # fmt: skip
+    count = np.diff(first)
+    step = np.arange(max(1, int(count.max(initial=1))))
     return SurfaceBatch(
-        origin_m=torch.from_numpy(np.ascontiguousarray(origin_m, np.float32)),
-        direction=torch.from_numpy(np.ascontiguousarray(direction, np.float32)),
-        range_m=torch.from_numpy(columns.range_m),
-        logit=torch.from_numpy(logit.astype(np.float32)),
-        is_there=torch.from_numpy(columns.is_there),
-        facts=torch.from_numpy(facts.astype(np.float32)),
-        objects=merged,
-    )
-
-
-class _Columns(NamedTuple):
-    """What is known of r rays' surfaces, (r, k) each."""
-
-    is_there: np.ndarray
-    range_m: np.ndarray
-    opacity: np.ndarray
-    cosine: np.ndarray
-    is_planar: np.ndarray
-    hits: np.ndarray
-    intensity: np.ndarray
-
-
-def _facts(columns: _Columns) -> tuple[np.ndarray, np.ndarray]:
-    """Opacity logits (r, k) and the facts (r, k, 6) that the field is told of each surface."""
-    clipped = np.clip(columns.opacity, 1e-6, 1 - 1e-6)
-    logit = np.clip(np.log(clipped / (1 - clipped)), -_LOGIT_LIMIT, _LOGIT_LIMIT)
-    facts = [
-        logit / _LOGIT_LIMIT,
-        columns.cosine,
-        columns.is_planar,
-        np.log1p(columns.hits) / 5.0,
-        columns.intensity,
-        columns.range_m / 50.0,
-    ]
-    return logit, np.stack(facts, axis=-1)
-
-
-def _merge(standing: _Columns, objects: ObjectSurfaces, most: int) -> tuple[_Columns, OnObjects]:
-    """Objects' surfaces among those that stand, in order along each ray; at most `most`."""
-    index = objects.dense()
-    rows, there = objects.ray, index >= 0
-    rays, depth = standing.is_there.shape
-    width = min(most, depth + index.shape[1])
-    own = _Columns(there, *(getattr(objects, name)[index] for name in _Columns._fields[1:]))
-    either = np.concatenate([standing.is_there[rows], there], axis=1)
-    ranges = np.concatenate([standing.range_m[rows], own.range_m], axis=1)
-    order = np.argsort(np.where(either, ranges, np.inf), axis=1, kind="stable")[:, :width]
-    columns = []
-    for before, mine in zip(standing, own, strict=True):
-        column = np.zeros((rays, width), before.dtype)
-        column[:, :depth] = before[:, :width]
-        both = np.concatenate([before[rows], mine.astype(before.dtype)], axis=1)
-        column[rows] = np.take_along_axis(both, order, axis=1)
-        columns.append(column)
-    source = np.full((rays, width), -1, np.int64)
-    none = np.full((len(rows), depth), -1, np.int64)
-    source[rows] = np.take_along_axis(np.concatenate([none, index], axis=1), order, axis=1)
-    merged = _Columns(*columns)
-    merged.range_m[~merged.is_there] = 0.0
-    mask = source >= 0
-    return merged, OnObjects(
-        mask=torch.from_numpy(mask),
-        place_m=torch.from_numpy(objects.place_m[source[mask]]),
-        vote=torch.from_numpy(np.where(mask, objects.vote[source], np.float32(0.0))),
+        direction=torch.from_numpy(towards),
+        first=torch.from_numpy(first),
+        is_there=torch.from_numpy(step < count[:, None]),
+        point_m=torch.from_numpy(point_m),
+        range_m=torch.from_numpy(range_m),
+        logit=torch.from_numpy(logit),
+        facts=torch.from_numpy(facts),
+        vote=torch.from_numpy(vote),
     )

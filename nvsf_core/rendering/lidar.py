@@ -1,15 +1,16 @@
 """How the field answers a LiDAR ray."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import OnObjects, SurfaceBatch
-from nvsf_core.rendering.accumulate import value_at, weighted_median_index
+from nvsf_core.fields.surface_batch import SurfaceBatch
+from nvsf_core.kernels.composite import composite_rays
+from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.answers import RayAnswers
-from nvsf_core.rendering.weights import weights_from_opacity_logits
 
 _VOTE_LIMIT = 0.02
 
@@ -21,7 +22,7 @@ class LidarRender:
     weights: Tensor
     """(r, k): share of the ray that ends on each surface; rows sum to at most 1."""
     range_m: Tensor
-    """(r, k): where the surfaces lie."""
+    """(r, k): where the surfaces lie; 0 where there is none."""
     hit_logit: Tensor
     """(r,)."""
     intensity_logit: Tensor
@@ -37,47 +38,54 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> LidarR
         vote: (r,) share of the nearest training scans that returned here: the prior of the hit. A ray
             that ends on a moving object, by more than half, asks the object's surfaces instead.
     """
+    rays = _composite(field, batch, vote)
+    both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
+    return LidarRender(both[..., 0], both[..., 1], rays.hit_logit, rays.intensity_logit)
+
+
+class _Rays(NamedTuple):
+    """A rendered batch whose m surfaces lie one ray after the other."""
+
+    weights: Tensor
+    """(m,)."""
+    range_m: Tensor
+    """(m,)."""
+    median: Tensor
+    """(r,): the surface that the ray ends on."""
+    total: Tensor
+    """(r,): sum of a ray's weights."""
+    hit_logit: Tensor
+    """(r,)."""
+    intensity_logit: Tensor
+    """(r,)."""
+
+
+def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
     logit, range_m, features = field.surfaces(batch)
-    weights, _ = weights_from_opacity_logits(torch.where(batch.is_there, logit, -torch.inf))
-    total = weights.sum(dim=1)
-    share = weights / total.clamp_min(torch.finfo(weights.dtype).eps)[:, None]
-    intensity = (share * batch.intensity).sum(dim=1)
-    if batch.objects is not None:
-        vote = _votes_with_objects(vote, weights.detach(), batch.objects)
-    prior_hit = torch.logit(vote.clamp(_VOTE_LIMIT, 1 - _VOTE_LIMIT))
-    prior_intensity = torch.logit(intensity.clamp(0.01, 0.99))
-    ray = torch.cat(
-        [
-            (weights[..., None] * features).sum(dim=1),
-            total[:, None],
-            (share * range_m).sum(dim=1, keepdim=True) / 50.0,
-            (share * batch.cosine).sum(dim=1, keepdim=True),
-            intensity[:, None],
-            batch.direction,
-            prior_hit[:, None] / 4.0,
-        ],
-        dim=1,
+    weights, summary, median, vote = composite_rays(
+        logit, range_m, features, batch.facts, batch.first, batch.vote, vote
     )
-    hit, brightness = field.decode(ray)
-    return LidarRender(weights, range_m, prior_hit + hit, prior_intensity + brightness)
-
-
-def _votes_with_objects(vote: Tensor, weights: Tensor, objects: OnObjects) -> Tensor:
-    """Votes (r,) where rays that end on an object, by more than half, take its surfaces' mean vote."""
-    own = torch.where(objects.mask, weights, 0.0)
-    on_object = own.sum(dim=1)
-    asked = (own * objects.vote).sum(dim=1) / on_object.clamp_min(torch.finfo(weights.dtype).eps)
-    return torch.where(on_object > 0.5 * weights.sum(dim=1), asked, vote)
+    prior_hit = torch.logit(vote.clamp(_VOTE_LIMIT, 1 - _VOTE_LIMIT))
+    prior_intensity = torch.logit(summary[:, -1].clamp(0.01, 0.99))
+    hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
+    total = summary[:, features.shape[1]]
+    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness)
 
 
 @torch.no_grad()
 def answer_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RayAnswers:
-    """The weighted median surface, the hit probability and the intensity of each ray."""
-    rendered = render_lidar(field, batch, vote)
-    range_m = value_at(rendered.range_m, weighted_median_index(rendered.weights))
+    """The weighted median surface, the hit probability and the intensity of each ray.
+
+    Raises:
+        DivergedError: The field's opacities are NaN.
+    """
+    rays = _composite(field, batch, vote)
+    require_finite("answer_rays: sum of the weights", rays.total)
     answered = batch.is_there[:, 0]
+    range_m = torch.full_like(rays.total, torch.inf)
+    range_m[answered] = rays.range_m[rays.median[answered]]
     return RayAnswers(
-        range_m=torch.where(answered, range_m, torch.inf).numpy(),
-        hit=torch.where(answered, torch.sigmoid(rendered.hit_logit), 0.0).numpy(),
-        intensity=torch.sigmoid(rendered.intensity_logit).numpy(),
+        range_m=range_m.numpy(),
+        hit=torch.where(answered, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
+        intensity=torch.sigmoid(rays.intensity_logit).numpy(),
     )

@@ -23,6 +23,8 @@ from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.view_plan import SweepPlan
 
 _CHUNK_RAYS = 65536
+_FIELD_RAYS = 8192
+"""Rays that the field answers at once: what it computes of them stays in the caches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +68,14 @@ def field_renderer(
         if moving is not None and places is not None:
             there = moving.at(time_s)
             objects = object_surfaces(there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m)
-        batch = surface_batch(
-            surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m, objects=objects
-        )
-        return answer_rays(field, batch, torch.from_numpy(vote))
+        parts = []
+        for part in _parts(len(vote), _FIELD_RAYS):
+            met = None if objects is None else objects.of(np.arange(part.start, part.stop))
+            batch = surface_batch(
+                surfels, origin_m[part], direction[part], most=most, near_m=NEAR_M, far_m=far_m, objects=met
+            )
+            parts.append(answer_rays(field, batch, torch.from_numpy(vote[part])))
+        return _joined(parts)
 
     return answer
 
@@ -98,10 +104,17 @@ def answer_in_chunks(
 ) -> RayAnswers:
     """Answer any number of rays in bounded memory."""
     rays = (origin_m, direction, vote, time_s)
-    parts = [
-        render(*(column[i : i + _CHUNK_RAYS] for column in rays))
-        for i in range(0, max(1, len(vote)), _CHUNK_RAYS)
-    ]
+    return _joined([render(*(column[part] for column in rays)) for part in _parts(len(vote), _CHUNK_RAYS)])
+
+
+def _parts(rays: int, most: int) -> list[slice]:
+    """Consecutive parts of so many rays; one, though empty, of none."""
+    return [slice(i, min(i + most, rays)) for i in range(0, max(1, rays), most)]
+
+
+def _joined(parts: list[RayAnswers]) -> RayAnswers:
+    if len(parts) == 1:
+        return parts[0]
     return RayAnswers(
         *(np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity"))
     )

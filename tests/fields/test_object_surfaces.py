@@ -105,13 +105,18 @@ def test_an_untrained_field_answers_on_objects_as_the_evidence_does(dynamic, vie
 def test_surfaces_stay_in_order_and_the_nearest_are_kept(dynamic, view) -> None:
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
     full, short = batch_of(dynamic, view, field), batch_of(dynamic, view, field, most=3)
-    for batch in (full, short):
-        ranges = torch.where(batch.is_there, batch.range_m, torch.inf)
+    dense = [batch.spread(batch.range_m[:, None])[..., 0] for batch in (full, short)]
+    for batch, range_m in zip((full, short), dense, strict=True):
+        ranges = torch.where(batch.is_there, range_m, torch.inf)
         assert (ranges[:, 1:] >= ranges[:, :-1]).all()
-        assert not (batch.objects.mask & ~batch.is_there).any()
-        assert batch.objects.mask.sum() == len(batch.objects.place_m) > 100
+        moving = batch.vote >= 0.0
+        assert moving.sum() > 100
+        ray = batch.is_there.nonzero()[:, 0]
+        where_m = torch.from_numpy(view[0])[ray] + torch.from_numpy(view[1])[ray] * batch.range_m[:, None]
+        apart = (batch.point_m - where_m).norm(dim=1)
+        assert apart[~moving].max() < 1e-4 and apart[moving].min() > 1.0
     assert short.is_there.shape[1] == 3
-    assert torch.equal(short.range_m, full.range_m[:, :3] * full.is_there[:, :3])
+    assert torch.equal(dense[1], dense[0][:, :3])
 
 
 def test_an_objects_corrections_lie_where_they_lie_whenever_it_is_seen(dynamic) -> None:
