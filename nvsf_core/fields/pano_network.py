@@ -1,4 +1,4 @@
-"""A small network over the cells of a pano: what returns, how brightly, and from which of several ranges."""
+"""A small network over the cells of a pano: what returns, and how brightly."""
 
 import itertools
 import math
@@ -14,10 +14,6 @@ from nvsf_core.recipe import PanoSpec
 
 FEATURES = 16
 """Channels that describe a cell."""
-CANDIDATES = 3
-"""Ranges that a cell's return is chosen from."""
-_PRIOR = (0.0, 2.0, 0.0)
-"""Log-odds of the candidates before anything is learned: the middle one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,21 +24,20 @@ class PanoCorrection:
     """(b, h, w), added to the logit of the expected hit."""
     intensity_logit: Tensor
     """(b, h, w), added to the logit of the expected intensity."""
-    choice: Tensor
-    """(b, CANDIDATES, h, w): logits of the candidates."""
 
 
 class PanoNetwork(nn.Module):
-    """Four 3 x 3 convolutions with ReLU between them; columns go round, rows end in copies of themselves.
+    """Convolutions of 3 x 3 with ReLU between them; columns go round, rows end in copies of themselves.
 
-    Silent before training: the corrections are 0 and the middle candidate is chosen.
+    Silent before training: the corrections are 0. To choose another range than the median of what a cell
+    shows was tried too: the network never did, as no other errs less.
     """
 
     def __init__(self, spec: PanoSpec, generator: torch.Generator) -> None:
         """Draw all weights from `generator`."""
         super().__init__()
         width = spec.channels
-        sizes = (FEATURES, *[width] * spec.layers, 2 + CANDIDATES)
+        sizes = (FEATURES, *[width] * spec.layers, 2)
         self.layers = nn.ModuleList(
             undrawn(nn.Conv2d, fan_in, fan_out, 3) for fan_in, fan_out in itertools.pairwise(sizes)
         )
@@ -62,4 +57,4 @@ class PanoNetwork(nn.Module):
             x = layer(functional.pad(x, (0, 0, 1, 1), mode="replicate"))
             if number + 1 < len(self.layers):
                 x = functional.relu(x)
-        return PanoCorrection(x[:, 0], x[:, 1], x[:, 2:] + x.new_tensor(_PRIOR)[:, None, None])
+        return PanoCorrection(x[:, 0], x[:, 1])

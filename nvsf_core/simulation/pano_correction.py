@@ -10,7 +10,7 @@ from nvsf_core.fields.pano_network import FEATURES, PanoNetwork
 from nvsf_core.simulation.pano_estimate import PanoEstimate
 from nvsf_core.simulation.pano_neighbours import Neighbours
 
-PARTS = ("hit", "range", "intensity")
+PARTS = ("hit", "intensity")
 """What a network may correct, each by itself."""
 _HIT_LIMIT = 0.01
 _INTENSITY_LIMIT = 0.01
@@ -60,14 +60,11 @@ def corrected_pano(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Range in metres, intensity and hit probability (h, w) float32, some `parts` as the network has them.
 
-    The others are the phases': the median range, the mean intensity, the expected hit.
+    The others are the phases': the expected hit, the mean intensity, and always the median range.
     """
     range_m, intensity, hit = phases_alone(estimate)
     correction = network(cell_features(estimate, neighbours)[None])
     is_shown = range_m > 0.0
-    if "range" in parts:
-        chosen = correction.choice[0].argmax(dim=0).numpy()
-        range_m = np.take_along_axis(estimate.range_m, chosen[None], axis=0)[0]
     if "intensity" in parts:
         intensity = (
             torch.sigmoid(intensity_prior(estimate) + correction.intensity_logit[0]).numpy() * is_shown

@@ -11,8 +11,6 @@ from nvsf_core.fields.pano_network import PanoNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import LossWeights, PanoSpec
 
-_MOST_ERROR_M = 3.0
-"""A range that is farther off than this is wrong, however far."""
 _TYPICAL_RANGE_M = 20.0
 """A cell of this range counts once."""
 
@@ -28,7 +26,7 @@ class PanoExample:
     intensity_logit: Tensor
     """(h, w) of the expected intensity."""
     range_m: Tensor
-    """(CANDIDATES, h, w)."""
+    """(h, w) expected, 0 where no ray falls."""
     true_range_m: Tensor
     """(h, w), 0 = empty."""
     true_intensity: Tensor
@@ -48,8 +46,8 @@ def pano_step(
 ) -> LossBreakdown:
     """Correct a strip of a training pano, as high as it, and compare with what was recorded.
 
-    hit: cross-entropy; intensity: squared error; choice: the expected error of the candidates, at most 3 m.
-    Cells count by (range / 20 m) + 0.2: a wrong hit errs by its whole range.
+    hit: cross-entropy, where a cell counts by (range / 20 m) + 0.2: a wrong hit errs by its whole range;
+    intensity: squared error where a return was expected and recorded.
     """
     assert spec.training is not None
     example = examples[int(torch.randint(len(examples), (), generator=generator))]
@@ -60,18 +58,16 @@ def pano_step(
     strip = example.columns((torch.arange(-margin, inner + margin) + first) % width)
     correction = network(strip.features[None])
     kept = slice(margin, margin + inner)
-    there = strip.range_m[1, :, kept] > 0.0
+    expected_m = strip.range_m[:, kept]
+    there = expected_m > 0.0
     truth_m = strip.true_range_m[:, kept]
     returned = truth_m > 0.0
     hit = (strip.hit_logit + correction.hit_logit[0])[:, kept]
-    weight = torch.where(returned, truth_m, strip.range_m[1, :, kept]) / _TYPICAL_RANGE_M + 0.2
+    weight = torch.where(returned, truth_m, expected_m) / _TYPICAL_RANGE_M + 0.2
     both = there & returned
     brightness = torch.sigmoid(strip.intensity_logit + correction.intensity_logit[0])[:, kept]
-    error_m = (strip.range_m[:, :, kept] - truth_m).abs().clamp_max(_MOST_ERROR_M)
-    chosen = correction.choice[0, :, :, kept].softmax(dim=0)
     terms = {
         "hit": (weight * binary_cross_entropy_with_logits(hit, returned.float(), reduction="none"))[there],
         "intensity": (brightness - strip.true_intensity[:, kept]).square()[both],
-        "depth": (chosen * error_m).sum(dim=0)[both],
     }
-    return total_loss(terms, {"hit": losses.hit, "intensity": losses.intensity, "depth": losses.depth})
+    return total_loss(terms, {"hit": losses.hit, "intensity": losses.intensity})

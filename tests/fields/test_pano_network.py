@@ -2,7 +2,7 @@
 
 import torch
 
-from nvsf_core.fields.pano_network import CANDIDATES, FEATURES, PanoNetwork
+from nvsf_core.fields.pano_network import FEATURES, PanoNetwork
 from nvsf_core.recipe import PanoSpec
 
 
@@ -22,18 +22,17 @@ def some_features(seed: int) -> torch.Tensor:
 def test_a_turned_sensor_gets_the_turned_answer() -> None:
     network, features = drawn(0), some_features(2)
     here, turned = network(features), network(features.roll(5, dims=3))
-    for name in ("hit_logit", "intensity_logit", "choice"):
+    for name in ("hit_logit", "intensity_logit"):
         expected = getattr(here, name).roll(5, dims=-1)
         torch.testing.assert_close(getattr(turned, name), expected, rtol=1e-5, atol=1e-5)
     assert here.hit_logit.std() > 0.1
 
 
 @torch.no_grad()
-def test_before_training_nothing_is_corrected_and_the_median_is_chosen() -> None:
+def test_before_training_nothing_is_corrected() -> None:
     network = PanoNetwork(PanoSpec(), torch.Generator().manual_seed(0))
     correction = network(some_features(3))
     assert not correction.hit_logit.any() and not correction.intensity_logit.any()
-    assert (correction.choice.argmax(dim=1) == CANDIDATES // 2).all()
 
 
 def test_it_is_small_and_the_seed_decides_it() -> None:
