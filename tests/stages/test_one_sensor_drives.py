@@ -155,6 +155,7 @@ def test_a_camera_only_data_set_holds_pictures_with_their_poses(camera_only: Run
 def test_the_report_of_a_camera_only_drive_has_no_scan_in_it(camera_only: Run) -> None:
     page = camera_only.report()
     assert "Camera image_00, frame 2" in page
+    assert "<code>mesh</code>: not run: this drive has no LiDAR" in page
     assert "What the laser scanner sees, unrolled" not in page
 
 
