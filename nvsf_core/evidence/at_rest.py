@@ -16,15 +16,17 @@ from nvsf_core.sensors.sweep import Trajectory
 
 MOST_APART_M = 0.3
 """No footprint within the sensor's reach is wider: scans farther from every other pose are not kept."""
-NEAREST_SCANS = 8
+NEAREST_SCANS = 12
 _NOISE_M = 0.02
 """Of a measured range: moving less than this along a ray changes nothing."""
 _AGREE_M, _AGREE_PER_RANGE = 0.1, 0.005
 """Two ranges of one surface differ by less."""
 _SURFACE_WEIGHT = 1.0
 """Of the answer from surfaces among the scans: as much as a scan of the frame before or after."""
-_FOOTPRINT_STEPS = 1.0
+_FOOTPRINT_STEPS = 1.5
 """Of the angle from firing to firing: how far a ray may be off and still meet the same footprint."""
+_FADE = 1.5
+"""Power of the frames to a scan by which its voice fades: two scans beside outweigh all the others."""
 _BESIDE_FRAMES = 1.5
 """Scans nearer than this to a sweep are beside it."""
 _STILL_M = 0.02
@@ -198,7 +200,7 @@ def _ask(
         reach_m = np.where(asked.range_m[k] > 0, asked.range_m[k], np.minimum(rays.range_m, 1e3))
         footprint_m = _NOISE_M + _FOOTPRINT_STEPS * step_rad * reach_m
         off_m = np.abs(asked.moved_m[k]) + np.interp(rays.fraction, moments, angle_rad) * reach_m
-        asked.weight[k] = np.where(off_m < footprint_m, 1.0 / max(abs(frames[k]), 1.0), 0.0)
+        asked.weight[k] = np.where(off_m < footprint_m, max(abs(frames[k]), 1.0) ** -_FADE, 0.0)
     return asked
 
 

@@ -1,0 +1,101 @@
+"""A drive that stands in traffic: copying the nearest scan is hard to beat there, and must not win."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.kitti360.catalogue import SceneEntry
+from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.kitti360.demo_motion import EgoSpeed
+from nvsf_core.metrics.protocols import Scan, lidar4d, project_scan
+from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.sweep_simulation import simulate_sweep
+from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.reprojection import reprojection
+from nvsf_core.stages.residual_model import load_residual_model
+from nvsf_core.stages.view_lidar import copied_scans
+from nvsf_core.stages.view_planning import held_out_view
+
+FRAMES = 9
+HELD_OUT = (2, 4, 6)
+SIZE = DemoSize(
+    frames=FRAMES, lasers=tuple(range(0, 64, 4)), firings=1000, cameras=("image_00",), width=32, height=16,
+    fisheye_side=0,
+)  # fmt: skip
+RECIPE = replace(
+    preset("smoke"),
+    lidar_field=FieldSpec(levels=2, log2_table=8),
+    lidar_training=TrainingSpec(steps=60, rays=1024, threads=1),
+)
+PANO = LinearPano(quirks=True)
+KEYS = ("points_m", "intensity", "laser")
+
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+    """Mean CD, F and range PSNR of the held-out scans (`lidar4d_scan`), by method."""
+    folder: Path = tmp_path_factory.mktemp("standing")
+    write_demo(folder / "drive", size=SIZE, speed=EgoSpeed(speeds_m_s=(0.0,)), traffic=4)
+    shutil.rmtree(folder / "drive/data_2d_raw")
+    scene = SceneEntry(
+        name="standing", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0,
+        last_frame=FRAMES - 1, test_frames=HELD_OUT, sweep_period_s=0.1,
+    )  # fmt: skip
+    run = plan_run(scene, folder / "home", recipe=RECIPE)
+    for stage in ("frames", "sweeps", "undistorted", "pano", "evidence", "field"):
+        run_named_stage(stage, run, lambda line: None)
+    recording = read_recording(run.store)
+    view = held_out_view(recording, HELD_OUT)
+    assert recording.lidar is not None and view is not None and view.sweeps is not None
+    lidar, plan, sweeps = recording.lidar, view.sweeps, recording.lidar.sweeps
+    at_rest = lidar.evidence.at_rest
+    assert at_rest is not None and len(at_rest.scan) == FRAMES - len(HELD_OUT)
+    copied = copied_scans(lidar, plan)
+    found = {"copy_nearest": _scores(lidar.sweeps.arrays, copied)}
+    models = {
+        "reproject": reprojection(recording),
+        "model": load_residual_model(run.store.require("field/smoke/0"), recording),
+    }
+    for name, model in models.items():
+        assert model.lidar is not None
+        made = [
+            simulate_sweep(
+                plan, float(instant), lidar.evidence, model.lidar, sweeps.trajectory, sweeps.period_s,
+                sweeps.table, model.votes,
+            )
+            for instant in plan.time_s
+        ]  # fmt: skip
+        joined = {key: np.concatenate([getattr(one, key) for one in made]) for key in KEYS}
+        joined["offsets"] = np.cumsum([0, *(len(one.laser) for one in made)])
+        found[name] = _scores(lidar.sweeps.arrays, joined)
+    return found
+
+
+def _scores(recorded: dict[str, np.ndarray], predicted: dict[str, np.ndarray]) -> np.ndarray:
+    scores = []
+    for number, frame in enumerate(HELD_OUT):
+        truth = _scan(recorded, int(np.flatnonzero(recorded["frame"] == frame)[0]))
+        images = [project_scan(PANO, scan) for scan in (_scan(predicted, number), truth)]
+        measures = lidar4d(images[0], images[1], PANO, None)
+        scores.append([measures[name].value for name in ("chamfer_m2", "f_score", "range_psnr_db")])
+    mean: np.ndarray = np.mean(scores, axis=0)
+    return mean
+
+
+def _scan(arrays: dict[str, np.ndarray], number: int) -> Scan:
+    part = slice(*arrays["offsets"][number : number + 2].tolist())
+    return Scan(**{key: arrays[key][part] for key in KEYS})
+
+
+@pytest.mark.parametrize("method", ["reproject", "model"])
+def test_copying_never_wins_where_the_sensor_stands(standing: dict[str, np.ndarray], method: str) -> None:
+    chamfer_m2, f_score, psnr_db = standing[method]
+    copied_chamfer_m2, copied_f_score, copied_psnr_db = standing["copy_nearest"]
+    assert chamfer_m2 <= copied_chamfer_m2
+    assert f_score >= copied_f_score
+    assert psnr_db >= copied_psnr_db
