@@ -139,7 +139,9 @@ CASES = (
     Case("numerics.*", "NaN (outside)", _nan),
     Case(
         "numerics.require_finite", "NaN, ±inf (outside)",
-        lambda: refused(DivergedError, lambda: numerics.require_finite("density", torch.tensor([1.0, math.nan]))),
+        lambda: refused(
+            DivergedError, lambda: numerics.require_finite("density", torch.tensor([1.0, math.nan]))
+        ),
     ),
     Case(
         "numerics.safe_log", "floor 0 (outside)",

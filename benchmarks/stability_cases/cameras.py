@@ -84,12 +84,12 @@ def _image_corners() -> Reading:
     honest = bool(np.isnan(directions[~solved]).all())
     return Reading(
         error=error, limit=1e-4, unit="px", is_refuted=not honest or int(there.sum()) == 0,
-        outcome=f"{solved.mean():.0%} solved, {there[...].mean():.0%} of those one to one; the others NaN: {honest}",
+        outcome=f"{solved.mean():.0%} solved, {there.mean():.0%} of those one to one; others NaN: {honest}",
     )  # fmt: skip
 
 
 def _other_models() -> Reading:
-    """xi = 0 (pinhole), below, at and above 1, without distortion: against the formula in 40 digits."""
+    """Xi = 0 (pinhole), below, at and above 1, without distortion: against the formula in 40 digits."""
     worst = 0.0
     for xi in (0.0, 0.5, 1.0, 1.5):
         camera = MeiFisheye(xi, 0.0, 0.0, 0.0, 0.0, 500.0, 500.0, 500.0, 500.0, 1000, 1000)

@@ -114,14 +114,16 @@ def _no_flow() -> Reading:
     empty, cloud = torch.zeros(0, 3), torch.rand(5, 3, generator=torch.Generator().manual_seed(0))
     zero = torch.zeros(5, 3)
     lengths = [
-        len(scene_flow_loss(cloud, zero, zero, None, None)), len(scene_flow_loss(empty, empty, empty, cloud, cloud)),
+        len(scene_flow_loss(cloud, zero, zero, None, None)),
+        len(scene_flow_loss(empty, empty, empty, cloud, cloud)),
         len(scene_flow_loss(cloud, zero, zero, empty, cloud)),
     ]  # fmt: skip
     return Reading(outcome=f"terms {lengths}", float32="ok", is_refuted=lengths != [0, 0, 1])
 
 
 _ONE, _NONE = np.array([[1.0, 2.0, 3.0]]), np.zeros((0, 3))
-_NEXT = _ONE + [[0.0, 0.0, 0.1]]
+_NEXT = _ONE + np.array([[0.0, 0.0, 0.1]])
+_FAR = _ONE + np.array([[1e15, 0.0, 0.0]])
 _METRICS, _LOSS = "metrics.point_cloud.point_cloud_metrics", "losses.chamfer.chamfer_distance"
 _NAN = math.nan
 CASES = (
@@ -141,7 +143,7 @@ CASES = (
     Case(_METRICS, "truth empty", lambda: _metrics(_ONE, _NONE, _NAN, 0.0)),
     Case(_METRICS, "both empty", lambda: _metrics(_NONE, _NONE, _NAN, _NAN)),
     Case(_METRICS, "a NaN among the points", lambda: _metrics(_ONE * _NAN, _ONE, _NAN, _NAN)),
-    Case(_METRICS, "1e15 m apart: huge, finite", lambda: _metrics(_ONE, _ONE + [[1e15, 0, 0]], 2e30, 0.0)),
+    Case(_METRICS, "1e15 m apart: huge, finite", lambda: _metrics(_ONE, _FAR, 2e30, 0.0)),
     Case(
         _LOSS, "an empty cloud (outside)",
         lambda: refused(ShapeError, lambda: chamfer_distance(torch.zeros(0, 3), torch.zeros(1, 3))),

@@ -25,7 +25,7 @@ _FINEST = GridLayout(2, 2, 19, 16, 1 << 20)
 
 
 def _plain_encode(x: np.ndarray, table: np.ndarray, layout: GridLayout) -> np.ndarray:
-    """The hash grid in float64, corner by corner, written from Müller et al. 2022 and tiny-cuda-nn's layout."""
+    """The hash grid in float64, corner by corner, from Müller et al. 2022 and tiny-cuda-nn's layout."""
     inside = np.clip(x.astype(np.float64), 0.0, 1.0)
     parts, start = [], 0
     growth = (layout.finest_resolution / layout.base_resolution) ** (1.0 / max(layout.levels - 1, 1))
@@ -130,7 +130,7 @@ def _on_cuda(run: Callable[[str], Tensor], oracle: Tensor) -> str:
 
 
 def _hash_gradient() -> Reading:
-    """Of table and positions, against float64's numerical slopes inside cells and the adjoint's definition."""
+    """Of table and positions, against the same formula differentiated in float64."""
     layout = GridLayout(3, 2, 12, 8, 64)
     generator = torch.Generator().manual_seed(0)
     table = (torch.rand(layout.entries, 2, generator=generator) - 0.5).requires_grad_()

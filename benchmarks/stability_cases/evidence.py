@@ -46,7 +46,8 @@ def _opacity() -> Reading:
     error = float((np.abs(found - exact) / np.array(exact)).max()) / _EPS
     inside = bool(((found > 0.0) & (found < 1.0)).all())
     return Reading(
-        error=error, limit=TOLERANCES[torch.float32].elementwise_ulp, unit="eps", float32="ok", is_refuted=not inside,
+        error=error, limit=TOLERANCES[torch.float32].elementwise_ulp, unit="eps",
+        float32="ok", is_refuted=not inside,
         outcome=f"0 observations: {found[(hits == 0) & (passes == 0)][0]}; between 0 and 1: {inside}",
     )  # fmt: skip
 
@@ -153,9 +154,8 @@ def _median_on_the_wall() -> Reading:
 def _votes() -> Reading:
     """Votes of scans that all, or none, returned; fractions on both ends of a turn and beyond."""
     fraction = ((np.arange(100) + 0.5) / 100 - 0.5).astype(np.float32)
-    prior = DropPrior(
-        np.arange(3.0), np.tile(fraction, (3, 1)), np.stack([np.ones((4, 100), bool), np.zeros((4, 100), bool)] + [np.eye(4, 100, dtype=bool)])
-    )  # fmt: skip
+    is_hit = np.stack([np.ones((4, 100)), np.zeros((4, 100)), np.eye(4, 100)]).astype(bool)
+    prior = DropPrior(np.arange(3.0), np.tile(fraction, (3, 1)), is_hit)
     asked = np.array([-0.5, -0.6, 0.499, 0.7, float(fraction[0]), float(fraction[-1])])
     laser = np.zeros(len(asked), np.int64)
     all_in, none_in = prior.vote(laser, asked, np.array([0])), prior.vote(laser, asked, np.array([1]))
@@ -181,7 +181,7 @@ _TWO = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
 CASES = (
     Case("evidence.surfels.Surfels.opacity", "0 to 1e6 hits and passes", _opacity),
     Case("fields.surface_batch.surface_batch", "logits after 0 and 1e6 observations", _logit),
-    Case("evidence.surfels.build_surfels", "1e6 returns in a voxel, 200 m from the origin", _million_in_a_voxel),
+    Case("evidence.surfels.build_surfels", "1e6 returns in a voxel, 200 m out", _million_in_a_voxel),
     Case("evidence.surfels.build_surfels", "one return, a thousand times", _identical_returns),
     Case("evidence.surfels.candidates_of", "rays along axes, borders and edges", _axis_rays),
     Case("evidence.surfels.candidates_of", "a wall at 10 m, voxels of 0.1 to 2 m", _median_on_the_wall),

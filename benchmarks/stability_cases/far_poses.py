@@ -1,5 +1,7 @@
 """Poses far from the world's origin: rays and evidence must not notice."""
 
+from functools import partial
+
 import numpy as np
 
 from benchmarks.stability_cases.case import Case, Reading, refused
@@ -111,7 +113,7 @@ def _evidence(shift_m: tuple[float, float, float]) -> Reading:
     share = float((wrong > SHIFTED_POSE_M).mean())
     return Reading(
         error=float(np.quantile(wrong, 0.999)), limit=SHIFTED_POSE_M, unit="m (99.9 % of rays)",
-        outcome=f"{n_near} and {n_far} voxels; {share:.2%} of rays differ more: their voxel border was crossed",
+        outcome=f"{n_near} and {n_far} voxels; {share:.2%} of rays differ more: they cross a voxel border",
         is_refuted=bool((there != also).any()) or abs(n_near - n_far) > 1e-3 * n_near,
     )  # fmt: skip
 
@@ -135,15 +137,18 @@ def _bad_poses() -> Reading:
     return refused(DataError, lambda: Trajectory(np.arange(3.0), poses, np.zeros(3)))
 
 
-CASES = tuple(
-    Case(function, f"poses shifted by {name}", lambda check=check, shift=shift: check(shift))  # type: ignore[misc]
+_SHIFTED = [
+    Case(function, f"poses shifted by {name}", partial(check, shift))
     for name, shift in (("3.8 km", KITTI_360_M), ("5e6 m along each axis", FAR_M))
     for function, check in (
-        ("sensors.sweep.compensate", _rays), ("simulation.lidar_rays.sweep_rays", _simulated),
+        ("sensors.sweep.compensate", _rays),
+        ("simulation.lidar_rays.sweep_rays", _simulated),
         ("evidence.surfels.build_surfels + candidates_of", _evidence),
         ("geometry.se3.interpolate_poses", _between),
     )
-) + (
+]
+CASES = (
+    *_SHIFTED,
     Case("sensors.sweep.Trajectory", "a pose is NaN (outside)", _bad_poses),
     Case(
         "sensors.sweep.Trajectory", "two poses at one time (outside)",

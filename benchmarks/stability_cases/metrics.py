@@ -82,7 +82,7 @@ def _psnr() -> Reading:
 
 
 def _single_precision() -> Reading:
-    """float32 panos with errors of 1 mm at 80 m, and with values up to 3.4e38: no overflow, no lost digits."""
+    """float32 panos with errors of 1 mm at 80 m, and with values up to 3e38: no overflow, no lost digits."""
     truth = np.full((66, 1030), 79.0, np.float32)
     found = rmse(truth + np.float32(2**-10), truth).value
     huge = rmse(np.full(4, 3e38, np.float32), np.full(4, -3e38, np.float32)).value
@@ -171,7 +171,7 @@ CASES = (
         "metrics.intensity.intensity_image_metrics", "intensities all 0",
         lambda: _told(lambda: intensity_image_metrics(np.zeros((9, 9)), np.zeros((9, 9))), "intensity_ssim"),
     ),
-    Case("metrics.range.ray_range_metrics", "no ray answered: infinitely wrong", lambda: _told(_rays(math.inf))),
+    Case("metrics.range.ray_range_metrics", "no answer: infinitely wrong", lambda: _told(_rays(math.inf))),
     Case("metrics.range.ray_range_metrics", "NaN answers", lambda: _told(_rays(math.nan), "all")),
     Case(
         "metrics.range.ray_range_metrics", "no ray",
@@ -184,12 +184,12 @@ CASES = (
     ),
     Case("metrics.image.image_metrics", "constant images", lambda: _told(_image(40, True, 128.0))),
     Case("metrics.lpips.lpips_measure", "identical, constant, black, 31 pixels, NaN", _lpips),
-    Case("metrics.hit.hit_image_metrics", "no return on either side", lambda: _told(_hits(0.0, False), "hit_f_score")),
+    Case("metrics.hit.hit_image_metrics", "no return at all", lambda: _told(_hits(0.0, False), _HIT[1])),
     Case("metrics.hit.hit_image_metrics", "all hit", lambda: _told(_hits(1.0, True))),
     Case("metrics.hit.hit_image_metrics", "NaN", lambda: _told(_hits(math.nan, True), "all")),
     Case("metrics.hit.hit_cell_metrics", "NaN points", lambda: _told(_cells(math.nan, 0), *_HIT)),
     Case("metrics.hit.hit_cell_metrics", "unknown lasers", lambda: _told(_cells(1.0, -1), *_HIT)),
-    Case("metrics.hit.hit_cell_metrics", "a laser that the sensor has not", lambda: _told(_cells(1.0, 9), *_HIT)),
+    Case("metrics.hit.hit_cell_metrics", "a laser too many", lambda: _told(_cells(1.0, 9), *_HIT)),
     Case(
         "metrics.depth.ray_depth_rmse", "no return in the image",
         lambda: _told(lambda: {"rmse": ray_depth_rmse(np.zeros((2, 2)), np.zeros((2, 2)))}, "all"),

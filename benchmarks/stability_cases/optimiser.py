@@ -24,7 +24,7 @@ _PAPER = ABLATION[-1]
 
 
 def _spec(steps: int, **changed: float) -> TrainingSpec:
-    return TrainingSpec(steps=steps, rays=32, checkpoint_s=1e9, threads=1, **changed)  # type: ignore[arg-type]
+    return TrainingSpec(steps=steps, rays=32, checkpoint_s=1e9, threads=1, **changed)
 
 
 def _state(spec: TrainingSpec, seed: int = 0) -> TrainingState:
@@ -66,7 +66,7 @@ def _first_step() -> Reading:
 
 
 def _too_large() -> Reading:
-    """A gradient whose square overflows float32 freezes its weight for good; saving such a state is refused."""
+    """A gradient whose square overflows float32 freezes its weight; saving that is refused."""
     spec = _spec(1)
     state = _state(spec)
 
@@ -85,16 +85,21 @@ def _schedule() -> Reading:
         spec = _spec(steps, final_share=0.05)
         seen: list[float] = []
         state = _state(spec)
-        inner = _step(state)
-
-        def step(number: int, draws: torch.Generator, inner=inner, state=state, seen=seen):  # type: ignore[no-untyped-def]
-            seen.append(state.optimiser.param_groups[1]["lr"])
-            return inner(number, draws) if number < 3 else []
-
-        train(state, spec, step, lambda *_: None, lambda _: None)
+        train(state, spec, _noting(state, seen), lambda *_: None, lambda _: None)
         exact = [spec.network_rate * math.exp(math.log(0.05) * k / steps) for k in range(steps)]
         wrong.append(max(abs(a - b) / b for a, b in zip(seen, exact, strict=True)))
     return Reading(error=max(wrong), limit=1e-12, unit="relative", outcome="step 0 has the full rate")
+
+
+def _noting(state: TrainingState, seen: list[float]) -> Callable[[int, torch.Generator], list[LossBreakdown]]:
+    """Three steps and then none, with the networks' rate of each written down."""
+    inner = _step(state)
+
+    def step(number: int, draws: torch.Generator) -> list[LossBreakdown]:
+        seen.append(state.optimiser.param_groups[1]["lr"])
+        return inner(number, draws) if number < 3 else []
+
+    return step
 
 
 def _resumed() -> Reading:
@@ -145,7 +150,7 @@ def _average() -> Reading:
 
 
 def _no_average() -> Reading:
-    """Decay 0 keeps none; before the first update the weights are their own average; errors give them back."""
+    """Decay 0 keeps none; before the first update the weights are their own average; errors undo a swap."""
     model = nn.Linear(2, 1)
     before = model.weight.detach().clone()
     for decay in (0.0, 0.9):
@@ -185,7 +190,7 @@ def _half_precision() -> Reading:
     text = f"bf16 density {errors[0]:.1e}, heads {errors[1]:.1e}"
     return Reading(
         gradient=Gradient(finite, 0.0, 0.0), reduced=text if max(errors) < 0.05 else f"fail: {text}",
-        outcome="not used by any recipe; angles alone stay in float32" if _angles_are_single() else "angles lost",
+        outcome="used by no recipe; angles stay in float32" if _angles_are_single() else "angles lost",
     )  # fmt: skip
 
 
@@ -195,7 +200,7 @@ def _angles_are_single() -> bool:
 
 
 def _injected(where: str) -> Reading:
-    """NaN in the weights, the gradients or a batch at step 5: an error with step, term and tensor; nothing saved."""
+    """NaN in the weights, the gradients or a batch at step 5: an error with step, term, tensor; nothing saved."""
     spec = _spec(40)
     state = _state(spec)
     saved: list[int] = []

@@ -128,7 +128,7 @@ def _nan_term() -> Reading:
 _MEDIAN = "rendering.accumulate.weighted_median_index"
 CASES = (
     Case("rendering.accumulate.expected_value", "768 samples, weights sum to 1", lambda: _expected(1.0)),
-    Case("rendering.accumulate.expected_value", "weights sum to 1e-6: partial opacity", lambda: _expected(1e-6)),
+    Case("rendering.accumulate.expected_value", "weights sum to 1e-6: thin air", lambda: _expected(1e-6)),
     Case(_MEDIAN, "768 samples, weights sum to 1", lambda: _median(1.0)),
     Case(_MEDIAN, "weights sum to 1e-6", lambda: _median(1e-6)),
     Case(_MEDIAN, "two surfaces, shares 0.4 to 0.6", _bimodal),

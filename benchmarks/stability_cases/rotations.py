@@ -67,7 +67,7 @@ def _round_trip() -> Reading:
 
 
 def _logarithm() -> Reading:
-    """Angle and axis themselves, below 180 degrees by 1e-6 rad or more: nearer the axis is ill-conditioned."""
+    """Angle and axis themselves, up to pi - 1e-6 rad: nearer the axis is ill-conditioned."""
     worst = 0.0
     for twist in _twists():
         if np.linalg.norm(twist[3:]) < math.pi - 1e-7:

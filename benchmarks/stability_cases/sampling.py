@@ -95,6 +95,7 @@ def _none_drawable() -> Reading:
     return refused(ShapeError, lambda: uniform_pixels((4, 4), 3, _generator(), blind))
 
 
+_FIRST_PIXEL = (torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.int64))
 _DRAW = "sampling.error_map.ErrorMap.draw_pixels"
 CASES = (
     Case(_DRAW, "one-hot weights, 500 draws of one cell", _one_hot),
@@ -108,9 +109,7 @@ CASES = (
     Case(_DRAW, "a NaN weight (outside)", lambda: _broken(math.nan)),
     Case(
         "sampling.error_map.ErrorMap.update", "a NaN error (outside)",
-        lambda: refused(
-            DivergedError, lambda: _map().update(0, torch.zeros(1).long(), torch.zeros(1).long(), torch.tensor([math.nan]))
-        ),
+        lambda: refused(DivergedError, lambda: _map().update(0, *_FIRST_PIXEL, torch.tensor([math.nan]))),
     ),
     Case("sampling.pixels.uniform_pixels", "no drawable pixel (outside)", _none_drawable),
 )  # fmt: skip

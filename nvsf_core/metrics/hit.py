@@ -97,7 +97,8 @@ def _no_cells(
     unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
     if unknown or n_lasers < 1:
         return undefined(f"the laser of {unknown} returns is unknown")
-    for side, points_m, laser in (("predicted", predicted_m, predicted_laser), ("true", truth_m, truth_laser)):
+    sides = (("predicted", predicted_m, predicted_laser), ("true", truth_m, truth_laser))
+    for side, points_m, laser in sides:
         if laser.size and int(laser.max()) >= n_lasers:
             return undefined(f"{side} laser {int(laser.max())}, but the sensor has {n_lasers}")
         broken = int(np.count_nonzero(~np.isfinite(points_m).all(axis=1)))

@@ -162,7 +162,7 @@ def require_finite_parameters(model: nn.Module, step: int) -> None:
 
 
 def _require_finite_moments(state: TrainingState) -> None:
-    """Refuse to save an optimiser whose running statistics overflowed: such a weight would never move again."""
+    """Refuse to save an optimiser whose running statistics overflowed: such a weight never moves again."""
     for name, parameter in state.model.named_parameters():
         for key, value in state.optimiser.state.get(parameter, {}).items():
             if not torch.isfinite(value).all():

@@ -1,0 +1,191 @@
+"""Laws of the guarded operations and of compositing, over generated inputs of their whole domains."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.stability_cases.tolerances import TOLERANCES
+from nvsf_core import numerics
+from nvsf_core.losses.depth import CLAMP_M, depth_loss
+from nvsf_core.losses.line_of_sight import line_of_sight_loss
+from nvsf_core.rendering.accumulate import expected_value, weighted_median_index
+from nvsf_core.rendering.weights import weights_from_opacity_logits, weights_from_optical_depth
+from nvsf_core.sampling.along_ray import uniform_samples
+
+LAW = settings(derandomize=True, deadline=None, max_examples=60, database=None)
+SINGLE = TOLERANCES[torch.float32]
+EPS = torch.finfo(torch.float32).eps
+UNARY = {
+    name: getattr(numerics, name)
+    for name in ("safe_exp", "safe_log", "safe_sqrt", "log1mexp", "softplus_inverse", "probability_logit")
+}
+TYPES = (torch.float64, torch.float32, torch.bfloat16, torch.float16)
+any_float = st.floats(width=32, allow_nan=False, allow_infinity=False)
+depths = st.lists(st.floats(0.0, 2.0**127, width=32), min_size=1, max_size=40)
+
+
+def _tensor(values: list[float], dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    largest = torch.finfo(dtype).max
+    return torch.tensor(values, dtype=torch.float64).clamp(-largest, largest).to(dtype)
+
+
+@pytest.mark.parametrize("dtype", TYPES, ids=str)
+@pytest.mark.parametrize("name", UNARY)
+@LAW
+@given(st.lists(any_float, min_size=1, max_size=30))
+def test_values_and_gradients_are_finite(name: str, dtype: torch.dtype, values: list[float]) -> None:
+    x = _tensor(values, dtype).requires_grad_()
+    y = UNARY[name](x)
+    y.sum().backward()
+    assert y.dtype is dtype and x.grad is not None
+    assert torch.isfinite(y).all() and torch.isfinite(x.grad).all()
+
+
+@pytest.mark.parametrize("name", UNARY)
+@LAW
+@given(any_float, any_float)
+def test_all_of_them_ascend(name: str, a: float, b: float) -> None:
+    low, high = UNARY[name](_tensor([min(a, b), max(a, b)]).double())
+    assert low <= high + TOLERANCES[torch.float64].elementwise_ulp * 2.0**-52 * abs(high)
+
+
+@LAW
+@given(st.floats(-14.0, 14.0))
+def test_the_logarithm_undoes_the_exponential(x: float) -> None:
+    y = numerics.safe_log(numerics.safe_exp(_tensor([x]))).item()
+    assert abs(y - np.float32(x)) <= SINGLE.elementwise_ulp * EPS * max(1.0, abs(x))
+
+
+@LAW
+@given(st.floats(1e-3, 1e3))
+def test_the_square_undoes_the_root(x: float) -> None:
+    root = numerics.safe_sqrt(_tensor([x]).double())
+    assert root.square().item() == pytest.approx(np.float32(x), rel=8 * 2.0**-52)
+
+
+@LAW
+@given(st.floats(1e-12, 1e12))
+def test_softplus_undoes_its_inverse(y: float) -> None:
+    again = torch.nn.functional.softplus(numerics.softplus_inverse(_tensor([y], torch.float64)), threshold=60)
+    assert again.item() == pytest.approx(y, rel=1e-10)
+
+
+@LAW
+@given(st.floats(0.0, 1.0))
+def test_the_logit_is_odd_about_a_half(p: float) -> None:
+    one, other = numerics.probability_logit(_tensor([p, 1.0 - p], torch.float64))
+    assert one.item() == pytest.approx(-other.item(), abs=1e-9)
+
+
+@LAW
+@given(any_float, any_float)
+def test_a_quotient_keeps_its_sign_and_its_bound(a: float, b: float) -> None:
+    quotient = numerics.safe_div(_tensor([a]), _tensor([b])).item()
+    assert abs(quotient) <= numerics.GRADIENT_LIMIT * 1.0001
+    assert quotient * a * (-1.0 if b < 0 else 1.0) >= 0.0
+
+
+@pytest.mark.parametrize("dtype", TYPES, ids=str)
+@LAW
+@given(depths)
+def test_weights_are_shares_of_one(dtype: torch.dtype, values: list[float]) -> None:
+    depth = _tensor(values, dtype)[None]
+    weights, after = weights_from_optical_depth(depth)
+    assert ((weights >= 0.0) & (weights <= 1.0)).all()
+    total = (weights.double().sum() + after.double()).item()
+    assert abs(total - 1.0) <= TOLERANCES[dtype].sum_eps * torch.finfo(dtype).eps
+
+
+@LAW
+@given(depths, st.integers(0, 39))
+def test_an_interval_of_length_zero_changes_nothing(values: list[float], place: int) -> None:
+    place = min(place, len(values))
+    weights, after = weights_from_optical_depth(_tensor(values)[None])
+    more, same = weights_from_optical_depth(_tensor([*values[:place], 0.0, *values[place:]])[None])
+    assert more[0, place] == 0.0 and (after - same).abs().max() <= SINGLE.elementwise_ulp * EPS
+    kept = torch.cat([more[:, :place], more[:, place + 1 :]], dim=1)
+    assert (kept - weights).abs().max() <= SINGLE.sum_eps * EPS
+
+
+@LAW
+@given(depths)
+def test_what_is_behind_a_wall_is_not_seen(values: list[float]) -> None:
+    weights, after = weights_from_optical_depth(_tensor([math.inf, *values])[None])
+    assert weights[0, 0] == 1.0 and not weights[0, 1:].any() and after.item() == 0.0
+
+
+@LAW
+@given(st.lists(st.floats(-(2.0**100), 2.0**100, width=32), min_size=1, max_size=30))
+def test_logits_and_depths_are_two_names_of_one_thing(values: list[float]) -> None:
+    logits = _tensor(values, torch.float64)[None]
+    by_logit, passed = weights_from_opacity_logits(logits)
+    by_depth, also = weights_from_optical_depth(torch.nn.functional.softplus(logits, threshold=1e3))
+    assert torch.allclose(by_logit, by_depth, rtol=0, atol=1e-12)
+    assert torch.allclose(passed, also, rtol=0, atol=1e-12)
+
+
+@LAW
+@given(depths)
+def test_gradients_of_a_rays_colour_are_finite(values: list[float]) -> None:
+    depth = _tensor(values)[None].requires_grad_()
+    weights, after = weights_from_optical_depth(depth)
+    (weights.square().sum() + after.sum()).backward()
+    assert depth.grad is not None and torch.isfinite(depth.grad).all()
+
+
+@LAW
+@given(st.lists(st.floats(0.0, 1e3, width=32), min_size=1, max_size=50), st.integers(-100, 20))
+def test_the_median_does_not_depend_on_the_scale_of_the_weights(values: list[float], power: int) -> None:
+    weights = _tensor(values, torch.float64)[None]
+    index = weighted_median_index(weights)
+    assert 0 <= index.item() < len(values)
+    assert weighted_median_index(weights * 2.0**power).item() == index.item()
+    sums = weights.cumsum(dim=1)[0]
+    assert sums[index] >= 0.5 * sums[-1]
+    assert index == 0 or sums[index - 1] <= 0.5 * sums[-1]
+
+
+@LAW
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.5, 100.0)), min_size=1, max_size=40))
+def test_the_expected_range_lies_among_the_ranges(pairs: list[tuple[float, float]]) -> None:
+    weights, ranges = (_tensor(list(column), torch.float64)[None] for column in zip(*pairs, strict=True))
+    total, value = weights.sum().item(), expected_value(weights, ranges).item()
+    low, high = ranges.min().item() * total, ranges.max().item() * total
+    assert low * (1 - 1e-12) - 1e-300 <= value <= high * (1 + 1e-12) + 1e-300
+
+
+@LAW
+@given(st.floats(0.0, 1e6, width=32), st.floats(0.0, 1e6, width=32), st.integers(1, 200), st.booleans())
+def test_samples_ascend_from_near_to_far(near: float, length: float, count: int, jitter: bool) -> None:
+    start = torch.tensor([near])
+    end = torch.maximum(start + length, start)
+    generator = torch.Generator().manual_seed(0) if jitter else None
+    t, delta = uniform_samples(start, end, count, generator)
+    assert t.shape == delta.shape == (1, count)
+    assert (t.diff(dim=1) >= 0.0).all() and (delta >= 0.0).all()
+    assert t.min() >= start and t.max() <= end
+
+
+@LAW
+@given(st.lists(st.floats(0.0, 1.0), min_size=2, max_size=20), st.floats(0.1, 80.0))
+def test_the_depth_loss_is_bounded_by_its_clamp(shares: list[float], true_m: float) -> None:
+    weights = torch.tensor([shares], dtype=torch.float64)
+    weights = weights / max(1.0, weights.sum().item())
+    ranges = torch.linspace(0.1, 120.0, len(shares), dtype=torch.float64)[None]
+    loss = depth_loss(weights, ranges, torch.tensor([true_m], dtype=torch.float64)).item()
+    assert -1e-12 <= loss <= CLAMP_M + 1e-12
+
+
+@LAW
+@given(st.floats(1e-30, 1.0), st.floats(0.01, 0.99))
+def test_a_shell_is_met_by_its_own_weights(epsilon: float, place: float) -> None:
+    t = torch.linspace(0.0, 1.0, 33, dtype=torch.float64)[None].requires_grad_()
+    weights = torch.full((1, 33), 1.0 / 33.0, dtype=torch.float64, requires_grad=True)
+    loss = line_of_sight_loss(weights, t, torch.tensor([place], dtype=torch.float64), epsilon)
+    loss.sum().backward()
+    assert 0.0 <= loss.item() <= 2.0
+    assert all(x.grad is not None and torch.isfinite(x.grad).all() for x in (weights, t))
