@@ -43,6 +43,8 @@ class LaserTable:
     """Turn every recorded ray up by this on its way into the world; the files lack it."""
     range_bias_m: np.ndarray
     """(L,) float64, by how much a laser's recorded ranges are too long; learned from a drive, else 0."""
+    intensity_gain: np.ndarray
+    """(L,) float64, how much brighter than its fellows a laser records a surface; learned likewise."""
 
     @property
     def laser_count(self) -> int:
@@ -112,6 +114,7 @@ HDL_64E = LaserTable(
     max_range_m=120.0,
     elevation_correction_rad=float(np.deg2rad(0.205)),
     range_bias_m=_frozen(np.zeros(64)),
+    intensity_gain=_frozen(np.ones(64)),
 )
 """Velodyne HDL-64E of KITTI and KITTI-360, measured on their raw scans (0.01 deg, 1 mm)."""
 
@@ -127,6 +130,7 @@ VLP_16 = LaserTable(
     max_range_m=100.0,
     elevation_correction_rad=0.0,
     range_bias_m=_frozen(np.zeros(16)),
+    intensity_gain=_frozen(np.ones(16)),
 )
 """Velodyne VLP-16 at 600 turns a minute, nominal: 2 degrees apart, 55.296 us a firing."""
 
@@ -142,6 +146,7 @@ OS1_128 = LaserTable(
     max_range_m=120.0,
     elevation_correction_rad=0.0,
     range_bias_m=_frozen(np.zeros(128)),
+    intensity_gain=_frozen(np.ones(128)),
 )
 """Ouster OS1-128 at 1024 columns, nominal: 45 degrees evenly divided, one origin, no column stagger."""
 

@@ -1,5 +1,7 @@
 """From answered rays to a scan as a driver records it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from nvsf_core.evidence.at_rest import FiredRays, answer_at_rest
@@ -39,6 +41,11 @@ def measured_at_rest(
             leave_out=leave_out,
         )
     )  # fmt: skip
+
+
+def with_gain(answers: RayAnswers, gain: np.ndarray) -> RayAnswers:
+    """Intensities as lasers with these gains (r,), one a ray, record them."""
+    return replace(answers, intensity=np.clip(answers.intensity * gain, 0.0, 1.0).astype(np.float32))
 
 
 def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:

@@ -18,7 +18,7 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import measured_at_rest, put_back_own_vehicle, recorded_scan
+from nvsf_core.simulation.scan import measured_at_rest, put_back_own_vehicle, recorded_scan, with_gain
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -178,6 +178,7 @@ def fire_sweep(
     )
     vote = evidence.prior.vote(voter, rays.fraction, near)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
+    answers = with_gain(answers, plan.table.intensity_gain[rays.laser])
     if plan.is_recorded_sensor and plan.mount is None:
         answers = measured_at_rest(
             answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,

@@ -47,6 +47,12 @@ class Sweeps:
         """Where a scan's returns lie in the flat arrays."""
         return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
 
+    def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
+        """(m,) float32 intensity of chosen returns as an average laser would have recorded it."""
+        laser = self.arrays["laser"][chosen]
+        gain = np.where(laser >= 0, self.table.intensity_gain[laser], 1.0)
+        return (self.arrays["intensity"][chosen] / gain).astype(np.float32)
+
     @property
     def count(self) -> int:
         """Number of scans."""
@@ -61,12 +67,17 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
         return None
     rows = read_rows(store.require("frames") / "frames.parquet")
     training = {row["frame"] for row in rows if row["split"] == "train"}
+    table = replace(
+        sensor_table(attrs["sensor"]),
+        range_bias_m=arrays["laser_range_bias_m"],
+        intensity_gain=arrays["laser_intensity_gain"],
+    )
     return Sweeps(
         arrays=arrays,
         is_training=np.isin(arrays["frame"], list(training)),
         trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
         period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
-        table=replace(sensor_table(attrs["sensor"]), range_bias_m=arrays["laser_range_bias_m"]),
+        table=table,
         elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
         scene_origin_m=np.array(attrs["scene_origin_m"]),
     )
@@ -131,7 +142,7 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
     of_training = np.repeat(sweeps.is_training, lengths)
     used = of_training & ~a["is_own_vehicle"] & (a["range_m"] < sweeps.table.max_range_m)
     surfels = build_surfels(
-        a["origin_m"][used], a["direction"][used], a["range_m"][used], a["intensity"][used],
+        a["origin_m"][used], a["direction"][used], a["range_m"][used], sweeps.even_intensity(used),
         voxel_m=VOXEL_M, threads=_THREADS,
     )  # fmt: skip
     training = np.flatnonzero(sweeps.is_training)
@@ -206,12 +217,12 @@ def _prove_motion(sweeps: Sweeps, of_training: np.ndarray, used: np.ndarray) -> 
     stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
     return DynamicEvidence(
         background=build_surfels(
-            a["origin_m"][used], a["direction"][used], a["range_m"][used], a["intensity"][used],
+            a["origin_m"][used], a["direction"][used], a["range_m"][used], sweeps.even_intensity(used),
             voxel_m=VOXEL_M, threads=_THREADS, is_surface=stays[used],
         ),
         objects=prove_objects(
             moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
-            a["intensity"][of_training], returns.time_s, returns.offsets,
+            sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
         ),
     )  # fmt: skip
 
@@ -237,6 +248,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="3",
+    version="4",
     run=_run,
 )

@@ -42,7 +42,8 @@ def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> 
     fraction = a["sweep_fraction"][part][kept]
     rays = LidarRays(
         a["origin_m"][part][kept], a["direction"][part][kept], a["range_m"][part][kept],
-        a["intensity"][part][kept], lidar.evidence.prior.vote(a["laser"][part][kept], fraction, vote_scans),
+        sweeps.even_intensity(part)[kept],
+        lidar.evidence.prior.vote(a["laser"][part][kept], fraction, vote_scans),
     )  # fmt: skip
     return rays, float(a["time_s"][scan]) + fraction.astype(np.float64) * sweeps.period_s
 

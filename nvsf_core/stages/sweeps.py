@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.evidence.intensity_gain import learn_intensity_gain
 from nvsf_core.evidence.range_bias import learn_range_bias
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.kitti360.scans import read_scan
@@ -54,7 +55,7 @@ def _run(task: Task) -> StageOutput:
     own = _learn_own_vehicle(scans)
     correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
     arrays = _arrays(task, posed, scans, drive, own, correction_rad)
-    arrays |= _without_bias(scans, arrays)
+    arrays |= _laser_errors(scans, arrays)
     evidence = _evidence(scans, sources)
     attrs = {
         "scene_origin_m": drive["scene_origin_m"],
@@ -163,8 +164,8 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
     )
 
 
-def _without_bias(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Each laser's range bias, learned from the training scans, and the ranges of all scans without it."""
+def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Each laser's own errors, learned from the training scans, and all scans' ranges without their part."""
     of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
     used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"])
     bias_m = learn_range_bias(
@@ -173,7 +174,11 @@ def _without_bias(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str
     )  # fmt: skip
     own_m = np.where(arrays["laser"] >= 0, bias_m[arrays["laser"]], 0.0)
     range_m = np.maximum(arrays["range_m"] - own_m, 0.0).astype(np.float32)
-    return {"laser_range_bias_m": bias_m, "range_m": range_m}
+    points_m = arrays["origin_m"][used] + arrays["direction"][used] * range_m[used, None]
+    gain = learn_intensity_gain(
+        points_m, arrays["intensity"][used], arrays["laser"][used], SENSOR.laser_count
+    )
+    return {"laser_range_bias_m": bias_m, "laser_intensity_gain": gain, "range_m": range_m}
 
 
 def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> float:
@@ -234,6 +239,8 @@ def _output(
             "elevation_correction_deg": attrs["elevation_correction_deg"],
             "laser_range_bias_rms_m": float(np.sqrt(np.mean(arrays["laser_range_bias_m"] ** 2))),
             "laser_range_bias_max_m": float(np.abs(arrays["laser_range_bias_m"]).max()),
+            "laser_intensity_gain_min": float(arrays["laser_intensity_gain"].min()),
+            "laser_intensity_gain_max": float(arrays["laser_intensity_gain"].max()),
         },
         checks=_checks(scans, arrays, attrs, SENSOR),
     )
@@ -283,7 +290,7 @@ STAGE = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="4",
+    version="5",
     run=_run,
     reads_drive=True,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
-from nvsf_core.simulation.scan import HIT_THRESHOLD, measured_at_rest
+from nvsf_core.simulation.scan import HIT_THRESHOLD, measured_at_rest, with_gain
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answer_in_chunks, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -87,6 +87,8 @@ def along_recorded_rays(
         vote = prior.vote(np.maximum(a["laser"][part], 0), a["sweep_fraction"][part], scans)
         fired_s = float(instant) + a["sweep_fraction"][part].astype(np.float64) * sweeps.period_s
         answers = answer_in_chunks(render, a["origin_m"][part], a["direction"][part], vote, fired_s)
+        gain = np.where(a["laser"][part] >= 0, sweeps.table.intensity_gain[a["laser"][part]], 1.0)
+        answers = with_gain(answers, gain)
         answers = measured_at_rest(
             answers, np.maximum(a["laser"][part], 0), a["sweep_fraction"][part], lidar.evidence,
             float(instant), sweeps.trajectory, sweeps.period_s,

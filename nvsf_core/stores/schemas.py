@@ -105,6 +105,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("direction", "f4", ("returns", 3), "1", "of the ray, unit length, scene-local axes"),
             Entry("range_m", "f4", ("returns",), "m", "along that ray, without its laser's bias"),
             Entry("laser_range_bias_m", "f8", ("lasers",), "m", "what its recorded ranges are too long by"),
+            Entry("laser_intensity_gain", "f8", ("lasers",), "1", "what its intensities are too high by"),
             Entry("is_own_vehicle", "bool", ("returns",), "", "whether the recording car itself was hit"),
         ),
         "scene_origin_m, sweep_period_s, elevation_correction_deg, laser_source, laser_evidence, "
