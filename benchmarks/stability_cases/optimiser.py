@@ -200,7 +200,7 @@ def _angles_are_single() -> bool:
 
 
 def _injected(where: str) -> Reading:
-    """NaN in the weights, the gradients or a batch at step 5: an error with step, term, tensor; nothing saved."""
+    """NaN at step 5: an error that names step, term and tensor, and nothing saved."""
     spec = _spec(40)
     state = _state(spec)
     saved: list[int] = []

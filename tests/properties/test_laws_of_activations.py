@@ -16,7 +16,7 @@ from nvsf_core.rendering.accumulate import expected_value, weighted_median_index
 from nvsf_core.rendering.weights import weights_from_opacity_logits, weights_from_optical_depth
 from nvsf_core.sampling.along_ray import uniform_samples
 
-LAW = settings(derandomize=True, deadline=None, max_examples=60, database=None)
+LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
 SINGLE = TOLERANCES[torch.float32]
 EPS = torch.finfo(torch.float32).eps
 UNARY = {

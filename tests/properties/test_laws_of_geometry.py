@@ -25,7 +25,7 @@ from nvsf_core.sensors.project import nearest_in_cells
 from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
 from nvsf_core.sensors.tables import HDL_64E
 
-LAW = settings(derandomize=True, deadline=None, max_examples=60, database=None)
+LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
 CAMERA = Pinhole(fx=552.55, fy=552.55, cx=682.05, cy=238.77, width=1408, height=376)
 
 
