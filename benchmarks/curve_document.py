@@ -38,9 +38,10 @@ published then, seconds in brackets. “—”: no model yet, or training had en
 
 Errors are of frames that were never trained, means over them, then over seeds with their standard deviation
 (±). **Bold**, and ringed in the plots: the Pareto front, than which nothing that took less time is as good.
-CD and range PSNR: the simulated scan as a pano (`lidar4d_scan`) on every fourth block of 16 columns. Raw
+CD and range PSNR: the simulated scan as a pano (`lidar4d_scan`) on every fourth block of 32 columns. Raw
 median: absolute range error along every fourth recorded return's own ray. Camera PSNR: every fourth pixel of
-every fourth row. So they differ a little from the tables over all rays and pixels.
+every fourth row. So they differ from the tables over all rays and pixels, CD most: at a sector's edge a point
+may lack its neighbour, which costs the more the farther a method's points lie off.
 
 `paper_cpu` is the paper's system at the best of six sizes, each trained for {seconds:g} s on frames of the
 same scene that were left out for it, and then trained for as long as the last column; the paper's own size

@@ -1,6 +1,6 @@
 """The errors that a curve shows: a fixed quarter of the LiDAR's rays and a sixteenth of the pixels.
 
-Of the pano every fourth block of 16 columns is compared, and rays are fired there only; of the recorded
+Of the pano every fourth block of 32 columns is compared, and rays are fired there only; of the recorded
 returns every fourth; of an image every fourth pixel of every fourth row, as it is at full size.
 """
 
@@ -38,13 +38,13 @@ LIDAR_METRICS = ("chamfer_m2", "f_score", "range_psnr_db", "hit_accuracy")
 RAW_METRICS = ("range_abs_error_median_m", "range_abs_error_p90_m")
 """Along the chosen recorded returns' own rays."""
 IMAGE_METRIC = "image_psnr_db"
-_BLOCK, _SHARE, _PIXEL_STEP = 16, 4, 4
+_BLOCK, _SHARE, _PIXEL_STEP = 32, 4, 4
 _ROUGH_RANGE_M = 20.0
 """Where a ray is taken to end when it is asked which column it falls into."""
 
 
 class Sectors(LinearPano):
-    """Every fourth block of 16 columns of the pano."""
+    """Every fourth block of 32 columns of the pano."""
 
     @property
     def columns(self) -> np.ndarray:
