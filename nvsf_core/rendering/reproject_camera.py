@@ -5,6 +5,7 @@ nearer surface's neighbourhood. Gaps take the nearest depth; far from any return
 guess, a plane sweep between the two source images corrects it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -139,14 +140,22 @@ def view_label(
     Returns:
         (H, W) uint8 number of the cloud; 0, too, where no point is seen within `reach_px`.
     """
-    each = [_splat(target_pose, pinhole, cloud) for cloud in clouds]
-    sparse = _splat(target_pose, pinhole, np.concatenate(clouds))
+    label = np.zeros((pinhole.height, pinhole.width), np.uint8)
+    each = np.stack([_splat(target_pose, pinhole, cloud) for cloud in clouds])
+    rows, columns = (np.flatnonzero(np.isfinite(each[1:]).any(axis=(0, axis))) for axis in (2, 1))
+    if len(rows) == 0:
+        return label
+    # Farther away nothing can be within reach of a pixel that is within reach of such a point.
+    rim = 2 * math.ceil(reach_px)
+    part = tuple(slice(max(0, side[0] - rim), side[-1] + 1 + rim) for side in (rows, columns))
+    sparse = _splat(target_pose, pinhole, np.concatenate(clouds))[part]
     known = np.isfinite(sparse)
     if not known.any():
-        return np.zeros(sparse.shape, np.uint8)
-    owner = np.argmin(np.stack(each), axis=0).astype(np.uint8)
+        return label
+    owner = np.argmin(each[:, *part], axis=0).astype(np.uint8)
     gap, where = distance_transform_edt(~known, return_indices=True)
-    return np.where(gap <= reach_px, owner[where[0], where[1]], 0).astype(np.uint8)
+    label[part] = np.where(gap <= reach_px, owner[where[0], where[1]], 0)
+    return label
 
 
 def _splat(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarray:

@@ -11,74 +11,80 @@ from nvsf_core.stages.recording import CameraRecording, Recording
 from nvsf_core.stages.reprojection import depth_scans, returns_of_scan
 
 _MARGIN_M = 0.1
+_SHADOW_SCANS = 4
+"""Scans that tell an object in an image from what stands beside it: fewer than depth needs."""
 
 
-def still_points(recording: Recording, instant_s: float, *, leave_out: bool = False) -> np.ndarray:
-    """Points (m, 3) float32 scene-local of what stands still around an instant; none without LiDAR.
+class MovingWorld:
+    """A drive as its cameras see it: what stands still, and what moves. A scan is sorted once."""
 
-    Args:
-        recording: The drive.
-        instant_s: Seconds since the first frame.
-        leave_out: Do as if the scan of that instant were held out.
-    """
-    if recording.lidar is None:
-        return np.zeros((0, 3), np.float32)
-    sweeps = recording.lidar.sweeps
-    parts = []
-    for scan in depth_scans(sweeps, instant_s, leave_out=leave_out):
-        points, fired_s = returns_of_scan(sweeps, scan)
-        still = np.ones(len(points), np.bool_)
-        for one in _objects(recording):
-            still &= ~_holds(one.path, points, fired_s)
-        parts.append(points[still])
-    return np.concatenate(parts).astype(np.float32)
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        dynamic = None if recording.lidar is None else recording.lidar.evidence.dynamic
+        self._objects = () if dynamic is None else dynamic.objects
+        self._still: dict[int, np.ndarray] = {}
 
+    def still_points(
+        self, instant_s: float, *, leave_out: bool = False, most: int | None = None
+    ) -> np.ndarray:
+        """Points (m, 3) float32 scene-local of what stands still around an instant; none without LiDAR.
 
-def moving_things(
-    recording: Recording, instant_s: float, image_time_s: np.ndarray, *, leave_out: bool = False
-) -> list[MovingThing]:
-    """The objects that move and may be seen at an instant; none in a static scene.
+        Args:
+            instant_s: Seconds since the first frame.
+            leave_out: Do as if the scan of that instant were held out.
+            most: Scans that are used; None = as many as for any image's depth.
+        """
+        if self.recording.lidar is None:
+            return np.zeros((0, 3), np.float32)
+        sweeps = self.recording.lidar.sweeps
+        scans = depth_scans(sweeps, instant_s, leave_out=leave_out)[:most]
+        return np.concatenate([self._still_of(sweeps, scan) for scan in scans])
 
-    Args:
-        recording: The drive.
-        instant_s: Seconds since the first frame.
-        image_time_s: (j,) of the images that a view is made of.
-        leave_out: Do as if the scan of that instant were held out.
-    """
-    things = []
-    for one in _objects(recording):
-        path = one.path
-        if not path.is_there(np.array([instant_s]))[0]:
-            continue
-        points = _own_points(one, recording.lidar.sweeps, instant_s, leave_out) if recording.lidar else None
-        if points is None:
-            continue
-        now = path.matrix_at(np.array([instant_s]))[0]
-        moved = path.matrix_at(image_time_s) @ np.linalg.inv(now)
-        moved[~path.is_there(image_time_s)] = 0.0
-        things.append(MovingThing(transform_points(now, points).astype(np.float32), moved))
-    return things
+    def things(
+        self, instant_s: float, image_time_s: np.ndarray, *, leave_out: bool = False
+    ) -> list[MovingThing]:
+        """The objects that move and may be seen at an instant; none in a static scene.
 
+        Args:
+            instant_s: Seconds since the first frame.
+            image_time_s: (j,) of the images that a view is made of.
+            leave_out: Do as if the scan of that instant were held out.
+        """
+        found = []
+        for one in self._objects:
+            path = one.path
+            if self.recording.lidar is None or not path.is_there(np.array([instant_s]))[0]:
+                continue
+            points = _own_points(one, self.recording.lidar.sweeps, instant_s, leave_out)
+            if points is None:
+                continue
+            now = path.matrix_at(np.array([instant_s]))[0]
+            moved = path.matrix_at(image_time_s) @ np.linalg.inv(now)
+            moved[~path.is_there(image_time_s)] = 0.0
+            found.append(MovingThing(transform_points(now, points).astype(np.float32), moved))
+        return found
 
-def shadows(recording: Recording, camera: CameraRecording) -> np.ndarray | None:
-    """Pixels (j, H, W) bool of a camera's training images that may show what moves; None if nothing does."""
-    if not _objects(recording):
-        return None
-    images, times = camera.training, camera.training_time_s
-    found = np.zeros(images.rgb.shape[:3], np.bool_)
-    for number, instant_s in enumerate(times.tolist()):
-        things = moving_things(recording, instant_s, times)
-        if things:
-            still = still_points(recording, instant_s)
-            found[number] = moving_pixels(
-                images.pose[number], images.pinhole, still, [thing.points_m for thing in things]
-            )
-    return found
+    def shadows(self, camera: CameraRecording) -> np.ndarray | None:
+        """Pixels (j, H, W) bool of a camera's images that may show what moves; None if nothing does."""
+        if not self._objects:
+            return None
+        images, times = camera.training, camera.training_time_s
+        found = np.zeros(images.rgb.shape[:3], np.bool_)
+        for number, instant_s in enumerate(times.tolist()):
+            points = [thing.points_m for thing in self.things(instant_s, times)]
+            if points:
+                still = self.still_points(instant_s, most=_SHADOW_SCANS)
+                found[number] = moving_pixels(images.pose[number], images.pinhole, still, points)
+        return found
 
-
-def _objects(recording: Recording) -> tuple[ObjectEvidence, ...]:
-    dynamic = None if recording.lidar is None else recording.lidar.evidence.dynamic
-    return () if dynamic is None else dynamic.objects
+    def _still_of(self, sweeps: Sweeps, scan: int) -> np.ndarray:
+        if scan not in self._still:
+            points, fired_s = returns_of_scan(sweeps, scan)
+            still = np.ones(len(points), np.bool_)
+            for one in self._objects if len(points) else ():
+                still &= ~_holds(one.path, points, fired_s)
+            self._still[scan] = points[still].astype(np.float32)
+        return self._still[scan]
 
 
 def _own_points(one: ObjectEvidence, sweeps: Sweeps, instant_s: float, leave_out: bool) -> np.ndarray | None:
@@ -97,8 +103,15 @@ def _own_points(one: ObjectEvidence, sweeps: Sweeps, instant_s: float, leave_out
 
 def _holds(path: MovingObject, points_m: np.ndarray, fired_s: np.ndarray) -> np.ndarray:
     """(n,) bool: returns within an object's bounds when they were fired."""
-    if not path.is_there(fired_s).any():
-        return np.zeros(len(points_m), np.bool_)
-    local = path.to_object(points_m, fired_s)
+    held = np.zeros(len(points_m), np.bool_)
+    ends_s = np.array([fired_s.min(), fired_s.max()])
+    if not path.is_there(ends_s).any():
+        return held
+    # Few returns are anywhere near: the others need no look from the object's frame.
+    way = path.pose_at(ends_s)[:, :3]
+    reach_m = np.linalg.norm(np.maximum(np.abs(path.low_m), np.abs(path.high_m))) + _MARGIN_M
+    near = ((points_m > way.min(axis=0) - reach_m) & (points_m < way.max(axis=0) + reach_m)).all(axis=1)
+    local = path.to_object(points_m[near], fired_s[near])
     inside = (local >= path.low_m - _MARGIN_M) & (local <= path.high_m + _MARGIN_M)
-    return np.asarray(inside.all(axis=1) & path.is_there(fired_s))
+    held[near] = inside.all(axis=1) & path.is_there(fired_s[near])
+    return held

@@ -27,7 +27,7 @@ from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.stages.fitting import fit
-from nvsf_core.stages.moving_things import moving_things, shadows, still_points
+from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
 from nvsf_core.stages.stage import Scalar, Task
@@ -57,9 +57,10 @@ def train_camera(
     """Train both networks on every image that is not a judge, then ask the judges."""
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
-    shown = {name: _shown(recording, name, recipe.camera) for name in usable}
+    world = MovingWorld(recording)
+    shown = {name: _shown(world, name, recipe.camera) for name in usable}
     examples = [
-        left_out(recording, name, index, shown[name], recipe.camera)
+        left_out(world, name, index, shown[name], recipe.camera)
         for name in usable
         for index in range(_images(recording, name))
         if index not in judges(_images(recording, name), recipe.camera)
@@ -82,7 +83,7 @@ def train_camera(
     metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
     learned = []
     for name in usable:
-        shown_db, warped_db = judge(networks, recording, name, shown[name], recipe.camera)
+        shown_db, warped_db = judge(networks, world, name, shown[name], recipe.camera)
         is_better = shown_db > warped_db
         metadata[f"{name}_judged_psnr_db"] = shown_db
         metadata[f"{name}_judged_reproject_psnr_db"] = warped_db
@@ -97,15 +98,16 @@ def camera_renderer(
 ) -> ImageRenderer:
     """Images by the networks where they beat `reproject`, else by that."""
     warp = warping_renderer(recording)
-    shown = {name: _shown(recording, name, spec) for name in learned}
+    world = MovingWorld(recording)
+    shown = {name: _shown(world, name, spec) for name in learned}
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
         if camera not in learned:
             return warp(camera, pinhole, pose, time_s)
         one = recording.cameras[camera]
         view = camera_view(
-            pose, pinhole, still_points(recording, time_s), shown[camera], one.training.pose, spec,
-            things=moving_things(recording, time_s, one.training_time_s),
+            pose, pinhole, world.still_points(time_s), shown[camera], one.training.pose, spec,
+            things=world.things(time_s, one.training_time_s),
         )  # fmt: skip
         return render_view(networks, view, spec)
 
@@ -118,17 +120,17 @@ def judges(images: int, spec: CameraSpec) -> range:
 
 
 def judge(
-    networks: CameraNetworks, recording: Recording, camera: str, images_shown: ShownImages, spec: CameraSpec
+    networks: CameraNetworks, world: MovingWorld, camera: str, images_shown: ShownImages, spec: CameraSpec
 ) -> tuple[float, float]:
     """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
-    images = recording.cameras[camera].training
+    images = world.recording.cameras[camera].training
     scores = []
     for index in judges(len(images.rgb), spec):
         truth = images.rgb[index][images.valid] / 255.0
         others = np.arange(len(images.rgb)) != index
-        shown = render_view(networks, _left_out_view(recording, camera, index, images_shown, spec), spec)
+        shown = render_view(networks, _left_out_view(world, camera, index, images_shown, spec), spec)
         points = depth_points(
-            recording, float(recording.cameras[camera].training_time_s[index]), leave_out=True
+            world.recording, float(world.recording.cameras[camera].training_time_s[index]), leave_out=True
         )
         warped, _ = render_by_warping(
             images.pose[index], images.pinhole, points,
@@ -140,11 +142,11 @@ def judge(
 
 
 def left_out(
-    recording: Recording, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
+    world: MovingWorld, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> LeftOut:
     """A training image as the others know it; `images_shown` are all of the camera's."""
-    view = _left_out_view(recording, camera, index, images_shown, spec)
-    truth = recording.cameras[camera].training.rgb[index]
+    view = _left_out_view(world, camera, index, images_shown, spec)
+    truth = world.recording.cameras[camera].training.rgb[index]
     middle, small = (
         functional.avg_pool2d(to_float(truth[None]), by)[0]
         for by in (middle_factor(view.factor), view.factor)
@@ -153,22 +155,22 @@ def left_out(
 
 
 def _left_out_view(
-    recording: Recording, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
+    world: MovingWorld, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> CameraView:
-    one = recording.cameras[camera]
+    one = world.recording.cameras[camera]
     images, time_s = one.training, float(one.training_time_s[index])
     return camera_view(
-        images.pose[index], images.pinhole, still_points(recording, time_s, leave_out=True), images_shown,
+        images.pose[index], images.pinhole, world.still_points(time_s, leave_out=True), images_shown,
         images.pose, spec, leave_out=index,
-        things=moving_things(recording, time_s, one.training_time_s, leave_out=True),
+        things=world.things(time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip
 
 
-def _shown(recording: Recording, camera: str, spec: CameraSpec) -> ShownImages:
-    one = recording.cameras[camera]
+def _shown(world: MovingWorld, camera: str, spec: CameraSpec) -> ShownImages:
+    one = world.recording.cameras[camera]
     images = one.training
     factor = shrinking(images.pinhole, spec)
-    return shown_images(images.rgb, images.valid, factor, shadows(recording, one))
+    return shown_images(images.rgb, images.valid, factor, world.shadows(one))
 
 
 def _images(recording: Recording, camera: str) -> int:
