@@ -12,7 +12,7 @@ from nvsf_core.stores.scene_store import SceneStore
 SPACING_M = 0.1
 """Points nearer to each other are averaged."""
 DEPTH = 10
-"""Of the octree: cells of about 18 cm in a street 170 m long (docs/decisions/0010-mesh-baseline.md)."""
+"""Of the octree: cells of about 18 cm in a street 170 m long (docs/decisions/0011-mesh-baseline.md)."""
 TRIM_M = 0.25
 """Triangles farther from every point are what Poisson closed holes with."""
 _FOLDER = "mesh.zarr"
