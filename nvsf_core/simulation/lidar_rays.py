@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.sensors.beam_table import corrected_rays, firing_grid, sensor_rays
+from nvsf_core.sensors.beam_table import firing_grid, sensor_rays, turn_up
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
@@ -56,23 +56,32 @@ def sweep_rays(
         phase: Where the turn starts against its firings, 0..1 of one.
     """
     azimuth, fraction = firing_grid(table, firings, phase)
+    # All lasers fire together: the sensor's pose is looked up once a firing, not once a ray.
+    rotation, position = trajectory.at(time_s + fraction * period_s)
     azimuth = azimuth[lasers].reshape(-1)
     laser = np.repeat(lasers.astype(np.int64), firings)
-    fraction = np.tile(fraction, len(lasers))
-    recorded_origin, recorded_direction = sensor_rays(table, azimuth, laser)
-    recorded_origin = recorded_origin + table.range_bias_m[laser, None] * recorded_direction
-    origin, direction = corrected_rays(table, azimuth, laser)
+    fired_origin, recorded_direction = sensor_rays(table, azimuth, laser)
+    origin, direction = turn_up(fired_origin, recorded_direction, azimuth, table.elevation_correction_rad)
     if mount is not None:
         origin = origin @ mount[:3, :3].T + mount[:3, 3]
         direction = direction @ mount[:3, :3].T
-    rotation, position = trajectory.at(time_s + fraction * period_s)
     return SweepRays(
         shape=(len(lasers), firings),
         laser=laser,
         azimuth_rad=azimuth,
-        fraction=fraction,
-        recorded_origin_m=recorded_origin,
+        fraction=np.tile(fraction, len(lasers)),
+        recorded_origin_m=fired_origin + table.range_bias_m[laser, None] * recorded_direction,
         recorded_direction=recorded_direction,
-        origin_m=(np.einsum("nij,nj->ni", rotation, origin) + position).astype(np.float32),
-        direction=np.einsum("nij,nj->ni", rotation, direction).astype(np.float32),
+        origin_m=_turned(rotation, origin, position),
+        direction=_turned(rotation, direction, np.zeros((1, 3))),
     )
+
+
+def _turned(rotation: np.ndarray, vector: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Vectors (l * f, 3) turned by their firings' rotations (f, 3, 3), and shifted (f, 3): float32."""
+    of_firing = vector.reshape(-1, len(rotation), 3)
+    x, y, z = of_firing[..., 0], of_firing[..., 1], of_firing[..., 2]
+    turned = np.empty(of_firing.shape, np.float32)
+    for i in range(3):
+        turned[..., i] = rotation[:, i, 0] * x + rotation[:, i, 1] * y + rotation[:, i, 2] * z + shift[:, i]
+    return turned.reshape(-1, 3)
