@@ -153,9 +153,9 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
     scene.run.store.drop_work_dir(f"ablation/{recipe.name}/{seed}")
 
     def row(region: str, metric: str, value: float) -> Row:
-        name = scene.run.scene.name
+        name, known = scene.run.scene.name, value if np.isfinite(value) else None
         return Row(
-            variant=recipe.name, scene=name, seed=seed, region=region, metric=metric, value=value
+            variant=recipe.name, scene=name, seed=seed, region=region, metric=metric, value=known
         )  # fmt: skip
 
     return [row(region, metric, float(np.mean(found))) for (region, metric), found in values.items()]
