@@ -63,13 +63,9 @@ def _logit() -> Reading:
             surfels, hits=np.full(count, hits, np.int32), passes=np.full(count, passes, np.int32)
         )
         batch = surface_batch(changed, origins[:200], directions[:200], most=8, near_m=0.5, far_m=80.0)
-        there = batch.is_there
-        if not bool(there.any()):
-            continue
-        values = batch.logit[there]
-        if not bool(values.isfinite().all()) or not bool(batch.facts[there].isfinite().all()):
+        if not bool(batch.logit.isfinite().all()) or not bool(batch.facts.isfinite().all()):
             worst = math.inf
-        worst = max(worst, float(values.abs().max()))
+        worst = max(worst, float(batch.logit.abs().max()))
     return Reading(error=worst, limit=16.2, unit="nats, at most", float32="ok")
 
 
