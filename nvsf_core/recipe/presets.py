@@ -30,7 +30,7 @@ _LEAN = replace(
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, refinements=5),
     depth_training=replace(_QUICK.depth_training, steps=300),
-    camera_training=replace(_QUICK.camera_training, steps=2000),
+    camera_training=replace(_QUICK.camera_training, steps=800),
     losses=replace(_QUICK.losses, structure=0.1),
 )
 _SMOKE = replace(
