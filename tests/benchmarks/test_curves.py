@@ -56,7 +56,8 @@ def test_a_run_leaves_errors_at_its_marks_and_at_the_end(setting, monkeypatch):
     marks = {metric: [] for metric in ("chamfer_m2", "image_psnr_db", "range_abs_error_median_m")}
     for point in result["points"]:
         assert {"recipe", "scene", "seed", "seconds", "metric", "value"} <= set(point)
-        assert point["mark"] is None or point["seconds"] >= point["mark"]
+        # Seconds are kept to the millisecond.
+        assert point["mark"] is None or point["seconds"] >= point["mark"] - 1e-3
         if point["metric"] in marks:
             marks[point["metric"]].append(point["mark"])
     # Which marks are reached is a matter of speed; that some are and the last is not, is not.
