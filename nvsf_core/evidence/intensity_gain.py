@@ -11,9 +11,9 @@ _BRIGHTEST = 0.98
 """Returns above it are clipped: they say nothing of a gain."""
 _PRIOR_RETURNS = 30.0
 """A laser needs many more returns than this, of mean brightness, to be believed to differ."""
-_LIMITS = (0.5, 2.0)
-_LEAST_RMS = 0.05
-"""Chance alone makes lasers differ by some per cent: less is not believed."""
+_LIMITS = (0.25, 4.0)
+_LEAST_RMS = 0.09
+"""Lasers that are alike differ by up to 7 % where each sees surfaces at its own slant: less is not believed."""
 
 
 def learn_intensity_gain(

@@ -290,7 +290,7 @@ STAGE = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="5",
+    version="6",
     run=_run,
     reads_drive=True,
 )
