@@ -13,7 +13,7 @@ _PRIOR_RETURNS = 30.0
 """A laser needs many more returns than this, of mean brightness, to be believed to differ."""
 _LIMITS = (0.25, 4.0)
 _LEAST_RMS = 0.09
-"""Lasers that are alike differ by up to 7 % where each sees surfaces at its own slant: less is not believed."""
+"""Lasers that are alike differ by 7 %, as each sees surfaces at its own slant: less is not believed."""
 
 
 def learn_intensity_gain(
