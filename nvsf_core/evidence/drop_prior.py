@@ -50,9 +50,9 @@ class DropPrior:
     def nearest_firing(self, scan: int, fraction: np.ndarray) -> np.ndarray:
         """Columns (r,) int64 of a scan's firings nearest to the sweep fractions (r,)."""
         firings = self.fraction[scan][: self.firings_of(scan)]
-        right = np.clip(np.searchsorted(firings, fraction), 1, len(firings) - 1)
-        left_is_nearer = fraction - firings[right - 1] < firings[right] - fraction
-        nearest: np.ndarray = right - left_is_nearer
+        right = np.minimum(np.searchsorted(firings, fraction), len(firings) - 1)
+        left = np.maximum(right - 1, 0)
+        nearest: np.ndarray = np.where(fraction - firings[left] < firings[right] - fraction, left, right)
         return nearest
 
     def firings_of(self, scan: int) -> int:

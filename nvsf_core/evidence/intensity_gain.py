@@ -37,6 +37,8 @@ def learn_intensity_gain(
     index, voxel = index_points(points_m[usable], _VOXEL_M)
     shine, source = intensity[usable].astype(np.float64), laser[usable].astype(np.int64)
     prior = _PRIOR_RETURNS * float(np.mean(shine**2))
+    if prior == 0.0:
+        return gain
     for _ in range(_ITERATIONS):
         own = gain[source]
         summed = np.bincount(voxel, weights=own * shine, minlength=index.count)

@@ -35,17 +35,21 @@ def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.n
         The index, and (n,) int32 voxel numbers.
 
     Raises:
-        DataError: There are no points, or their box would need more than a gigabyte of bricks.
+        DataError: There are no points, one is not finite, or their box would need more than a gigabyte of
+            bricks.
     """
     if len(points_m) == 0:
         raise DataError("evidence: expected returns to build voxels from, found none; are all scans invalid?")
-    low = np.floor(points_m.min(axis=0).astype(np.float64) / voxel_m) * voxel_m - voxel_m
+    lowest, highest = points_m.min(axis=0).astype(np.float64), points_m.max(axis=0).astype(np.float64)
+    if not (np.isfinite(lowest).all() and np.isfinite(highest).all()):
+        wrong = int((~np.isfinite(points_m).all(axis=1)).sum())
+        raise DataError(f"evidence: expected finite returns, found {wrong} of {len(points_m)} that are not")
+    # Counted as floats: whole numbers of 32 bits end at 2e9 voxels.
+    if np.prod((highest - lowest) / (voxel_m * BRICK) + 2.0) > 250_000_000:
+        raise DataError(f"evidence: the returns span {highest - lowest} m, too much for {voxel_m} m voxels")
+    low = np.floor(lowest / voxel_m) * voxel_m - voxel_m
     ijk = np.floor((points_m - low) / voxel_m).astype(np.int32)
     shape = ijk.max(axis=0) // BRICK + 1
-    if np.prod(shape.astype(np.int64)) > 250_000_000:
-        raise DataError(
-            f"evidence: the returns span {shape * BRICK * voxel_m} m, too much for {voxel_m} m voxels"
-        )
     brick_linear = np.ravel_multi_index((ijk // BRICK).T, shape)
     brick_ids, brick_of_point = np.unique(brick_linear, return_inverse=True)
     bricks = np.full(shape, -1, np.int32)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from nvsf_core.errors import DataError
 from nvsf_core.evidence.objects import objects_at
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
@@ -14,7 +15,11 @@ from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 
 
 def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarField) -> LidarRays:
-    """Returns and drops of all training scans, each with the vote of the other scans and their objects."""
+    """Returns and drops of all training scans, each with the vote of the other scans and their objects.
+
+    Raises:
+        DataError: There is no ray at all.
+    """
     sweeps, evidence = lidar.sweeps, lidar.evidence
     alone = len(evidence.prior.time_s) == 1
     parts = []
@@ -31,7 +36,13 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
             ),
         )  # fmt: skip
         parts += [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
-    return join_rays(parts)
+    joined = join_rays(parts)
+    if len(joined) == 0:
+        raise DataError(
+            f"field: expected LiDAR rays to train on, found none in {len(parts) // 2} training scans: no "
+            "return that is not the own vehicle's, and no firing that was dropped"
+        )
+    return joined
 
 
 def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
