@@ -5,7 +5,7 @@ import math
 from typing import Literal, TypeVar, cast
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 _Layer = TypeVar("_Layer", bound=nn.Module)
 
@@ -53,10 +53,3 @@ def bias_free(
         # In place: a product needs its inputs for the gradient, never its result.
         layers += [layer, nn.ReLU(inplace=True)]
     return nn.Sequential(*layers[:-1])
-
-
-def scatter_rows(values: Tensor, mask: Tensor) -> Tensor:
-    """Put rows (m, c) where `mask` (r, k) is true; 0 elsewhere: (r, k, c)."""
-    full = values.new_zeros(*mask.shape, values.shape[-1])
-    full[mask] = values
-    return full

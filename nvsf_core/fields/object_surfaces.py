@@ -76,12 +76,6 @@ class ObjectSurfaces:
         columns = {name: getattr(self, name)[taken] for name in _COLUMNS}
         return ObjectSurfaces(ray, first, **columns)
 
-    def dense(self) -> np.ndarray:
-        """(m, c) int64: index of each ray's surfaces, -1 behind its last."""
-        count = np.diff(self.first)
-        step = np.arange(int(count.max(initial=0)))
-        return np.where(step < count[:, None], self.first[:-1, None] + step, -1)
-
 
 _COLUMNS = tuple(column.name for column in fields(ObjectSurfaces) if column.name not in ("ray", "first"))
 

@@ -11,7 +11,7 @@ from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.objects import ObjectSurfels, objects_at, prove_objects
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.object_surfaces import join_surfaces, object_places, object_surfaces
+from nvsf_core.fields.object_surfaces import ObjectSurfaces, join_surfaces, object_places, object_surfaces
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
@@ -86,6 +86,13 @@ def batch_of(dynamic: DynamicEvidence, view, field: LidarField, most: int = 24) 
     return surface_batch(dynamic.background, *view[:2], most=most, objects=objects, **LIMITS)
 
 
+def dense(surfaces: ObjectSurfaces) -> np.ndarray:
+    """(m, c) index of each ray's surfaces, -1 behind its last."""
+    count = np.diff(surfaces.first)
+    step = np.arange(int(count.max(initial=0)))
+    return np.where(step < count[:, None], surfaces.first[:-1, None] + step, -1)
+
+
 def test_an_untrained_field_answers_on_objects_as_the_evidence_does(dynamic, view) -> None:
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
     vote = np.random.default_rng(4).uniform(0.3, 0.9, len(view[0])).astype(np.float32)
@@ -105,8 +112,8 @@ def test_an_untrained_field_answers_on_objects_as_the_evidence_does(dynamic, vie
 def test_surfaces_stay_in_order_and_the_nearest_are_kept(dynamic, view) -> None:
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
     full, short = batch_of(dynamic, view, field), batch_of(dynamic, view, field, most=3)
-    dense = [batch.spread(batch.range_m[:, None])[..., 0] for batch in (full, short)]
-    for batch, range_m in zip((full, short), dense, strict=True):
+    ranges_m = [batch.spread(batch.range_m[:, None])[..., 0] for batch in (full, short)]
+    for batch, range_m in zip((full, short), ranges_m, strict=True):
         ranges = torch.where(batch.is_there, range_m, torch.inf)
         assert (ranges[:, 1:] >= ranges[:, :-1]).all()
         moving = batch.vote >= 0.0
@@ -116,7 +123,7 @@ def test_surfaces_stay_in_order_and_the_nearest_are_kept(dynamic, view) -> None:
         apart = (batch.point_m - where_m).norm(dim=1)
         assert apart[~moving].max() < 1e-4 and apart[moving].min() > 1.0
     assert short.is_there.shape[1] == 3
-    assert torch.equal(dense[1], dense[0][:, :3])
+    assert torch.equal(ranges_m[1], ranges_m[0][:, :3])
 
 
 def test_an_objects_corrections_lie_where_they_lie_whenever_it_is_seen(dynamic) -> None:
@@ -129,7 +136,7 @@ def test_an_objects_corrections_lie_where_they_lie_whenever_it_is_seen(dynamic) 
         met = object_surfaces(
             plate_at(dynamic, 0.25), places, origin, direction, np.full(50, time_s), **LIMITS
         )
-        seen.append(met.place_m[np.unique(met.dense()[:, 0])])
+        seen.append(met.place_m[np.unique(dense(met)[:, 0])])
     assert np.abs(np.median(seen[0], axis=0) - np.median(seen[1], axis=0)).max() < 0.1
 
 
@@ -157,9 +164,9 @@ def test_drawn_rays_keep_their_surfaces(dynamic, view) -> None:
     drawn = np.array([799, 5, 5, *whole.ray[:40].tolist(), 0])
     part = joined.of(drawn)
     for row, ray in enumerate(drawn):
-        own = whole.range_m[np.concatenate([whole.dense()[whole.ray == ray].ravel(), [-1]])[:-1]]
-        own = own[whole.dense()[whole.ray == ray].ravel() >= 0]
-        again = part.dense()[part.ray == row].ravel()
+        own = whole.range_m[np.concatenate([dense(whole)[whole.ray == ray].ravel(), [-1]])[:-1]]
+        own = own[dense(whole)[whole.ray == ray].ravel() >= 0]
+        again = dense(part)[part.ray == row].ravel()
         assert np.array_equal(part.range_m[again[again >= 0]], own)
     nothing = whole.of(np.setdiff1d(np.arange(800), whole.ray))
     assert len(nothing.ray) == len(nothing.range_m) == 0
