@@ -114,7 +114,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="5",
+    version="6",
     run=_run,
     per_recipe=True,
     reads_views=True,
