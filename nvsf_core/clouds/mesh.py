@@ -7,14 +7,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from nvsf_core.clouds.open3d_room import load_open3d
+from nvsf_core.clouds.poisson import poisson_surface
 from nvsf_core.errors import DataError
 
 FEWEST_POINTS = 1000
 """Of fewer points Poisson makes nothing that a ray should be cast against."""
 _NORMAL_NEIGHBOURS = 20
-# More than one thread makes open3d's Poisson end the process now and then, without an error to catch:
-# https://github.com/isl-org/Open3D/issues/6828, https://github.com/mkazhdan/PoissonRecon/issues/136
-_POISSON_THREADS = 1
 
 MeshRays = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Origins and unit directions (r, 3) to range_m (r,) float32, infinite where no triangle is met, and
@@ -58,7 +56,7 @@ def poisson_mesh(
 
     Raises:
         MissingLibraryError: open3d cannot be loaded here.
-        DataError: Fewer than `FEWEST_POINTS` points are left, or no triangle is.
+        DataError: Fewer than `FEWEST_POINTS` points are left, or no triangle is, or open3d ended.
     """
     open3d = load_open3d()
     vectors = open3d.utility.Vector3dVector
@@ -76,12 +74,9 @@ def poisson_mesh(
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(_NORMAL_NEIGHBOURS))
     normals = np.asarray(cloud.normals)
     away = np.einsum("ni,ni->n", normals, towards) < 0
-    cloud.normals = vectors(np.where(away[:, None], -normals, normals))
-    surface, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        cloud, depth=depth, n_threads=_POISSON_THREADS
-    )
-    vertices, triangles = np.asarray(surface.vertices), np.asarray(surface.triangles)
-    tree = cKDTree(np.asarray(cloud.points))
+    outward, points = np.where(away[:, None], -normals, normals), np.asarray(cloud.points)
+    vertices, triangles = poisson_surface(points, outward, depth=depth)
+    tree = cKDTree(points)
     distance_m, nearest = tree.query(vertices, distance_upper_bound=trim_m)
     kept = np.isfinite(distance_m)
     triangles = triangles[kept[triangles].all(axis=1)]
