@@ -1,7 +1,7 @@
 """Named terms, weighted and added; a term that is not finite is an error, never a 0."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -17,6 +17,8 @@ class LossBreakdown:
     """Scalar, differentiable."""
     terms: dict[str, float]
     """Mean (or sum) of each unweighted term, in its own unit."""
+    reduced: dict[str, Tensor] = field(default_factory=dict)
+    """The same, differentiable: which term has a broken gradient is asked when one is."""
 
 
 def total_loss(
@@ -46,4 +48,4 @@ def total_loss(
     if not reduced:
         return LossBreakdown(torch.zeros((), requires_grad=True), {})
     total = torch.stack([weights[name] * value for name, value in reduced.items()]).sum()
-    return LossBreakdown(total, {name: float(value.detach()) for name, value in reduced.items()})
+    return LossBreakdown(total, {name: float(value.detach()) for name, value in reduced.items()}, reduced)

@@ -26,6 +26,7 @@ from nvsf_core.recipe.residual import (
     ResidualRecipe,
     TrainingSpec,
 )
+from nvsf_core.recipe.slower import differ_in_step_size, full_name, share_of, slower
 
 __all__ = [
     "ABLATION",
@@ -51,6 +52,10 @@ __all__ = [
     "ResidualRecipe",
     "TimeGridSpec",
     "TrainingSpec",
+    "differ_in_step_size",
+    "full_name",
     "preset",
     "recipe_from_json",
+    "share_of",
+    "slower",
 ]

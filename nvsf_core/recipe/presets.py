@@ -20,6 +20,7 @@ from nvsf_core.recipe.paper import (
     TimeGridSpec,
 )
 from nvsf_core.recipe.residual import PanoSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.slower import full_name, share_of, slower
 
 _QUICK = ResidualRecipe(name="quick")
 # What quick learns, for as long as it pays: eight times the LiDAR's steps stay within 10 minutes on 2 cores.
@@ -141,14 +142,15 @@ _FAMILIES: dict[str, type[Recipe]] = {"residual": ResidualRecipe, "paper": Paper
 
 
 def preset(name: str) -> Recipe:
-    """A recipe by name.
+    """A recipe by name; `name@0.5` is the same with half of its step sizes.
 
     Raises:
-        RecipeError: There is none of that name.
+        RecipeError: There is none of that name, or no such share.
     """
-    if name not in _PRESETS:
-        raise RecipeError(f"no recipe {name!r}; there are {', '.join(sorted(_PRESETS))}")
-    return _PRESETS[name]
+    full = full_name(name)
+    if full not in _PRESETS:
+        raise RecipeError(f"no recipe {full!r}; there are {', '.join(sorted(_PRESETS))}")
+    return _PRESETS[full] if full == name else slower(_PRESETS[full], share_of(name))
 
 
 def recipe_from_json(values: dict[str, Any]) -> Recipe:

@@ -12,6 +12,7 @@ import torch
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import PaperRecipe, ResidualRecipe
 from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.stages.divergence import go_on
 from nvsf_core.stages.field_profile import field_profile
 from nvsf_core.stages.fitting import Trained
 from nvsf_core.stages.paper_model import load_paper_model
@@ -56,7 +57,9 @@ def _run(task: Task) -> StageOutput:
     needs = field_profile(task.config.recipe, recording)
     if needs:
         task.progress(f"[{task.scene.name}] field: {needs['needs']}")
-    trained = train_model(task, recording, task.store.work_dir(location))
+    work = task.store.work_dir(location)
+    went_on = go_on(task, work)
+    trained = train_model(task, recording, work)
     _write(task, trained, recording)
     task.store.drop_work_dir(location)
     finite = all(bool(torch.isfinite(value).all()) for value in trained.tensors.values())
@@ -80,6 +83,8 @@ def _run(task: Task) -> StageOutput:
         ],
     )
     output.checks += _lowered(trained)
+    if went_on:
+        output.checks.append(Check(name="training_never_diverged", passed=False, detail=went_on))
     return output
 
 

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from torch import Tensor
 
-from nvsf_core.errors import DivergedError, StoreError
+from nvsf_core.errors import StoreError
 from nvsf_core.recipe import TrainingSpec
+from nvsf_core.stages.divergence import diverging, owner
 from nvsf_core.stages.stage import Scalar, Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
-from nvsf_core.training.loop import Step, TrainingState, train
+from nvsf_core.training.loop import Save, Step, TrainingState, train
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,38 +35,44 @@ def fit(
     """Train one part of a scene's model, from its checkpoint in `work` where there is one of this recipe.
 
     Raises:
-        DivergedError: A loss or a weight is not finite; scene, recipe, part and step are named.
+        DivergedError: A loss, gradient or weight is not finite; scene, recipe, part and step are named.
     """
-    recipe = task.config.recipe
     path = work / f"{part}.safetensors"
 
     def say(line: str) -> None:
         task.progress(f"[{task.scene.name}] field, {part}: {line}")
 
-    def save(tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
-        save_tensors(path, tensors, facts | {"recipe": recipe.identity()})
-
     observe = task.observe
     resume(task, state, path)
-    try:
+    with diverging(task, work, part):
         train(
-            state, spec, step, save, say, None if observe is None else lambda seen: observe(part, seen)
+            state, spec, step, saving(task, path), say,
+            None if observe is None else lambda seen: observe(part, seen),
         )  # fmt: skip
-    except DivergedError as error:
-        raise DivergedError(f"scene {task.scene.name}, recipe {recipe.name}, {part}: {error}") from error
     return state
 
 
+def saving(task: Task, path: Path) -> Save:
+    """Writes a checkpoint that only a training of the same recipe on the same inputs goes on from."""
+
+    def save(tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
+        save_tensors(path, tensors, facts | owner(task, task.config.recipe))
+
+    return save
+
+
 def resume(task: Task, state: TrainingState, path: Path) -> None:
-    """Go on from a checkpoint, if there is a readable one of the task's recipe."""
+    """Go on from a checkpoint, if there is a readable one of the task's recipe and inputs."""
     if not path.is_file():
         return
+    place = f"[{task.scene.name}] field, {path.stem}"
     try:
         tensors, facts = load_tensors(path)
     except StoreError as error:
-        task.progress(f"[{task.scene.name}] field: checkpoint left aside: {error}")
+        task.progress(f"{place}: checkpoint left aside: {error}")
         return
-    if facts.get("recipe") == task.config.recipe.identity():
-        state.restore(tensors, facts)
-        place = f"[{task.scene.name}] field, {path.stem}"
-        task.progress(f"{place}: resumed from the checkpoint at step {state.step}")
+    if any(facts.get(name) != value for name, value in owner(task, task.config.recipe).items()):
+        task.progress(f"{place}: checkpoint left aside: of another recipe or of other inputs")
+        return
+    state.restore(tensors, facts)
+    task.progress(f"{place}: resumed from the checkpoint at step {state.step}")

@@ -13,11 +13,11 @@ from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.simulation.paper_render import PaperModel
-from nvsf_core.stages.fitting import Trained, fit, resume
+from nvsf_core.stages.divergence import diverging
+from nvsf_core.stages.fitting import Trained, fit, resume, saving
 from nvsf_core.stages.paper_model import device, frame_at, needed, read_frames
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.stage import Scalar, Task
-from nvsf_core.stores.checkpoints import save_tensors
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Step, TrainingState
 from nvsf_core.training.paper_frames import Panos, PaperFrames
@@ -124,15 +124,12 @@ def _refine(
     state = refinement_state(unet, spec, generator)
     path = work / "refinement.safetensors"
     resume(task, state, path)
-    refine(
-        state,
-        spec,
-        torch.stack(renders),
-        is_return,
-        lambda tensors, facts: save_tensors(path, tensors, facts | {"recipe": task.config.recipe.identity()}),
-        lambda line: task.progress(f"[{task.scene.name}] field, refinement: {line}"),
-        checkpoint_s=recipe.optimiser.checkpoint_s,
-    )
+    with diverging(task, work, "refinement"):
+        refine(
+            state, spec, torch.stack(renders), is_return, saving(task, path),
+            lambda line: task.progress(f"[{task.scene.name}] field, refinement: {line}"),
+            checkpoint_s=recipe.optimiser.checkpoint_s,
+        )  # fmt: skip
     state.seconds = time.perf_counter() - started
     return state
 

@@ -89,6 +89,8 @@ class Task:
     progress: Progress
     observe: Observer | None = None
     """Watches the training; the clock stands still meanwhile."""
+    made_from: str = ""
+    """SHA-256 of all that decides the output but the recipe: tells checkpoints of other inputs apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +156,9 @@ def run_stage(
         NvsfError: Whatever the stage itself raises.
     """
     location = stage.location(config)
-    fingerprint = _fingerprint(stage, scene, config, input_fingerprints)
+    facts = _facts(stage, scene, config, input_fingerprints)
+    fingerprint = _digest(facts)
+    made_from = _digest({name: fact for name, fact in facts.items() if name != "recipe"})
     record = read_record(store.path(location))
     if record is not None and record["fingerprint"] == fingerprint:
         progress(f"[{scene.name}] {stage.name}: up to date, skipped")
@@ -162,7 +166,11 @@ def run_stage(
     progress(f"[{scene.name}] {stage.name}: started")
     started = time.perf_counter()
     with store.publish(location) as folder:
-        output = stage.run(Task(scene=scene, store=store, config=config, folder=folder, progress=progress))
+        output = stage.run(
+            Task(
+                scene=scene, store=store, config=config, folder=folder, progress=progress, made_from=made_from
+            )
+        )  # fmt: skip
         failed = [check for check in output.checks if check.blocking and not check.passed]
         if failed:
             reasons = "; ".join(f"{check.name}: {check.detail}" for check in failed)
@@ -202,7 +210,12 @@ def _outcome(stage: Stage, path: Path, record: dict[str, Any], *, skipped: bool)
     )
 
 
-def _fingerprint(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str, str]) -> str:
+def _digest(facts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _facts(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str, str]) -> dict[str, Any]:
+    """All that decides the output."""
     facts: dict[str, Any] = {
         "stage": stage.name,
         "version": stage.version,
@@ -218,7 +231,7 @@ def _fingerprint(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dic
         facts["views"] = [str(asdict(view)) for view in scene.views]
     if stage.reads_drive:
         facts["drive"] = _drive_listing(scene)
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+    return facts
 
 
 def _drive_listing(scene: SceneEntry) -> str:

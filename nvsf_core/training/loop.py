@@ -87,11 +87,14 @@ def train(
 ) -> None:
     """Run the steps that are left; save every `checkpoint_s` seconds and at the end.
 
+    Between two steps only weights are saved that the second found a finite loss and finite gradients with:
+    what is about to diverge never replaces the last good checkpoint.
+
     `observe` sees the state after each step; the training's clock stands still meanwhile.
 
     Raises:
-        DivergedError: A loss term, a parameter or Adam's statistics are not finite; names the step, the
-            term and the tensor. The last checkpoint stays.
+        DivergedError: A loss term, a gradient, a parameter or Adam's statistics are not finite; names the
+            step, the term and the tensor. The last checkpoint stays, and no weight has taken the step.
     """
     torch.set_num_threads(spec.threads)
     began = time.perf_counter() - state.seconds
@@ -101,10 +104,21 @@ def train(
     while state.step < spec.steps:
         _set_rates(state.optimiser, spec, state.step)
         state.optimiser.zero_grad(set_to_none=True)
+        drawn_from = state.generator.get_state()
+        is_due = state.step > first and time.perf_counter() - saved >= spec.checkpoint_s
+        before = _copied(state) if is_due else None
         try:
             loss, terms = _descend(step(state.step, state.generator))
         except DivergedError as error:
-            raise DivergedError(f"step {state.step}: {error} ({_first_broken(state)})") from error
+            raise DivergedError(f"step {state.step}: {error} ({first_broken(state)})") from error
+        if not has_finite_gradients(state.model):
+            state.generator.set_state(drawn_from)
+            raise DivergedError(f"step {state.step}: {_blame(state, step)}")
+        if before is not None:
+            require_finite_parameters(state.model, state.step)
+            _require_finite_moments(state)
+            save(*before)
+            saved = time.perf_counter()
         state.optimiser.step()
         state.step += 1
         now = time.perf_counter()
@@ -127,16 +141,21 @@ def train(
                 f"step {state.step}/{spec.steps}, loss {loss:.4f}, "
                 f"{rays_per_s:,.0f} rays/s, {left_s:.0f} s left"
             )
-        if now - saved >= spec.checkpoint_s or state.step == spec.steps:
+        if state.step == spec.steps:
             require_finite_parameters(state.model, state.step)
             _require_finite_moments(state)
             save(state.tensors(), state.facts())
-            saved = time.perf_counter()
         if observe is not None:
             paused = time.perf_counter()
             observe(state)
             spent = time.perf_counter() - paused
             began, started = began + spent, started + spent
+
+
+def _copied(state: TrainingState) -> tuple[dict[str, Tensor], dict[str, object]]:
+    """What a checkpoint holds, as it is now: a step changes weights, averages and the generator in place."""
+    tensors = {name: value.detach().clone() for name, value in state.tensors().items()}
+    return tensors, state.facts() | {"curve": list(state.curve)}
 
 
 def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
@@ -148,6 +167,29 @@ def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
         for name, value in part.terms.items():
             terms[name] = terms.get(name, 0.0) + value
     return loss, terms
+
+
+def has_finite_gradients(model: nn.Module) -> bool:
+    """Whether no gradient is NaN or infinite: one quick pass, and a second only where a sum is not finite."""
+    gradients = [p.grad for p in model.parameters() if p.grad is not None]
+    if not gradients or bool(torch.stack([g.sum() for g in gradients]).isfinite().all()):
+        return True
+    return all(bool(g.isfinite().all()) for g in gradients)
+
+
+def _blame(state: TrainingState, step: Step) -> str:
+    """Take the gradients of a step again, one term at a time, to name the first that is not finite."""
+    named = [(name, p) for name, p in state.model.named_parameters() if p.requires_grad]
+    advice = "is not finite; lower the step size or look at its input"
+    for part in step(state.step, state.generator):
+        for term, value in part.reduced.items():
+            found = torch.autograd.grad(
+                value, [p for _, p in named], retain_graph=True, allow_unused=True
+            )  # fmt: skip
+            for (name, _), gradient in zip(named, found, strict=True):
+                if gradient is not None and not torch.isfinite(gradient).all():
+                    return f"loss term {term!r}: its gradient by weights {name!r} {advice}"
+    return f"all terms together: {first_broken(state)} although each term's own is finite"
 
 
 def require_finite_parameters(model: nn.Module, step: int) -> None:
@@ -172,11 +214,12 @@ def _require_finite_moments(state: TrainingState) -> None:
                 )
 
 
-def _first_broken(state: TrainingState) -> str:
+def first_broken(state: TrainingState) -> str:
     """What is not finite besides the loss: the weights, their gradients, or what came in."""
+    broken = [name for name, p in state.model.named_parameters() if not torch.isfinite(p).all()]
+    if broken:
+        return f"weights {broken[0]!r} are not finite"
     for name, parameter in state.model.named_parameters():
-        if not torch.isfinite(parameter).all():
-            return f"weights {name!r} are not finite"
         if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
             return f"the gradient of {name!r} is not finite"
     return "all weights are finite: the batch is not, or overflows"

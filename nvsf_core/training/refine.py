@@ -10,7 +10,13 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.recipe.paper import RefinementSpec
-from nvsf_core.training.loop import Save, TrainingState, require_finite_parameters
+from nvsf_core.training.loop import (
+    Save,
+    TrainingState,
+    first_broken,
+    has_finite_gradients,
+    require_finite_parameters,
+)
 
 _MOST_BOXES = 31
 _BOX_PX = (5, 102)
@@ -159,11 +165,16 @@ def _step(
             loss = binary_cross_entropy_with_logits(logits, is_return[part].to(device, logits.dtype))
             if not torch.isfinite(loss):
                 raise DivergedError(
-                    f"refinement step {state.step}: loss term 'hit' is {loss.item()}; lower the rate"
+                    f"refinement step {state.step}: loss term 'hit' is {loss.item()}; lower the rate "
+                    f"({first_broken(state)})"
                 )
             share = len(part) / count
             (share * loss).backward()  # type: ignore[no-untyped-call]
             total += share * float(loss.detach())
+    if not has_finite_gradients(state.model):
+        raise DivergedError(
+            f"refinement step {state.step}: loss term 'hit': {first_broken(state)}; lower the rate"
+        )
     state.optimiser.step()
     return total
 

@@ -1,0 +1,102 @@
+"""A training that diverged: what is kept of it, and how a slower one goes on from there."""
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from nvsf_core.errors import DivergedError, StoreError
+from nvsf_core.recipe import Recipe, differ_in_step_size, full_name, recipe_from_json, share_of
+from nvsf_core.stages.stage import Task
+from nvsf_core.stores.checkpoints import load_tensors, save_tensors
+
+_DIVERGED = "diverged.json"
+_WENT_ON = "went_on.json"
+_CHECKPOINTS = "*.safetensors"
+
+
+def owner(task: Task, recipe: Recipe) -> dict[str, object]:
+    """Facts of a checkpoint: only a training of the same recipe on the same inputs resumes from it."""
+    return {"recipe": recipe.identity(), "made_from": task.made_from}
+
+
+@contextlib.contextmanager
+def diverging(task: Task, work: Path, part: str) -> Iterator[None]:
+    """Around a part's training: a divergence names scene, recipe and part, is noted, and says how to go on.
+
+    Raises:
+        DivergedError: Whatever diverged inside, with those names.
+    """
+    recipe = task.config.recipe
+    try:
+        yield
+    except DivergedError as error:
+        found = f"{part}: {error}"
+        note = {"recipe": recipe.to_json(), "made_from": task.made_from, "found": found}
+        (work / _DIVERGED).write_text(json.dumps(note))
+        step = _saved_step(work / f"{part}.safetensors", owner(task, recipe))
+        half = f"{full_name(recipe.name)}@{0.5 * share_of(recipe.name):g}"
+        kept = "nothing was saved yet" if step is None else f"the checkpoint of step {step} is kept"
+        goes = "begins again" if step is None else "goes on from it"
+        raise DivergedError(
+            f"scene {task.scene.name}, recipe {recipe.name}, {found}; {kept}: the recipe {half} {goes} "
+            "with smaller steps"
+        ) from error
+
+
+def go_on(task: Task, work: Path) -> str:
+    """Take over what a faster recipe had saved when it diverged, where this one has nothing of its own.
+
+    Only what was trained on the same inputs by a recipe that differs in nothing but its step sizes.
+
+    Returns:
+        What was taken over, in words; empty where nothing was.
+    """
+    recipe = task.config.recipe
+    mine, said = owner(task, recipe), work / _WENT_ON
+    if any(_saved_step(path, mine) is not None for path in work.glob(_CHECKPOINTS)):
+        values = json.loads(said.read_text()) if said.is_file() else {}
+        return str(values.get("words", "")) if values.get("recipe") == mine["recipe"] else ""
+    for folder in _others(work, recipe.name):
+        values = json.loads((folder / _DIVERGED).read_text())
+        faster = recipe_from_json(values["recipe"])
+        if not differ_in_step_size(faster, recipe) or values["made_from"] != task.made_from:
+            continue
+        taken = []
+        for path in sorted(folder.glob(_CHECKPOINTS)):
+            step = _saved_step(path, owner(task, faster))
+            if step is not None:
+                tensors, facts = load_tensors(path)
+                save_tensors(work / path.name, tensors, facts | mine)
+                taken.append(f"{path.stem} from step {step}")
+        if taken:
+            words = f"{faster.name} diverged ({values['found']}); went on slower: {', '.join(taken)}"
+            said.write_text(json.dumps({"recipe": mine["recipe"], "words": words}))
+            task.progress(f"[{task.scene.name}] field: {words}")
+            return words
+    return ""
+
+
+def _others(work: Path, name: str) -> list[Path]:
+    """Folders of trainings that diverged under this name or with a greater share of its steps, slowest first.
+
+    Below `.work/field/<recipe>/<seed>`, of the same seed.
+    """
+    folders = [
+        folder / work.name
+        for folder in work.parent.parent.iterdir()
+        if full_name(folder.name) == full_name(name) and share_of(folder.name) >= share_of(name)
+    ]
+    return sorted(
+        (folder for folder in folders if (folder / _DIVERGED).is_file()),
+        key=lambda folder: share_of(folder.parent.name),
+    )
+
+
+def _saved_step(path: Path, of: dict[str, object]) -> int | None:
+    """Step of a checkpoint; None where there is no readable one of that owner."""
+    try:
+        facts = load_tensors(path)[1]
+    except StoreError:
+        return None
+    return int(facts["step"]) if all(facts.get(name) == value for name, value in of.items()) else None
