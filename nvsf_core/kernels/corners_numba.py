@@ -16,11 +16,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["BLOCK", "axis_by_axis", "combine", "compiled", "neutral_axes", "place", "use_threads_of_torch"]
+__all__ = [
+    "AHEAD", "BLOCK", "axis_by_axis", "combine", "compiled", "corner_scratch", "neutral_axes", "place",
+    "use_threads_of_torch",
+]  # fmt: skip
 
 BLOCK = 256
 """Points whose corners are worked out before their rows are fetched: fetches of many points overlap in
 flight, and the scratch of 28 KiB stays in the first cache."""
+
+AHEAD = 32
+"""Rows are asked for this many points before they are needed; the processor by itself looks seven ahead."""
 
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
@@ -30,6 +36,15 @@ def neutral_axes() -> Any:
     An axis that is never placed has key 0 and share 1, which change nothing in `combine`.
     """
     return np.zeros(6 * BLOCK, np.uint32), np.ones(6 * BLOCK, np.float32)
+
+
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
+def corner_scratch(corners: Any) -> Any:
+    """Scratch of `combine`: entries and weights of a block's corners.
+
+    What is asked for ahead is read from the entries too, AHEAD points past the last.
+    """
+    return np.empty(corners * BLOCK + 2 * AHEAD, np.uint32), np.empty(corners * BLOCK, np.float32)
 
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
@@ -66,20 +81,22 @@ def combine(
 ) -> None:  # fmt: skip
     """Entries and weights of the corners: sums of keys where dense, else their masked XOR; share products.
 
-    Fills `count` columns of 2^axes rows of BLOCK in entry (uint32) and weight (float32); x varies
-    fastest.
+    Fills entry (uint32) and weight (float32) of 2^axes corners: for each pair of neighbours in x, y varying
+    fastest, one row of 2 * BLOCK, in which the lower and the upper point of a position lie side by side.
     """
-    for corner in range(1 << axes):
-        x = np.uint64((corner & 1) * BLOCK)
-        y = np.uint64((2 + ((corner >> 1) & 1)) * BLOCK)
-        z = np.uint64((4 + (corner >> 2)) * BLOCK)
-        to = np.uint64(corner * BLOCK)
+    lower, upper = np.uint64(0), np.uint64(BLOCK)
+    for pair in range(1 << (axes - 1)):
+        y = np.uint64((2 + (pair & 1)) * BLOCK)
+        z = np.uint64((4 + (pair >> 1)) * BLOCK)
+        to = np.uint64(2 * pair * BLOCK)
         for k in range(count):
             i = np.uint64(k)
-            a, b, c = key[x + i], key[y + i], key[z + i]
-            summed = np.uint32(a + b + c)
-            entry[to + i] = summed if dense else np.uint32((a ^ b ^ c) & mask)
-            weight[to + i] = share[x + i] * share[y + i] * share[z + i]
+            first, second = to + np.uint64(2) * i, to + np.uint64(2) * i + np.uint64(1)
+            a, b, c, d = key[lower + i], key[upper + i], key[y + i], key[z + i]
+            entry[first] = np.uint32(a + c + d) if dense else np.uint32((a ^ c ^ d) & mask)
+            entry[second] = np.uint32(b + c + d) if dense else np.uint32((b ^ c ^ d) & mask)
+            weight[first] = share[lower + i] * share[y + i] * share[z + i]
+            weight[second] = share[upper + i] * share[y + i] * share[z + i]
 
 
 def axis_by_axis(positions: Tensor) -> Any:

@@ -21,6 +21,7 @@ from nvsf_core.kernels.corners_numba import (
     axis_by_axis,
     combine,
     compiled,
+    corner_scratch,
     neutral_axes,
     place,
     use_threads_of_torch,
@@ -49,7 +50,7 @@ def _forward_for(features: int, dimensions: int) -> Any:
         levels, axis_count = factors.shape
         for chunk in prange((points + chunk_points - 1) // chunk_points):
             key, share = neutral_axes()
-            entry, weight = np.empty(8 * BLOCK, np.uint32), np.empty(8 * BLOCK, np.float32)
+            entry, weight = corner_scratch(8)
             begin = chunk * chunk_points
             end = min(begin + chunk_points, points)
             rows = np.empty(levels * chunk_points * features, np.float32)
@@ -96,7 +97,7 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
         # finer levels miss the caches more often, and nobody should own all of them.
         for worker in prange(workers):
             key, share = neutral_axes()
-            entry, weight = np.empty(8 * BLOCK, np.uint32), np.empty(8 * BLOCK, np.float32)
+            entry, weight = corner_scratch(8)
             for level in range(levels):
                 turn = level % (2 * workers)
                 if min(turn, 2 * workers - 1 - turn) != worker:

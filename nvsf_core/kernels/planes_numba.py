@@ -22,6 +22,7 @@ from nvsf_core.kernels.corners_numba import (
     axis_by_axis,
     combine,
     compiled,
+    corner_scratch,
     neutral_axes,
     place,
     use_threads_of_torch,
@@ -42,7 +43,7 @@ def _forward_for(features: int) -> Any:
     def forward(axes: Any, plane: Any, scales: Any, lasts: Any, factors: Any, points: Any, out: Any) -> None:
         for block in prange((points + BLOCK - 1) // BLOCK):
             key, share = neutral_axes()
-            entry, weight = np.empty(_CORNERS * BLOCK, np.uint32), np.empty(_CORNERS * BLOCK, np.float32)
+            entry, weight = corner_scratch(_CORNERS)
             first = block * BLOCK
             count = min(BLOCK, points - first)
             for axis in range(factors.shape[0]):
@@ -67,7 +68,7 @@ def _adjoint_for(features: int, group: int) -> Any:
     ) -> None:
         for part in prange(features // group):
             key, share = neutral_axes()
-            entry, weight = np.empty(_CORNERS * BLOCK, np.uint32), np.empty(_CORNERS * BLOCK, np.float32)
+            entry, weight = corner_scratch(_CORNERS)
             plane = grad_plane[part * group :]
             for first in range(0, points, BLOCK):
                 count = min(BLOCK, points - first)

@@ -1,28 +1,29 @@
 """Weighted rows of a table as vector instructions: gather and its adjoint, scatter, for numba kernels.
 
 numba leaves a loop over two or four features scalar, because it cannot prove that the written array is not
-the table that is read. Here a row is one vector. Products and sums are single IEEE operations in the order
-of the corners, as in the torch oracle: no fused multiply-add.
+the table that is read. Here the two rows of neighbours in x are one vector, which halves the loads of entries
+and weights and the sums. Products and sums are single IEEE operations, no fused multiply-add; a gather adds
+all lower rows and all upper rows, then both, which the torch oracle does in another order.
 
 numba's cache does not watch this file: after a change to it, touch the kernels that call it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped,unused-ignore]
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["copy_row", "gather", "scatter"]
+from nvsf_core.kernels.corners_numba import AHEAD
 
-# Rows are asked for this many points before they are needed; the processor by itself looks some seven ahead.
-_AHEAD = 32
+__all__ = ["copy_row", "gather", "scatter"]
 
 _FLOAT = ir.FloatType()
 _BYTES = ir.IntType(8).as_pointer()
-_INT32 = ir.IntType(32)
+_INT32, _INT64 = ir.IntType(32), ir.IntType(64)
 
 
 def _data(context: Any, builder: Any, signature: Any, args: Any, position: int) -> Any:
@@ -33,17 +34,30 @@ def _row(builder: Any, array: Any, start: Any, width: int) -> Any:
     return builder.bitcast(builder.gep(array, [start]), ir.VectorType(_FLOAT, width).as_pointer())
 
 
-def _corner(
-    builder: Any, table: Any, entry: Any, weight: Any, at: Any, stride: int, width: int
-) -> tuple[Any, Any]:
-    """Address of the row entry[at] of the table, and weight[at] in every lane."""
-    index = builder.zext(builder.load(builder.gep(entry, [at])), ir.IntType(64))
-    row = _row(builder, table, builder.mul(index, index.type(stride)), width)
-    vector = ir.VectorType(_FLOAT, width)
-    nothing = ir.Constant(vector, ir.Undefined)
-    lane = builder.insert_element(nothing, builder.load(builder.gep(weight, [at])), _INT32(0))
-    first = ir.Constant(ir.VectorType(_INT32, width), [0] * width)
-    return row, builder.shuffle_vector(lane, nothing, first)
+def _pair_start(builder: Any, point: Any, corner: int, block: int) -> Any:
+    """Where the pair of corners `corner` and `corner + 1` of a point lies, as `combine` fills them."""
+    return builder.add(builder.shl(point, point.type(1)), point.type(corner * block))
+
+
+def _pair_rows(builder: Any, table: Any, entry: Any, at: Any, stride: int, width: int) -> tuple[Any, Any]:
+    """Addresses of the rows entry[at] and entry[at + 1] of the table, from one load."""
+    both = builder.load(builder.bitcast(builder.gep(entry, [at]), _INT64.as_pointer()), align=4)
+    lower, upper = builder.and_(both, _INT64(0xFFFFFFFF)), builder.lshr(both, _INT64(32))
+    return (
+        _row(builder, table, builder.mul(lower, _INT64(stride)), width),
+        _row(builder, table, builder.mul(upper, _INT64(stride)), width),
+    )
+
+
+def _shuffled(builder: Any, first: Any, second: Any, lanes: Iterable[int]) -> Any:
+    numbers = list(lanes)
+    return builder.shuffle_vector(first, second, ir.Constant(ir.VectorType(_INT32, len(numbers)), numbers))
+
+
+def _pair_weights(builder: Any, weight: Any, at: Any, width: int) -> Any:
+    """weight[at] in `width` lanes, then weight[at + 1] in as many."""
+    pair = builder.load(_row(builder, weight, at, 2), align=4)
+    return _shuffled(builder, pair, pair, [0] * width + [1] * width)
 
 
 def _prefetch(
@@ -58,7 +72,7 @@ def _prefetch(
         "llvm.prefetch", [_BYTES], ir.FunctionType(ir.VoidType(), arguments)
     )
     for corner in range(0, corners, 2):
-        at = builder.add(point, point.type(corner * block + _AHEAD))
+        at = _pair_start(builder, builder.add(point, point.type(AHEAD)), corner, block)
         index = builder.zext(builder.load(builder.gep(entry, [at])), ir.IntType(64))
         row = builder.bitcast(builder.gep(table, [builder.mul(index, index.type(stride))]), _BYTES)
         builder.call(prefetch, [row, _INT32(int(write)), _INT32(3), _INT32(1)])
@@ -82,10 +96,11 @@ def copy_row(typing_context, source, first, out, start, width):  # type: ignore[
 def gather(  # type: ignore[no-untyped-def]
     typing_context, table, entry, weight, point, out, start, corners, block, stride, width
 ):
-    """``out[start : start + width] = sum over c of weight[c*block + point] * row(entry[c*block + point])``.
+    """``out[start : start + width] = sum over the corners of weight * row(entry)``, as `combine` fills them.
 
-    A row is ``table[e * stride : e * stride + width]``. table, weight, out: flat float32; entry: flat
-    uint32, corners * block; point < block, start: whole numbers; the rest: constants of the calling kernel.
+    A row is ``table[e * stride : e * stride + width]``. table, out: flat float32; entry (uint32) and weight
+    (float32) of `corner_scratch`; point < block, start: whole numbers; the rest: constants of the calling
+    kernel.
     """
     signature = types.void(table, entry, weight, types.intp, out, types.intp, corners, block, stride, width)
 
@@ -97,15 +112,16 @@ def gather(  # type: ignore[no-untyped-def]
             builder, table_data, entry_data, args[3], corners.literal_value, block.literal_value,
             stride.literal_value, False,
         )  # fmt: skip
-        total = None
-        for corner in range(corners.literal_value):
-            at = builder.add(args[3], args[3].type(corner * block.literal_value))
-            row, spread = _corner(
-                builder, table_data, entry_data, weight_data, at, stride.literal_value, width.literal_value
-            )
-            term = builder.fmul(spread, builder.load(row, align=4))
+        total, wide = None, width.literal_value
+        for corner in range(0, corners.literal_value, 2):
+            at = _pair_start(builder, args[3], corner, block.literal_value)
+            addresses = _pair_rows(builder, table_data, entry_data, at, stride.literal_value, wide)
+            lower, upper = (builder.load(address, align=4) for address in addresses)
+            rows = _shuffled(builder, lower, upper, range(2 * wide))
+            term = builder.fmul(_pair_weights(builder, weight_data, at, wide), rows)
             total = term if total is None else builder.fadd(total, term)
-        builder.store(total, _row(builder, out_data, args[5], width.literal_value), align=4)
+        lower, upper = (_shuffled(builder, total, total, range(k, k + wide)) for k in (0, wide))
+        builder.store(builder.fadd(lower, upper), _row(builder, out_data, args[5], wide), align=4)
         return context.get_dummy_value()
 
     return signature, code
@@ -115,7 +131,7 @@ def gather(  # type: ignore[no-untyped-def]
 def scatter(  # type: ignore[no-untyped-def]
     typing_context, table, entry, weight, point, grad, start, corners, block, stride, width
 ):
-    """``row(entry[c*block + point]) += weight[c*block + point] * grad[start : start + width]``, c in order.
+    """``row(entry) += weight * grad[start : start + width]`` for each corner in order.
 
     The adjoint of `gather`, with the same arguments; adds to the table.
     """
@@ -129,14 +145,17 @@ def scatter(  # type: ignore[no-untyped-def]
             builder, table_data, entry_data, args[3], corners.literal_value, block.literal_value,
             stride.literal_value, True,
         )  # fmt: skip
-        cotangent = builder.load(_row(builder, grad_data, args[5], width.literal_value), align=4)
-        for corner in range(corners.literal_value):
-            at = builder.add(args[3], args[3].type(corner * block.literal_value))
-            row, spread = _corner(
-                builder, table_data, entry_data, weight_data, at, stride.literal_value, width.literal_value
-            )
-            old = builder.load(row, align=4)
-            builder.store(builder.fadd(old, builder.fmul(spread, cotangent)), row, align=4)
+        wide = width.literal_value
+        once = builder.load(_row(builder, grad_data, args[5], wide), align=4)
+        twice = _shuffled(builder, once, once, range(2 * wide))
+        for corner in range(0, corners.literal_value, 2):
+            at = _pair_start(builder, args[3], corner, block.literal_value)
+            terms = builder.fmul(_pair_weights(builder, weight_data, at, wide), twice)
+            addresses = _pair_rows(builder, table_data, entry_data, at, stride.literal_value, wide)
+            # One after the other: at the last grid point both are the same row.
+            for address, k in zip(addresses, (0, wide), strict=True):
+                term = _shuffled(builder, terms, terms, range(k, k + wide))
+                builder.store(builder.fadd(builder.load(address, align=4), term), address, align=4)
         return context.get_dummy_value()
 
     return signature, code
