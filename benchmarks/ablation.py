@@ -219,7 +219,7 @@ def _scored_images(scene: Scene, model: PaperModel) -> Iterator[tuple[str, Mappi
         for k in np.flatnonzero(np.isin(frame, scene.run.scene.test_frames)).tolist():
             local = pose[k].copy()
             local[:3, 3] -= origin_m
-            shown = model.render_image(name, small, local, float(time_of[int(frame[k])]))
+            shown = model.render_image(name, small, local, float(time_of[int(frame[k])])).rgb
             seen = _averaged(valid.astype(np.float64)) == 1.0
             truth = np.rint(_averaged(rgb[k].astype(np.float64))).astype(np.uint8)
             yield "all", image_metrics(shown, truth, seen, None)

@@ -1,4 +1,4 @@
-"""What a LiDAR ray answers."""
+"""What a LiDAR's rays and a camera's pixels answer."""
 
 from dataclasses import dataclass
 
@@ -15,3 +15,13 @@ class RayAnswers:
     """(r,) float32: probability of a return."""
     intensity: np.ndarray
     """(r,) float32, 0..1."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedImage:
+    """What a camera shows of a view."""
+
+    rgb: np.ndarray
+    """(H, W, 3) uint8."""
+    range_m: np.ndarray
+    """(H, W) float32 length of each pixel's ray; infinite where nothing answers."""

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork, RefineNetwork
 from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor
 from nvsf_core.rendering.plane_volume import (
     DepthBelief,
@@ -17,7 +17,7 @@ from nvsf_core.rendering.plane_volume import (
     volume_features,
 )
 from nvsf_core.rendering.sources import look_up
-from nvsf_core.rendering.warping import plane_rays, sample
+from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
 _TRUST_PX = 12.0
 """Distance in the image over which a return's depth loses its hold on the blend."""
@@ -79,6 +79,18 @@ class Refinement:
     """(c, 3, h, w) mean of the sources there."""
 
 
+@dataclass(frozen=True, slots=True)
+class Blend:
+    """Sources, blended."""
+
+    colour: Tensor
+    """(3, h, w), about 0..1."""
+    hypotheses: Hypotheses
+    """Where they were looked up."""
+    refinement: Refinement | None
+    """What refining depths was like; None for a recipe without."""
+
+
 def hypotheses(view: CameraView, belief: DepthBelief, factor: int, window: Window) -> Hypotheses:
     """What is believed of a window of the view shrunk by `factor`; the LiDAR's word first where it reaches.
 
@@ -130,8 +142,8 @@ def blend_sources(
     spec: CameraSpec,
     window: Window = WHOLE,
     around: Window = WHOLE,
-) -> tuple[Tensor, Refinement | None]:
-    """Colour (3, h, w), about 0..1, of a window of the view, and what refining its depths was like.
+) -> Blend:
+    """Show a window of the view.
 
     Args:
         networks: That blend and, where the recipe wants it, refine.
@@ -161,15 +173,19 @@ def blend_sources(
         coarse,
         view.nearness,
     )
-    return colour, refinement
+    return Blend(colour, found, refinement)
 
 
 @torch.no_grad()
-def render_view(networks: CameraNetworks, view: CameraView, spec: CameraSpec) -> np.ndarray:
-    """The whole view, (H, W, 3) uint8."""
-    colour, _ = blend_sources(networks, view, believe_depth(networks.depth, view, spec), spec)
-    image = (colour.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
-    return image.permute(1, 2, 0).contiguous().numpy()
+def render_view(networks: CameraNetworks, view: CameraView, spec: CameraSpec) -> RenderedImage:
+    """The whole view; a pixel is as far away as the depth that is believed most."""
+    blend = blend_sources(networks, view, believe_depth(networks.depth, view, spec), spec)
+    image = (blend.colour.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
+    found = blend.hypotheses
+    believed = found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
+    return RenderedImage(
+        image.permute(1, 2, 0).contiguous().numpy(), ray_length(believed, view.pinhole).numpy()
+    )
 
 
 def _middle(view: CameraView) -> int:

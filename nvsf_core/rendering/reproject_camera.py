@@ -19,7 +19,16 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.splat import splat_depth
-from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shrunk, source_pixels, to_float
+from nvsf_core.rendering.answers import RenderedImage
+from nvsf_core.rendering.warping import (
+    plane_rays,
+    ray_length,
+    relative_motion,
+    sample,
+    shrunk,
+    source_pixels,
+    to_float,
+)
 
 FAR_M = 300.0
 """Depth of the sky, and of everything where there is no LiDAR at all."""
@@ -29,6 +38,14 @@ _UNSEEN_COST = 0.5
 """Difference in grey value that counts where one of two images does not show a candidate."""
 _BASELINE_FLOOR_M = 0.05
 """Below this distance a source image counts as taken at the wanted place."""
+
+
+@dataclass(frozen=True, slots=True)
+class WarpedView(RenderedImage):
+    """A view made of warped images; black where nothing answers."""
+
+    answered: np.ndarray
+    """(H, W) bool, a source shows it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +74,7 @@ def render_by_warping(
     *,
     source_valid: np.ndarray | None = None,
     sweep: SweepOptions | None = SweepOptions(),
-) -> tuple[np.ndarray, np.ndarray]:
+) -> WarpedView:
     """Show a view by warping the two source images nearest to it.
 
     A pixel is the mean of both, weighted by the inverse of their distance to the wanted place; where
@@ -71,9 +88,6 @@ def render_by_warping(
         source_poses: (k, 4, 4) camera to scene-local frame.
         source_valid: (H, W) bool, pixels of the sources that show anything; None = all.
         sweep: How depth is found far from returns; None = the nearest return's depth stays.
-
-    Returns:
-        `rgb` (H, W, 3) uint8, black where nothing answers, and `answered` (H, W) bool.
 
     Raises:
         ShapeError: There is no source, or the arrays do not fit each other.
@@ -102,7 +116,9 @@ def render_by_warping(
     answered = weight > 0
     rgb = torch.where(answered, total / weight.clamp_min(1e-12), 0.0)
     rgb_u8 = (rgb * 255.0).round().clamp(0, 255).to(torch.uint8)
-    return rgb_u8.permute(1, 2, 0).contiguous().numpy(), answered.numpy()
+    return WarpedView(
+        rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy(), answered.numpy()
+    )
 
 
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:

@@ -52,6 +52,14 @@ def plane_rays(pinhole: Pinhole) -> Tensor:
     return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32))
 
 
+def ray_length(inverse: Tensor, pinhole: Pinhole) -> Tensor:
+    """Length (H, W) of each pixel's ray in metres, from inverse depth (H, W) along z: |(x, y, 1)| / q.
+
+    Infinite where q <= 0.
+    """
+    return torch.linalg.vector_norm(plane_rays(pinhole), dim=-1) / inverse.clamp_min(0.0)
+
+
 def relative_motion(target_pose: np.ndarray, source_pose: np.ndarray) -> Tensor:
     """(4, 4) float32 from the wanted camera's frame to a source's."""
     return torch.from_numpy((invert_pose(source_pose) @ target_pose).astype(np.float32))

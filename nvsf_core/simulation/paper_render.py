@@ -11,7 +11,7 @@ from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.answers import RayAnswers, RenderedImage
 from nvsf_core.rendering.scaled_rays import ScaledRays, camera_rays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
 from nvsf_core.sensors.linear_pano import LinearPano
@@ -64,17 +64,22 @@ class PaperModel:
         range_m, intensity, hit = (values.reshape(direction.shape[:2]) for values in found)
         return torch.stack([hit, intensity, range_m / self.bounds.half_m])
 
-    def render_image(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
-        """The view (h, w, 3) uint8 of a camera at `pose` (4, 4), camera to scene-local."""
+    def render_image(
+        self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float
+    ) -> RenderedImage:
+        """The view of a camera at `pose` (4, 4), camera to scene-local; ray lengths as the LiDAR's ranges."""
         direction = (pinhole.rays(pinhole.pixels()) @ pose[:3, :3].T).reshape(-1, 3)
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
         rays = camera_rays(self.bounds, origin, direction, near_m=self.recipe.sampling.near_m)
         frame = self.frame_at(time_s)
-        colour = self._in_parts(
-            rays, lambda x01: self.field.density(x01, frame, "camera"), self.field.camera, on_white
-        )
-        image = (colour.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
-        return image.reshape(pinhole.height, pinhole.width, 3).numpy()
+        found = self._in_parts(
+            rays,
+            lambda x01: self.field.density(x01, frame, "camera"),
+            self.field.camera,
+            lambda render: torch.cat([render.range_scaled[:, None], on_white(render)], dim=1),
+        ).reshape(pinhole.height, pinhole.width, 4)
+        image = (found[..., 1:].clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
+        return RenderedImage(image.numpy(), (found[..., 0] * self.bounds.half_m).numpy())
 
     def _lidar(
         self, origin_m: np.ndarray, direction: np.ndarray, frame: float

@@ -48,6 +48,11 @@ def with_gain(answers: RayAnswers, gain: np.ndarray) -> RayAnswers:
     return replace(answers, intensity=np.clip(answers.intensity * gain, 0.0, 1.0).astype(np.float32))
 
 
+def without_bias(answers: RayAnswers, bias_m: np.ndarray) -> RayAnswers:
+    """Ranges without the biases (r,) of the lasers that recorded them, one a ray."""
+    return replace(answers, range_m=(answers.range_m - bias_m).astype(np.float32))
+
+
 def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:
     """Let rays that met the recording car in most training scans meet it again."""
     cells = evidence.own_range_m.shape[1]

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.answers import RayAnswers, RenderedImage
 
 VOTES = 6
 """Training scans whose drops vote, for a model that does not say how many it was trained with."""
@@ -31,8 +31,8 @@ class RayRenderer(Protocol):
 class ImageRenderer(Protocol):
     """Shows what a camera sees."""
 
-    def __call__(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, /) -> np.ndarray:
-        """Render a whole image (height, width, 3) uint8.
+    def __call__(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, /) -> RenderedImage:
+        """Render a whole image.
 
         Args:
             camera: Name of the drive's camera (`image_00`) that the view is of.
@@ -66,3 +66,6 @@ class SceneModel:
     """None where a pano is the projection of the simulated scan, and not a view of its own."""
     votes: int = VOTES
     """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""
+    as_recorded: bool = False
+    """Whether its LiDAR answers what lasers record, their own errors included: then neither those errors nor
+    scans of the sensor at rest are added to it."""

@@ -18,7 +18,13 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import measured_at_rest, put_back_own_vehicle, recorded_scan, with_gain
+from nvsf_core.simulation.scan import (
+    measured_at_rest,
+    put_back_own_vehicle,
+    recorded_scan,
+    with_gain,
+    without_bias,
+)
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -129,9 +135,13 @@ def simulate_sweep(
     period_s: float,
     recorded_table: LaserTable,
     votes: int,
+    *,
+    as_recorded: bool = False,
 ) -> SimulatedSweep:
     """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
-    rays, answers = fire_sweep(plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes)
+    rays, answers = fire_sweep(
+        plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes, as_recorded=as_recorded
+    )
     points, intensity, laser = recorded_scan(rays, answers)
     pano = LinearPano(quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
@@ -158,10 +168,12 @@ def fire_sweep(
     *,
     phase: float = 0.5,
     leave_out_s: float | None = None,
+    as_recorded: bool = False,
 ) -> tuple[SweepRays, RayAnswers]:
     """All rays of one turn of the plan's sensor around `time_s`, answered; the own vehicle is put back.
 
-    `phase` says where the turn starts against its firings; the training scan at `leave_out_s` is silent.
+    `phase` says where the turn starts against its firings; the training scan at `leave_out_s` is silent;
+    `as_recorded` is `SceneModel`'s.
     """
     near = evidence.prior.nearest_scans(time_s, votes, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
@@ -178,8 +190,11 @@ def fire_sweep(
     )
     vote = evidence.prior.vote(voter, rays.fraction, near)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
-    answers = with_gain(answers, plan.table.intensity_gain[rays.laser])
-    if plan.is_recorded_sensor and plan.mount is None:
+    if as_recorded:
+        answers = without_bias(answers, plan.table.range_bias_m[rays.laser])
+    else:
+        answers = with_gain(answers, plan.table.intensity_gain[rays.laser])
+    if plan.is_recorded_sensor and plan.mount is None and not as_recorded:
         answers = measured_at_rest(
             answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,
             leave_out=None if leave_out_s is None else int(evidence.prior.nearest_scans(leave_out_s, 1)[0]),

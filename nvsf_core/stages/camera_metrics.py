@@ -122,6 +122,6 @@ def _depth(
 def _stored_depth(path: Path, camera: str) -> np.ndarray | None:
     """(k, H, W) length of each pixel's ray in metres, where the method stores it."""
     try:
-        return read_arrays(path, f"{camera}_depth_m")[f"{camera}_depth_m"]
+        return read_arrays(path, f"{camera}_range_m")[f"{camera}_range_m"]
     except StoreError:
         return None

@@ -16,7 +16,7 @@ from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.metric_ledger import Ledger
 from nvsf_core.stages.moving_boxes import MovingBoxes
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.arrays import read_arrays, read_attrs, read_part
 
 _RECORDED = ("frame", "offsets", "points_m", "intensity", "laser", "range_m")
 _PREDICTED = (
@@ -45,9 +45,10 @@ class RecordedScans:
 
     def world_points(self, frame: int) -> np.ndarray:
         """(N, 3) float64 returns of a frame's scan in the world, each from where it was measured, metres."""
-        rays, cut = read_arrays(self.path, "origin_m", "direction"), self._part(frame)
-        along = rays["direction"][cut].astype(np.float64) * self.arrays["range_m"][cut, None]
-        found: np.ndarray = along + rays["origin_m"][cut] + read_attrs(self.path)["scene_origin_m"]
+        cut = self._part(frame)
+        rays = read_part(self.path, cut, "origin_m", "direction")
+        along = rays["direction"].astype(np.float64) * self.arrays["range_m"][cut, None]
+        found: np.ndarray = along + rays["origin_m"] + read_attrs(self.path)["scene_origin_m"]
         return found
 
     def _part(self, frame: int) -> slice:

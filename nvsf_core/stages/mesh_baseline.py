@@ -1,10 +1,12 @@
 """The baseline `mesh`: what a user builds today with a library, a Poisson mesh and rays cast against it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from nvsf_core.clouds.mesh import MeshRays, mesh_rays
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.answers import RayAnswers, RenderedImage
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
@@ -52,7 +54,7 @@ def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
 def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:
     """The two nearest training images, warped by the mesh's depth and averaged; no plane sweep."""
 
-    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
+    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         del time_s
         images = recording.cameras[camera].training
         direction = (pinhole.rays(pinhole.pixels()).reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
@@ -60,9 +62,9 @@ def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:
         range_m, _ = cast(origin_m, direction)
         met = np.isfinite(range_m)
         points_m = origin_m[met] + direction[met] * range_m[met, None]
-        rgb, _ = render_by_warping(
+        view = render_by_warping(
             pose, pinhole, points_m, images.rgb, images.pose, source_valid=images.valid, sweep=None
         )
-        return rgb
+        return replace(view, range_m=range_m.reshape(pinhole.height, pinhole.width))
 
     return warp

@@ -66,7 +66,7 @@ def _render_held_out(
     for method, model in models.items():
         arrays = _rendered(task, recording, view, model, method)
         if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
-            arrays |= along_recorded_rays(recording.lidar, view.sweeps, model.lidar, model.votes)
+            arrays |= along_recorded_rays(recording.lidar, view.sweeps, model)
         if method == MODEL:
             _publish(task, recording, view, arrays, output)
         else:
@@ -83,7 +83,7 @@ def _rendered(
     """What a model makes of a view, by the sensors that drive, view and model have."""
     arrays: dict[str, np.ndarray] = {}
     if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
-        arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model.lidar, model.votes, method)
+        arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model, method)
         if model.pano is not None and view.sweeps.is_recorded_sensor:
             arrays |= own_panos(task, reference_poses(recording, view.plan), view.sweeps, model.pano)
     if model.camera is not None:
@@ -114,7 +114,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="6",
+    version="7",
     run=_run,
     per_recipe=True,
     reads_views=True,

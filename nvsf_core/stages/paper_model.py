@@ -165,6 +165,7 @@ def load_paper_model(folder: Path, recording: Recording) -> SceneModel:
         lidar=model.answer_rays if has_lidar else None,
         camera=model.render_image if has_camera else None,
         pano=model.render_pano if has_lidar else None,
+        as_recorded=True,
     )
 
 

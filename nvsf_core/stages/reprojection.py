@@ -4,6 +4,7 @@ import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import evidence_renderer
@@ -34,11 +35,10 @@ def reprojection(recording: Recording) -> SceneModel:
 def warping_renderer(recording: Recording) -> ImageRenderer:
     """The two nearest training images, warped by the LiDAR's depth and averaged."""
 
-    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
+    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         images = recording.cameras[camera].training
         points = depth_points(recording, time_s)
-        rgb, _ = render_by_warping(pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid)
-        return rgb
+        return render_by_warping(pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid)
 
     return warp
 

@@ -14,6 +14,7 @@ from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.camera_view import (
     CameraView,
     ShownImages,
@@ -101,7 +102,7 @@ def camera_renderer(
     world = MovingWorld(recording)
     shown = {name: _shown(world, name, spec) for name in learned}
 
-    def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> np.ndarray:
+    def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         if camera not in learned:
             return warp(camera, pinhole, pose, time_s)
         one = recording.cameras[camera]
@@ -132,11 +133,11 @@ def judge(
         points = depth_points(
             world.recording, float(world.recording.cameras[camera].training_time_s[index]), leave_out=True
         )
-        warped, _ = render_by_warping(
+        warped = render_by_warping(
             images.pose[index], images.pinhole, points,
             images.rgb[others], images.pose[others], source_valid=images.valid,
         )  # fmt: skip
-        scores.append([psnr(image[images.valid] / 255.0, truth, 1.0).value for image in (shown, warped)])
+        scores.append([psnr(image.rgb[images.valid] / 255.0, truth, 1.0).value for image in (shown, warped)])
     shown_db, warped_db = np.mean(scores, axis=0)
     return float(shown_db), float(warped_db)
 

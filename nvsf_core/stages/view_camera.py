@@ -16,21 +16,27 @@ from nvsf_core.stages.view_planning import reference_poses, to_world
 def image_arrays(
     task: Task, recording: Recording, plans: Mapping[str, ViewPlan], render: ImageRenderer, method: str
 ) -> dict[str, np.ndarray]:
-    """Images of every camera at the instants of its plan."""
+    """Images of every camera at the instants of its plan, and how far its pixels look.
+
+    Lengths are kept as float16: within 0.05 % of them, far below any error of theirs.
+    """
     arrays: dict[str, np.ndarray] = {}
     for name, plan in plans.items():
         pinhole = recording.cameras[name].training.pinhole
         poses = _camera_poses(recording, name, plan)
-        shown, seconds = [], []
+        shown, range_m, seconds = [], [], []
         for number, instant in enumerate(plan.time_s):
             started = time.perf_counter()
-            shown.append(render(name, pinhole, poses[number], float(instant)))
+            image = render(name, pinhole, poses[number], float(instant))
             seconds.append(time.perf_counter() - started)
+            shown.append(image.rgb)
+            range_m.append(image.range_m.astype(np.float16))
             task.progress(
                 f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} "
                 f"{number + 1}/{len(plan.time_s)}, {seconds[-1]:.2f} s"
             )
         arrays |= _named(name, plan, np.stack(shown), to_world(recording, poses), np.array(seconds))
+        arrays[f"{name}_range_m"] = np.stack(range_m)
     return arrays
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
-from nvsf_core.simulation.scan import HIT_THRESHOLD, measured_at_rest, with_gain
-from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer
+from nvsf_core.simulation.scan import HIT_THRESHOLD, measured_at_rest, with_gain, without_bias
+from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answer_in_chunks, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
@@ -15,9 +15,10 @@ from nvsf_core.stages.stage import Task
 
 
 def sweep_arrays(
-    task: Task, lidar: LidarRecording, plan: SweepPlan, render: RayRenderer, votes: int, method: str
+    task: Task, lidar: LidarRecording, plan: SweepPlan, model: SceneModel, method: str
 ) -> dict[str, np.ndarray]:
-    """All sweeps of a view, joined."""
+    """All sweeps of a view by a model with a LiDAR, joined."""
+    assert model.lidar is not None
     sweeps: list[SimulatedSweep] = []
     seconds = []
     recorded = lidar.sweeps
@@ -28,11 +29,12 @@ def sweep_arrays(
                 plan,
                 float(instant),
                 lidar.evidence,
-                render,
+                model.lidar,
                 recorded.trajectory,
                 recorded.period_s,
                 recorded.table,
-                votes,
+                model.votes,
+                as_recorded=model.as_recorded,
             )
         )
         seconds.append(time.perf_counter() - started)
@@ -75,24 +77,31 @@ def own_panos(
 
 
 def along_recorded_rays(
-    lidar: LidarRecording, plan: SweepPlan, render: RayRenderer, votes: int
+    lidar: LidarRecording, plan: SweepPlan, model: SceneModel
 ) -> dict[str, np.ndarray]:
-    """For scoring only: range and intensity along the recorded returns' own rays."""
+    """For scoring only: range and intensity along the recorded returns' own rays, by a model with a LiDAR.
+
+    Ranges are free of their lasers' biases, as the recorded ones that they are compared with.
+    """
+    assert model.lidar is not None
     sweeps, prior = lidar.sweeps, lidar.evidence.prior
     a = sweeps.arrays
     ranges, intensities = [], []
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         part = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
-        scans = prior.nearest_scans(float(instant), votes)
+        scans = prior.nearest_scans(float(instant), model.votes)
         vote = prior.vote(np.maximum(a["laser"][part], 0), a["sweep_fraction"][part], scans)
         fired_s = float(instant) + a["sweep_fraction"][part].astype(np.float64) * sweeps.period_s
-        answers = answer_in_chunks(render, a["origin_m"][part], a["direction"][part], vote, fired_s)
-        gain = np.where(a["laser"][part] >= 0, sweeps.table.intensity_gain[a["laser"][part]], 1.0)
-        answers = with_gain(answers, gain)
-        answers = measured_at_rest(
-            answers, np.maximum(a["laser"][part], 0), a["sweep_fraction"][part], lidar.evidence,
-            float(instant), sweeps.trajectory, sweeps.period_s,
-        )  # fmt: skip
+        answers = answer_in_chunks(model.lidar, a["origin_m"][part], a["direction"][part], vote, fired_s)
+        laser = a["laser"][part]
+        if model.as_recorded:
+            answers = without_bias(answers, np.where(laser >= 0, sweeps.table.range_bias_m[laser], 0.0))
+        else:
+            answers = with_gain(answers, np.where(laser >= 0, sweeps.table.intensity_gain[laser], 1.0))
+            answers = measured_at_rest(
+                answers, np.maximum(laser, 0), a["sweep_fraction"][part], lidar.evidence,
+                float(instant), sweeps.trajectory, sweeps.period_s,
+            )  # fmt: skip
         ranges.append(answers.range_m)
         intensities.append(answers.intensity)
     return {

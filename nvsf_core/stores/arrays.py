@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import EllipsisType
 from typing import Any
 
 import numpy as np
@@ -32,19 +33,33 @@ def read_arrays(path: Path, *names: str) -> dict[str, np.ndarray]:
     Raises:
         StoreError: The group or one of the arrays is absent.
     """
-    group = _open(path)
+    return _read(_open(path), path, names, ...)
+
+
+def read_part(path: Path, rows: slice, *names: str) -> dict[str, np.ndarray]:
+    """Read rows of the named arrays' first axis; little else is fetched.
+
+    Raises:
+        StoreError: The group or one of the arrays is absent.
+    """
+    return _read(_open(path), path, names, rows)
+
+
+def read_attrs(path: Path) -> dict[str, Any]:
+    """Read the group's attributes."""
+    return dict(_open(path).attrs)
+
+
+def _read(
+    group: zarr.Group, path: Path, names: tuple[str, ...], rows: slice | EllipsisType
+) -> dict[str, np.ndarray]:
     wanted = names or tuple(sorted(group.array_keys()))
     missing = [name for name in wanted if name not in group]
     if missing:
         raise StoreError(
             f"{path}: expected arrays {missing}, found {sorted(group.array_keys())}; make it anew"
         )
-    return {name: np.asarray(group[name][...]) for name in wanted}  # type: ignore[index]
-
-
-def read_attrs(path: Path) -> dict[str, Any]:
-    """Read the group's attributes."""
-    return dict(_open(path).attrs)
+    return {name: np.asarray(group[name][rows]) for name in wanted}  # type: ignore[index]
 
 
 def _open(path: Path) -> zarr.Group:

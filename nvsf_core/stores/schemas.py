@@ -176,6 +176,10 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("grid_elevation_rad", "f4", ("scans", "lasers", "firings"), "rad", "own", optional=True),
             Entry("lidar_render_seconds", "f8", ("scans",), "s", "a scan", optional=True),
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
+            Entry(
+                f"{CAMERA}_range_m", "f2", ("images", "height", "width"), "m",
+                "length of each pixel's ray; inf or 0 = no answer", optional=True,
+            ),
             Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
             Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
             Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),

@@ -56,7 +56,8 @@ def camera_step(
     belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
     window = _full_size(around, shape, view.factor)
     placed = belief.placed(around, shape)
-    shown, refinement = blend_sources(networks, view, placed, recipe.camera, window, around)
+    blend = blend_sources(networks, view, placed, recipe.camera, window, around)
+    shown, refinement = blend.colour, blend.refinement
     truth = example.truth[:, *window].float() / 255.0
     difference = shown - truth
     answered = _shown(view.images.full, window)

@@ -94,9 +94,11 @@ def test_two_separate_depths_of_a_pixel_are_both_found() -> None:
 
 def test_untrained_networks_show_the_wall_where_the_lidar_knows_it() -> None:
     networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
-    rgb = render_view(networks, view(wall_points()), SPEC)
-    error = np.abs(rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
+    shown = render_view(networks, view(wall_points()), SPEC)
+    error = np.abs(shown.rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
     assert np.median(error) < 12.0
+    length_m = WALL_M / CAMERA.rays(CAMERA.pixels())[..., 2]
+    assert np.median(np.abs(shown.range_m / length_m - 1.0)[8:-8, 16:-16]) < 0.01
 
 
 @torch.no_grad()
@@ -105,8 +107,8 @@ def test_a_window_shows_what_the_whole_view_shows_there() -> None:
     one = view(wall_points())
     belief = believe_depth(networks.depth, one, SPEC)
     window = (slice(8, 40), slice(16, 80))
-    part, _ = blend_sources(networks, one, belief, SPEC, window)
-    whole, _ = blend_sources(networks, one, belief, SPEC)
+    part = blend_sources(networks, one, belief, SPEC, window).colour
+    whole = blend_sources(networks, one, belief, SPEC).colour
     torch.testing.assert_close(part, whole[:, *window])
 
 
@@ -152,7 +154,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
         things=[MovingThing(plate(0.0), moved)],
     )  # fmt: skip
     networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
-    error = np.abs(render_view(networks, one, SPEC).astype(float) - images[1]).max(axis=-1)
+    error = np.abs(render_view(networks, one, SPEC).rgb.astype(float) - images[1]).max(axis=-1)
     middle = (slice(28, 36), slice(60, 68))
     assert error[middle].max() < 30.0
     # The plate stands at another place of every source: none may leave a ghost on the wall.

@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
+import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.splat import splat_depth
 from nvsf_core.rendering.reproject_camera import FAR_M, nearest_sources, render_by_warping, view_depth
+from nvsf_core.rendering.warping import ray_length
 
 CAMERA = Pinhole(fx=80.0, fy=80.0, cx=63.5, cy=31.5, width=128, height=64)
 WALL_M = 8.0
@@ -41,16 +43,25 @@ def psnr_db(found: np.ndarray, truth: np.ndarray) -> float:
 def test_a_wall_between_two_photographs_is_seen_again() -> None:
     sources = [pose(-0.5), pose(0.5)]
     images = np.stack([photograph(place) for place in sources])
-    rgb, answered = render_by_warping(pose(0.1), CAMERA, wall_points(), images, np.stack(sources), sweep=None)
-    assert answered.all()
-    assert psnr_db(rgb, photograph(pose(0.1))) > 40.0
+    view = render_by_warping(pose(0.1), CAMERA, wall_points(), images, np.stack(sources), sweep=None)
+    assert view.answered.all()
+    assert psnr_db(view.rgb, photograph(pose(0.1))) > 40.0
+
+
+def test_a_pixel_is_as_far_away_as_the_wall_along_its_ray() -> None:
+    image = photograph(pose(0.0))[None]
+    view = render_by_warping(pose(0.0), CAMERA, wall_points(), image, pose(0.0)[None])
+    rays = CAMERA.rays(CAMERA.pixels())
+    np.testing.assert_allclose(view.range_m, WALL_M / rays[..., 2], rtol=1e-4)
+    lengths = ray_length(torch.tensor([[0.0, -1e-3]]), Pinhole(fx=1, fy=1, cx=0, cy=0, width=2, height=1))
+    assert torch.isinf(lengths).all(), "inverse depths that refining moved beyond infinity"
 
 
 def test_a_target_at_a_source_gives_that_image() -> None:
     sources = np.stack([pose(0.0), pose(5.0)])
     images = np.stack([photograph(pose(0.0)), photograph(pose(5.0))])
-    rgb, _ = render_by_warping(pose(0.0), CAMERA, wall_points(), images[:1], sources[:1])
-    np.testing.assert_array_equal(rgb, images[0])
+    view = render_by_warping(pose(0.0), CAMERA, wall_points(), images[:1], sources[:1])
+    np.testing.assert_array_equal(view.rgb, images[0])
 
 
 def test_the_plane_sweep_finds_depth_where_there_is_no_return() -> None:
@@ -58,27 +69,27 @@ def test_the_plane_sweep_finds_depth_where_there_is_no_return() -> None:
     images = np.stack([photograph(place) for place in sources])
     nearer = wall_points(top_m=1.5) * np.float32(0.5)  # the only returns: a low fence, before the wall
     truth = photograph(pose(0.1))
-    plain, _ = render_by_warping(pose(0.1), CAMERA, nearer, images, np.stack(sources), sweep=None)
-    swept, _ = render_by_warping(pose(0.1), CAMERA, nearer, images, np.stack(sources))
+    plain = render_by_warping(pose(0.1), CAMERA, nearer, images, np.stack(sources), sweep=None)
+    swept = render_by_warping(pose(0.1), CAMERA, nearer, images, np.stack(sources))
     upper = (slice(0, 24), slice(16, 112))
-    assert psnr_db(swept[upper], truth[upper]) > psnr_db(plain[upper], truth[upper]) + 5
+    assert psnr_db(swept.rgb[upper], truth[upper]) > psnr_db(plain.rgb[upper], truth[upper]) + 5
 
 
 def test_what_no_source_shows_is_black_and_unanswered() -> None:
     image = photograph(pose(0.0))[None]
-    rgb, answered = render_by_warping(pose(8.0), CAMERA, wall_points(), image, pose(0.0)[None])
-    assert answered.any() and not answered.all()
-    assert (rgb[~answered] == 0).all()
+    view = render_by_warping(pose(8.0), CAMERA, wall_points(), image, pose(0.0)[None])
+    assert view.answered.any() and not view.answered.all()
+    assert (view.rgb[~view.answered] == 0).all()
 
 
 def test_masked_source_pixels_do_not_answer() -> None:
     valid = np.ones((64, 128), dtype=bool)
     valid[:, :40] = False
     image = photograph(pose(0.0))[None]
-    _, answered = render_by_warping(
+    view = render_by_warping(
         pose(0.0), CAMERA, wall_points(), image, pose(0.0)[None], source_valid=valid
     )
-    np.testing.assert_array_equal(answered, valid)
+    np.testing.assert_array_equal(view.answered, valid)
 
 
 def test_without_any_return_the_view_is_as_far_as_the_sky() -> None:
@@ -121,6 +132,6 @@ def test_without_any_return_the_plane_sweep_alone_finds_the_wall() -> None:
     images = np.stack([photograph(place) for place in sources])
     nothing = np.zeros((0, 3), np.float32)
     truth = photograph(pose(0.1))
-    flat, _ = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources), sweep=None)
-    swept, _ = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources))
-    assert psnr_db(swept, truth) > psnr_db(flat, truth) + 3.0
+    flat = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources), sweep=None)
+    swept = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources))
+    assert psnr_db(swept.rgb, truth) > psnr_db(flat.rgb, truth) + 3.0

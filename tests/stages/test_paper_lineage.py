@@ -10,12 +10,15 @@ import torch
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import AuthorsSlips, PaperLosses, PaperRecipe, Recipe, preset
+from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import plan_run, run_named_stage, run_scene
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.paper_model import read_frames
 from nvsf_core.stages.paper_training import train_on_frames
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.stage import Task
+from nvsf_core.stages.view_lidar import along_recorded_rays, sweep_arrays
+from nvsf_core.stages.view_planning import held_out_view
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.tables import read_rows, read_table
@@ -67,6 +70,11 @@ def test_every_stage_runs_with_the_papers_recipe(drive, home):
     assert {row["protocol"] for row in model} >= {"lidar4d", "lidar4d_scan", "raw", "image"}
     panos = read_arrays(outcomes["novel_views"].path / "test" / "model.zarr", "pano_range_m", "pano_hit")
     assert panos["pano_range_m"].shape[1:] == (66, 1030)
+    for method in ("paper_smoke", "reproject", "mesh"):
+        named = [row for row in rows if (row["recipe"], row["metric"]) == (method, "image_depth_rmse_m")]
+        depth = {row["protocol"]: row["value"] for row in named}
+        # As published, zeros of all pixels without a return are in the mean.
+        assert 0.0 < depth["lidar4d"] < depth["image"] < 80.0, method
     # Its own panos, thresholded: empty exactly where no return is expected.
     assert np.array_equal(panos["pano_range_m"] > 0, panos["pano_hit"] > 0.5)
 
@@ -81,6 +89,45 @@ def test_the_training_curve_shows_every_term(drive, home):
     named = ("flow", "depth", "intensity", "raydrop", "gradient", "colour")
     for term in (*named, "chamfer", "flow_magnitude", "line_of_sight", "camera_depth"):
         assert any(value is not None and value >= 0.0 for value in curve[term]), term
+
+
+def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice(drive, home):
+    train(drive, home, smoke())
+    run = plan_run(entry(drive), home, recipe=smoke())
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=home, progress=lambda _: None)
+    recording = read_recording(run.store)
+    model = load_model(task, recording)
+    assert recording.lidar is not None and model.as_recorded
+    table = recording.lidar.sweeps.table
+    wrong = replace(
+        table, range_bias_m=np.linspace(-0.5, 0.5, 64), intensity_gain=np.linspace(0.5, 2.0, 64)
+    )
+    lidars = [
+        replace(recording.lidar, sweeps=replace(recording.lidar.sweeps, table=each))
+        for each in (table, wrong)
+    ]
+    views = [held_out_view(replace(recording, lidar=lidar), (2,)) for lidar in lidars]
+
+    def made(answers: SceneModel) -> list[dict[str, np.ndarray]]:
+        both = zip(lidars, [view.sweeps for view in views], strict=True)
+        return [
+            sweep_arrays(task, lidar, plan, answers, "model") | along_recorded_rays(lidar, plan, answers)
+            for lidar, plan in both
+        ]
+
+    even, uneven = made(model)
+    # Points leave as the field, trained on panos as recorded, renders them: whatever the lasers' errors are.
+    assert np.allclose(even["grid_range_m"], uneven["grid_range_m"], atol=1e-4)
+    assert np.array_equal(even["grid_intensity"], uneven["grid_intensity"])
+    # What is compared with recorded ranges without their biases has none either.
+    laser = recording.lidar.sweeps.arrays["laser"][recording.lidar.sweeps.returns_of(2)]
+    taken_off = even["ray_range_m"] - uneven["ray_range_m"]
+    assert np.allclose(taken_off, wrong.range_bias_m[laser], atol=1e-4)
+    assert np.array_equal(even["ray_intensity"], uneven["ray_intensity"])
+    # A model of what is really there gets each laser's errors once, where the laser records.
+    even, uneven = made(replace(model, as_recorded=False))
+    assert np.abs(uneven["grid_range_m"] - even["grid_range_m"]).max() > 0.3
+    assert np.array_equal(even["ray_range_m"], uneven["ray_range_m"])
 
 
 @pytest.mark.parametrize("encoders", ["same", "separate_fused"])

@@ -256,7 +256,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Moving:
     write_arrays(returns, arrays | rays, {"scene_origin_m": [1000.0, 3700.0, 100.0]})
     model = task.store.path("novel_views/smoke/3/test") / "model.zarr"
     # The recorded walls lie 8 to 16 m away; a depth of 12 m everywhere is off by less than 4 m.
-    stored = read_arrays(model) | {"image_00_depth_m": np.full((2, 40, 48), 12.0, np.float32)}
+    stored = read_arrays(model) | {"image_00_range_m": np.full((2, 40, 48), 12.0, np.float16)}
     write_arrays(model, stored, read_attrs(model))
     output = STAGE.run(task)
     return output, read_rows(task.folder / TABLE_NAME), task.folder
