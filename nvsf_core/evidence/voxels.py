@@ -50,15 +50,25 @@ def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.n
     low = np.floor(lowest / voxel_m) * voxel_m - voxel_m
     ijk = np.floor((points_m - low) / voxel_m).astype(np.int32)
     shape = ijk.max(axis=0) // BRICK + 1
-    brick_linear = np.ravel_multi_index((ijk // BRICK).T, shape)
-    brick_ids, brick_of_point = np.unique(brick_linear, return_inverse=True)
+    brick_of_point = np.ravel_multi_index((ijk // BRICK).T, shape)
     bricks = np.full(shape, -1, np.int32)
-    bricks.reshape(-1)[brick_ids] = np.arange(len(brick_ids), dtype=np.int32)
+    bricks_found, brick_of_point = _number(bricks.reshape(-1), brick_of_point)
     within = ijk % BRICK
     cell_of_point = brick_of_point.astype(np.int64) * BRICK**3 + (
         within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]
     )
-    cell_ids, voxel_of_point = np.unique(cell_of_point, return_inverse=True)
-    cells = np.full((len(brick_ids), BRICK**3), -1, np.int32)
-    cells.reshape(-1)[cell_ids] = np.arange(len(cell_ids), dtype=np.int32)
-    return VoxelIndex(low, voxel_m, bricks, cells), voxel_of_point.astype(np.int32)
+    cells = np.full((bricks_found, BRICK**3), -1, np.int32)
+    _, voxel_of_point = _number(cells.reshape(-1), cell_of_point)
+    return VoxelIndex(low, voxel_m, bricks, cells), voxel_of_point
+
+
+def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
+    """Number the entries of a flat table of -1 that `place` (n,) names, ascending, without a sort.
+
+    Returns:
+        How many there are, and (n,) int32 the number at each place.
+    """
+    table[place] = 0
+    named = np.flatnonzero(table == 0)
+    table[named] = np.arange(len(named), dtype=np.int32)
+    return len(named), table[place]

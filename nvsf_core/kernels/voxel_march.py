@@ -17,89 +17,6 @@ RAYS_A_TASK = 256
 
 
 @njit(inline="always")
-def _enter(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untyped-def]
-    """Clip [t_near, t_far] to the box; an empty interval has t_near > t_far."""
-    for axis in range(3):
-        if direction[axis] == 0.0:
-            if origin[axis] < low[axis] or origin[axis] >= high[axis]:
-                return 1.0, 0.0
-            continue
-        a = (low[axis] - origin[axis]) / direction[axis]
-        b = (high[axis] - origin[axis]) / direction[axis]
-        t_near = max(t_near, min(a, b))
-        t_far = min(t_far, max(a, b))
-    return t_near, t_far
-
-
-@njit(inline="always")
-def _start(origin, direction, t, grid_origin, voxel_m, shape, index, step, t_next, t_step):  # type: ignore[no-untyped-def]
-    """Set up the walk at distance t."""
-    for axis in range(3):
-        position = (origin[axis] + t * direction[axis] - grid_origin[axis]) / voxel_m
-        index[axis] = min(max(math.floor(position), 0), shape[axis] - 1)
-        if direction[axis] > 0.0:
-            step[axis] = 1
-            border = grid_origin[axis] + (index[axis] + 1) * voxel_m
-        else:
-            step[axis] = -1
-            border = grid_origin[axis] + index[axis] * voxel_m
-        if direction[axis] == 0.0:
-            t_next[axis] = np.inf
-            t_step[axis] = np.inf
-        else:
-            t_next[axis] = (border - origin[axis]) / direction[axis]
-            t_step[axis] = voxel_m / abs(direction[axis])
-
-
-@njit(inline="always")
-def _voxel(index, bricks, cells):  # type: ignore[no-untyped-def]
-    row = bricks[index[0] >> 3, index[1] >> 3, index[2] >> 3]
-    if row < 0:
-        return -1
-    return cells[row, ((index[0] & 7) << 6) | ((index[1] & 7) << 3) | (index[2] & 7)]
-
-
-@njit(inline="always")
-def _nearest_axis(t_next):  # type: ignore[no-untyped-def]
-    if t_next[0] <= t_next[1] and t_next[0] <= t_next[2]:
-        return 0
-    return 1 if t_next[1] <= t_next[2] else 2
-
-
-@njit(parallel=True, cache=True)
-def count_passes(origins, directions, stops_m, grid_origin, voxel_m, bricks, cells, n_voxels, n_threads):  # type: ignore[no-untyped-def]
-    """How often each voxel was seen through by rays that end at `stops_m` (shape (n,)); (n_voxels,) int32."""
-    partial = np.zeros((n_threads, n_voxels), np.int32)
-    shape = np.array([bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK])
-    high = grid_origin + shape * voxel_m
-    n = origins.shape[0]
-    for thread in prange(n_threads):
-        index = np.zeros(3, np.int64)
-        step = np.zeros(3, np.int64)
-        t_next = np.zeros(3)
-        t_step = np.zeros(3)
-        for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
-            origin = origins[ray]
-            direction = directions[ray]
-            t, t_far = _enter(origin, direction, grid_origin, high, 0.0, float(stops_m[ray]))
-            if t >= t_far:
-                continue
-            _start(origin, direction, t, grid_origin, voxel_m, shape, index, step, t_next, t_step)
-            while True:
-                axis = _nearest_axis(t_next)
-                if t_next[axis] > t_far:
-                    break
-                voxel = _voxel(index, bricks, cells)
-                if voxel >= 0:
-                    partial[thread, voxel] += 1
-                index[axis] += step[axis]
-                if index[axis] < 0 or index[axis] >= shape[axis]:
-                    break
-                t_next[axis] += t_step[axis]
-    return partial.sum(axis=0)
-
-
-@njit(inline="always")
 def _clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untyped-def]
     """[t_near, t_far] cut to a slab along one axis; an empty interval has t_near > t_far."""
     if direction == 0.0:
@@ -137,6 +54,83 @@ def _steps_before(leave, t_next, borders_a_metre, left):  # type: ignore[no-unty
     return min(left, int((leave - t_next) * borders_a_metre) + 1)
 
 
+@njit(inline="always")
+def _cross_brick(  # type: ignore[no-untyped-def]
+    x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
+    z, z_step, z_next, z_length, z_density,
+):  # fmt: skip
+    """Voxel and next border along each axis in the last voxel of an empty brick that the ray crosses."""
+    x_left, y_left, z_left = _left(x, x_step), _left(y, y_step), _left(z, z_step)
+    leave = min(x_next + x_left * x_length, min(y_next + y_left * y_length, z_next + z_left * z_length))
+    x_steps = _steps_before(leave, x_next, x_density, x_left)
+    y_steps = _steps_before(leave, y_next, y_density, y_left)
+    z_steps = _steps_before(leave, z_next, z_density, z_left)
+    return (
+        x + x_steps * x_step, x_next + x_steps * x_length,
+        y + y_steps * y_step, y_next + y_steps * y_length,
+        z + z_steps * z_step, z_next + z_steps * z_length,
+    )  # fmt: skip
+
+
+@njit(parallel=True, cache=True)
+def count_passes(origins, directions, stops_m, grid_origin, voxel_m, bricks, cells, n_voxels, n_threads):  # type: ignore[no-untyped-def]
+    """How often each voxel was seen through by rays that end at `stops_m` (shape (n,)); (n_voxels,) int32."""
+    partial = np.zeros((n_threads, n_voxels), np.int32)
+    n = origins.shape[0]
+    for thread in prange(n_threads):
+        for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
+            _count_ray(
+                origins[ray], directions[ray], float(stops_m[ray]), grid_origin, voxel_m, bricks, cells,
+                partial[thread],
+            )  # fmt: skip
+    return partial.sum(axis=0)
+
+
+@njit(cache=True)
+def _count_ray(origin, direction, stop_m, grid_origin, voxel_m, bricks, cells, passes):  # type: ignore[no-untyped-def]
+    """Add one to `passes` of each voxel that a ray has left again before `stop_m`."""
+    x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    dx, dy, dz = direction[0], direction[1], direction[2]
+    t, t_far = _clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, 0.0, stop_m)
+    t, t_far = _clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
+    t, t_far = _clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
+    if t >= t_far:
+        return
+    x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
+    y, y_step, y_next, y_length = _first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
+    z, z_step, z_next, z_length = _first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
+    x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
+    while True:
+        row = bricks[x >> 3, y >> 3, z >> 3]
+        if row < 0:
+            x, x_next, y, y_next, z, z_next = _cross_brick(
+                x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
+                z, z_step, z_next, z_length, z_density,
+            )  # fmt: skip
+        nearest = min(x_next, min(y_next, z_next))
+        if nearest > t_far:
+            return
+        if row >= 0:
+            voxel = cells[row, ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)]
+            if voxel >= 0:
+                passes[voxel] += 1
+        if x_next <= y_next and x_next <= z_next:
+            x += x_step
+            x_next += x_length
+            inside = x >= 0 and x < x_voxels
+        elif y_next <= z_next:
+            y += y_step
+            y_next += y_length
+            inside = y >= 0 and y < y_voxels
+        else:
+            z += z_step
+            z_next += z_length
+            inside = z >= 0 and z < z_voxels
+        if not inside:
+            return
+
+
 @njit(cache=True)
 def walk(  # type: ignore[no-untyped-def]
     ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
@@ -166,16 +160,10 @@ def walk(  # type: ignore[no-untyped-def]
     while True:
         row = bricks[x >> 3, y >> 3, z >> 3]
         if row < 0:
-            x_left, y_left, z_left = _left(x, x_step), _left(y, y_step), _left(z, z_step)
-            leave = min(
-                x_next + x_left * x_length, min(y_next + y_left * y_length, z_next + z_left * z_length)
-            )
-            steps = _steps_before(leave, x_next, x_density, x_left)
-            x, x_next = x + steps * x_step, x_next + steps * x_length
-            steps = _steps_before(leave, y_next, y_density, y_left)
-            y, y_next = y + steps * y_step, y_next + steps * y_length
-            steps = _steps_before(leave, z_next, z_density, z_left)
-            z, z_next = z + steps * z_step, z_next + steps * z_length
+            x, x_next, y, y_next, z, z_next = _cross_brick(
+                x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
+                z, z_step, z_next, z_length, z_density,
+            )  # fmt: skip
         else:
             voxel = cells[row, ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)]
             if voxel >= 0:
