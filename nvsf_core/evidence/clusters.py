@@ -12,6 +12,9 @@ from nvsf_core.evidence.visibility import SEED, STATIC
 _VOXEL_M = 0.25
 _LINK_M = 0.5
 _LEAST_SEEDS = 8
+_FEWEST_SEEDS = 3
+_USUAL_SPACING_RAD = 0.007
+"""Angle between neighbouring lasers of the sensor for which numbers of returns are told."""
 _SEED_SHARE = 0.4
 _SEEDS_PER_STATIC = 2.0
 _LONGEST_M = 12.0
@@ -35,6 +38,27 @@ class Cluster:
     """Range of its nearest return."""
 
 
+def laser_density(spacing_rad: float) -> float:
+    """Returns of a thing to those that 64 lasers get of it, at most 1: by the angle between lasers."""
+    return min(1.0, _USUAL_SPACING_RAD / spacing_rad)
+
+
+def draw_in(
+    point_m: np.ndarray, above_sensor_m: np.ndarray, range_m: np.ndarray, spacing_rad: float
+) -> np.ndarray:
+    """Points (m, 3) drawn in towards the sensor's height until rows of lasers are within a link's reach.
+
+    Args:
+        point_m: (m, 3) scene-local.
+        above_sensor_m: (m,) their heights above the sensor.
+        range_m: (m,) their ranges.
+        spacing_rad: Between neighbouring lasers.
+    """
+    drawn = point_m.copy()
+    drawn[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
+    return drawn
+
+
 def cluster_scan(
     scan: int,
     index: np.ndarray,
@@ -42,6 +66,8 @@ def cluster_scan(
     label: np.ndarray,
     time_s: np.ndarray,
     range_m: np.ndarray,
+    drawn_in_m: np.ndarray,
+    density: float,
 ) -> list[Cluster]:
     """Moving clusters of a scan's standing returns.
 
@@ -54,15 +80,18 @@ def cluster_scan(
         label: (m,) int8 from `judge_returns`.
         time_s: (m,) their times.
         range_m: (m,) their ranges.
+        drawn_in_m: (m, 3) the same points for the links alone, from `draw_in`.
+        density: From `laser_density`: so many times fewer seeds do.
     """
-    if (label == SEED).sum() < _LEAST_SEEDS:
+    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * density)
+    if (label == SEED).sum() < least_seeds:
         return []
-    group = _groups(point_m, label)
+    group = _groups(drawn_in_m, label)
     count = int(group.max(initial=-1)) + 1
     seeds = np.bincount(group[(label == SEED) & (group >= 0)], minlength=count)
     static = np.bincount(group[(label == STATIC) & (group >= 0)], minlength=count)
     size = np.bincount(group[group >= 0], minlength=count)
-    moving = (seeds >= _LEAST_SEEDS) & (seeds >= _SEED_SHARE * size) & (seeds >= _SEEDS_PER_STATIC * static)
+    moving = (seeds >= least_seeds) & (seeds >= _SEED_SHARE * size) & (seeds >= _SEEDS_PER_STATIC * static)
     clusters = []
     for chosen in np.flatnonzero(moving):
         rows = np.flatnonzero(group == chosen)

@@ -29,6 +29,7 @@ class DynamicEvidence:
         arrays["object_ray_offsets"] = _offsets([len(one.scan) for one in rays])
         arrays["object_bounds_m"] = np.array([[path.low_m, path.high_m] for path in paths], np.float64)
         arrays["object_frame_s"] = np.array([path.frame_s for path in paths], np.float64)
+        arrays["object_voxel_m"] = np.array([one.voxel_m for one in self.objects], np.float64)
         for name in _PATH:
             arrays[f"object_path_{name}"] = np.concatenate([getattr(path, name) for path in paths])
         for name in _RAYS:
@@ -56,6 +57,7 @@ class DynamicEvidence:
                         high_m=high_m,
                     ),
                     ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in _RAYS)),
+                    float(arrays["object_voxel_m"][number]),
                 )
             )
         background = {name: arrays[f"background_{name}"] for name in Surfels.ARRAYS}

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.clusters import cluster_scan
+from nvsf_core.evidence.clusters import cluster_scan, draw_in, laser_density
 from nvsf_core.evidence.ground import build_ground
 from nvsf_core.evidence.motion import Path, Standing, carry_on, solve_path, start_path
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
@@ -39,6 +39,8 @@ def find_moving(returns: TimedReturns) -> MovingObjects:
         return nothing
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
     standing = _judge(returns, range_m)
+    spacing_rad = returns.laser_spacing_rad
+    density = laser_density(spacing_rad)
     clusters = []
     for scan in range(returns.scan_count):
         part = slice(int(standing.offsets[scan]), int(standing.offsets[scan + 1]))
@@ -51,14 +53,16 @@ def find_moving(returns: TimedReturns) -> MovingObjects:
                 standing.label[part],
                 returns.time_s[index],
                 range_m[index],
+                draw_in(returns.point_m[index], returns.recorded_m[index, 2], range_m[index], spacing_rad),
+                density,
             )
         )
-    paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s)]
+    paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
     for path in paths:
         solve_path(path, returns)
         if carry_on(path, returns, standing):
             solve_path(path, returns)
-    return _whole_objects(paths, returns, standing) if paths else nothing
+    return _whole_objects(paths, returns, standing, density) if paths else nothing
 
 
 def _judge(returns: TimedReturns, range_m: np.ndarray) -> Standing:
@@ -72,7 +76,9 @@ def _judge(returns: TimedReturns, range_m: np.ndarray) -> Standing:
     return Standing(index, judge_returns(returns, index), np.searchsorted(index, returns.offsets))
 
 
-def _whole_objects(paths: list[Path], returns: TimedReturns, standing: Standing) -> MovingObjects:
+def _whole_objects(
+    paths: list[Path], returns: TimedReturns, standing: Standing, density: float
+) -> MovingObjects:
     """Give each object all loose returns near its accumulated shape, biggest first, and its extent."""
     object_id = np.full(len(returns.point_m), -1, np.int32)
     objects: list[MovingObject] = []
@@ -83,16 +89,16 @@ def _whole_objects(paths: list[Path], returns: TimedReturns, standing: Standing)
         shape_o = _thinned(shape_o)
         taken = _take(moving, shape_o, returns, standing, object_id)
         local = moving.to_object(returns.point_m[taken].astype(np.float64), returns.time_s[taken])
-        if not _is_object(taken, local, returns):
+        if not _is_object(taken, local, returns, _LEAST_RETURNS * density):
             continue
         object_id[taken] = len(objects)
         objects.append(replace(moving, low_m=local.min(axis=0), high_m=local.max(axis=0)))
-    return MovingObjects(tuple(objects), object_id)
+    return MovingObjects(tuple(objects), object_id, density)
 
 
-def _is_object(taken: np.ndarray, local_m: np.ndarray, returns: TimedReturns) -> bool:
+def _is_object(taken: np.ndarray, local_m: np.ndarray, returns: TimedReturns, fewest: float) -> bool:
     """Whether returns (k,), in the object's frame (k, 3), are one thing that its motion explains."""
-    if len(taken) < _LEAST_RETURNS or len(np.unique(returns.scan_of(taken))) < _LEAST_SCANS:
+    if len(taken) < fewest or len(np.unique(returns.scan_of(taken))) < _LEAST_SCANS:
         return False
     if np.linalg.norm(returns.recorded_m[taken], axis=1).max() < _OWN_VEHICLE_M:
         return False

@@ -69,6 +69,8 @@ class MovingObjects:
     """Largest first."""
     object_id: np.ndarray
     """(N,) int32 of every training return; -1 for what does not move."""
+    density: float = 1.0
+    """Returns of a thing to those that a usual 64-laser sensor gets of it, at most 1."""
 
     @property
     def is_static(self) -> bool:

@@ -9,6 +9,7 @@ from nvsf_core.evidence.object_votes import ObjectVotes
 from nvsf_core.evidence.surfels import Candidates, Surfels, build_surfels, candidates_of
 
 OBJECT_VOXEL_M = 0.1
+"""For 64 lasers. Where fewer look, voxels are as much larger as keeps the returns in each."""
 NEAREST_SCANS = 4
 """More add nothing, and blur what is not rigid, such as legs."""
 _MOST_CANDIDATES = 12
@@ -39,6 +40,8 @@ class ObjectEvidence:
 
     path: MovingObject
     rays: ObjectRays
+    voxel_m: float = OBJECT_VOXEL_M
+    """Edge of its surfels' voxels."""
 
     def scans_near(self, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
         """Its nearest 4 scans (k,); the training scan `leave_out` is not among them."""
@@ -53,7 +56,7 @@ class ObjectEvidence:
             return None
         return build_surfels(
             rays.origin_m[used], rays.direction[used], rays.range_m[used], rays.intensity[used],
-            voxel_m=OBJECT_VOXEL_M, threads=1, is_surface=rays.is_hit[used],
+            voxel_m=self.voxel_m, threads=1, is_surface=rays.is_hit[used],
         )  # fmt: skip
 
 
@@ -87,6 +90,7 @@ def prove_objects(
         time_s: (N,) of the ray.
         offsets: (n + 1,) where each training scan begins.
     """
+    voxel_m = OBJECT_VOXEL_M / np.sqrt(moving.density)
     found = []
     for number, path in enumerate(moving.objects):
         parts = []
@@ -104,7 +108,7 @@ def prove_objects(
             is_hit=moving.object_id[index] == number,
             scan=np.concatenate([part[3] for part in parts]),
         )
-        found.append(ObjectEvidence(path, rays))
+        found.append(ObjectEvidence(path, rays, voxel_m))
     return tuple(found)
 
 

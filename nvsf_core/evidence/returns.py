@@ -61,6 +61,13 @@ class TimedReturns:
         steps_s = np.diff(self.trajectory.times_s)
         return float(np.median(steps_s)) if len(steps_s) else 0.1
 
+    @property
+    def laser_spacing_rad(self) -> float:
+        """Median angle between neighbouring lasers that returned; infinite where fewer than two did."""
+        seen = np.flatnonzero(np.bincount(self.laser[self.laser >= 0], minlength=self.table.laser_count))
+        steps = np.diff(np.unique(self.table.elevation_rad[seen]))
+        return float(np.median(steps)) if len(steps) else np.inf
+
     def scan_of(self, index: np.ndarray) -> np.ndarray:
         """Scan (k,) int64 of the returns `index` (k,)."""
         return np.searchsorted(self.offsets, index, side="right") - 1

@@ -18,7 +18,7 @@ _LEAST_MOVED_M = 0.5
 _LEAST_SPEED_M = 0.04
 """A frame: slower than this is noise."""
 _NEAREST_M = 60.0
-_LEAST_RETURNS = 10.0
+_LEAST_RETURNS, _FEWEST_RETURNS = 10.0, 4.0
 
 
 @dataclass(slots=True, eq=False)
@@ -45,8 +45,11 @@ class Track:
         return last[-1].centre_m + velocity * (time_s - last[-1].time_s)
 
 
-def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float) -> list[Track]:
-    """Join clusters scan by scan, greedily by cost, and keep the tracks of what has moved."""
+def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: float = 1.0) -> list[Track]:
+    """Join clusters scan by scan, greedily by cost, and keep the tracks of what has moved.
+
+    `density` is from `laser_density`: so many times fewer returns make a track.
+    """
     tracks: list[Track] = []
     for clusters in clusters_by_scan:
         if not clusters:
@@ -67,7 +70,7 @@ def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float) -> list[T
             used_clusters.add(k)
             alive[i].clusters.append(clusters[k])
         tracks += [Track([cluster]) for k, cluster in enumerate(clusters) if k not in used_clusters]
-    return [track for track in tracks if _has_moved(track, frame_s)]
+    return [track for track in tracks if _has_moved(track, frame_s, density)]
 
 
 def _cost(track: Track, cluster: Cluster, frame_s: float) -> float:
@@ -84,7 +87,7 @@ def _cost(track: Track, cluster: Cluster, frame_s: float) -> float:
     return distance / max(frames, 1.0) + _SIZE_COST_M * abs(float(np.log(ratio)))
 
 
-def _has_moved(track: Track, frame_s: float) -> bool:
+def _has_moved(track: Track, frame_s: float, density: float) -> bool:
     if len(track.clusters) < _LEAST_SCANS:
         return False
     first, last = track.clusters[0], track.clusters[-1]
@@ -95,5 +98,5 @@ def _has_moved(track: Track, frame_s: float) -> bool:
         moved_m > _LEAST_MOVED_M
         and moved_m > _LEAST_SPEED_M * frames
         and min(cluster.nearest_m for cluster in track.clusters) < _NEAREST_M
-        and returns >= _LEAST_RETURNS
+        and returns >= max(_FEWEST_RETURNS, _LEAST_RETURNS * density)
     )

@@ -6,9 +6,15 @@ import numpy as np
 from numba import njit, prange
 
 _UNKNOWN, _THROUGH, _HIDDEN, _CONFIRMED = 0, 1, 2, 3
-_LEAST_FILLED = 5
+_LEAST_FILLED_SHARE = 0.55
 _CHUNK = 1024
 _OFF_ROW_SHARE = 0.75
+_ON_ROW_SHARE = 0.25
+_LEFT_SCANS = 3
+"""So many scans in a row that see through a place say that what was there has left: what is confirmed
+later is another thing, such as the next car of a queue."""
+_APART_M = 0.35
+"""Where lasers look farther apart than this a laser that does not look at a place knows nothing of it."""
 
 
 @njit(inline="always", fastmath=True)
@@ -45,7 +51,10 @@ def _cell(azimuth, count):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _row(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[no-untyped-def]
-    """The laser that looks at this elevation at this range; -1 beyond the outermost ones."""
+    """The laser that looks at this elevation at this range, and rows (first, end) that know of the place.
+
+    Row -1 beyond the outermost lasers.
+    """
     nearness = np.float32(1.0) / range_m
     low, high = 0, len(laser_elevation) - 1
     while high - low > 1:
@@ -58,16 +67,21 @@ def _row(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[n
     below = elevation - laser_elevation[high] - laser_offset_m[high] * nearness
     spacing = above + below
     if above < -_OFF_ROW_SHARE * spacing or below < -_OFF_ROW_SHARE * spacing:
-        return -1
-    return low if above < below else high
+        return -1, 0, 0
+    row = low if above < below else high
+    if spacing * range_m < _APART_M:
+        return row, max(row - 1, 0), min(row + 2, len(laser_elevation))
+    if min(above, below) < _ON_ROW_SHARE * spacing:
+        return row, row, row + 1
+    return row, low, high + 1
 
 
 @njit(inline="always")
-def _look(image, row, column, range_m, margin_m):  # type: ignore[no-untyped-def]
-    """What 3 x 3 cells around say about a surface at this range."""
-    lasers, cells = image.shape
+def _look(image, first_row, end_row, column, range_m, margin_m):  # type: ignore[no-untyped-def]
+    """What three cells of each of some rows say about a surface at this range."""
+    cells = image.shape[1]
     filled, farther, nearer = 0, 0, 0
-    for i in range(max(row - 1, 0), min(row + 2, lasers)):
+    for i in range(first_row, end_row):
         for k in range(column - 1, column + 2):
             found = image[i, k % cells]
             if found > 0.0:
@@ -76,7 +90,7 @@ def _look(image, row, column, range_m, margin_m):  # type: ignore[no-untyped-def
                     farther += 1
                 elif found < range_m - margin_m:
                     nearer += 1
-    if filled < _LEAST_FILLED:
+    if filled < _LEAST_FILLED_SHARE * 3 * (end_row - first_row):
         return _UNKNOWN
     if farther == filled:
         return _THROUGH
@@ -98,7 +112,7 @@ def look_back(  # type: ignore[no-untyped-def]
 
     Returns:
         (m, 3) int16: scans that saw through the point; scans that confirmed it although one nearer to it
-        in time, in that direction, had seen through; scans that confirmed it.
+        in time, in that direction, had seen through, until three in a row did; scans that confirmed it.
     """
     n, _, cells = images.shape
     moments = to_sensor.shape[1]
@@ -109,7 +123,7 @@ def look_back(  # type: ignore[no-untyped-def]
             px, py, pz = points[point, 0], points[point, 1], points[point, 2]
             for direction in (-1, 1):
                 moment = moments // 2
-                gone = False
+                gone, left, through = False, False, 0
                 scan = scans[point] + direction
                 while 0 <= scan < n:
                     # The moment depends on where the point is seen, which depends on the moment.
@@ -125,22 +139,26 @@ def look_back(  # type: ignore[no-untyped-def]
                     flat = math.sqrt(x * x + y * y)
                     range_m = math.sqrt(x * x + y * y + z * z)
                     elevation = _angle(z * cosine - flat * sine, flat * cosine + z * sine)
-                    row = _row(elevation, range_m, laser_elevation, laser_offset_m)
+                    row, first_row, end_row = _row(elevation, range_m, laser_elevation, laser_offset_m)
                     if row >= 0:
                         column = _cell(_angle(y, x), cells)
                         seen = _look(
                             images[scan],
-                            row,
+                            first_row,
+                            end_row,
                             column,
                             range_m,
                             np.float32(near_m) + np.float32(per_range) * range_m,
                         )
                         if seen == _THROUGH:
                             gone = True
+                            through += 1
+                            left = left or through >= _LEFT_SCANS
                             counts[point, 0] += 1
                         elif seen == _CONFIRMED:
+                            through = 0
                             counts[point, 2] += 1
-                            if gone:
+                            if gone and not left:
                                 counts[point, 1] += 1
                     scan += direction
     return counts
