@@ -23,6 +23,8 @@ _TRUST_PX = 12.0
 """Distance in the image over which a return's depth loses its hold on the blend."""
 _FINER = 0.25
 """Step between refined depths, of that between planes."""
+_JUMP = 1.0
+"""Planes between believed depths side by side from which on they are two surfaces, with nothing between."""
 
 
 def planes_of(
@@ -61,10 +63,20 @@ class Hypotheses:
     share: Tensor
     """(3, h, w) in 0..1, how far each is believed."""
 
-    def resized(self, places: Tensor) -> "Hypotheses":
-        """The same at other places (h, w, 2), in grid_sample's coordinates."""
-        both = sample(torch.cat([self.inverse, self.share]), places)
-        return Hypotheses(both[: len(self.inverse)], both[len(self.inverse) :])
+    def resized(self, places: Tensor, jump: float) -> "Hypotheses":
+        """The same at other places: between pixels of one surface the mean, at an edge the nearest pixel's.
+
+        A mean across an edge would be a depth where nothing is, and draw it as a line.
+
+        Args:
+            places: (h, w, 2) in grid_sample's coordinates.
+            jump: 1/m, from which on depths side by side are two surfaces.
+        """
+        both = torch.cat([self.inverse, self.share])
+        mean, near = sample(both, places), sample(both, places, "nearest")
+        is_edge = (mean - near)[: len(self.inverse)].abs() > jump
+        inverse, share = torch.where(is_edge.repeat(2, 1, 1), near, mean).chunk(2)
+        return Hypotheses(inverse, share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +103,25 @@ class Blend:
     """What refining depths was like; None for a recipe without."""
 
 
-def hypotheses(view: CameraView, belief: DepthBelief, factor: int, window: Window) -> Hypotheses:
+def hypotheses(
+    view: CameraView, belief: DepthBelief, spec: CameraSpec, factor: int, window: Window
+) -> Hypotheses:
     """What is believed of a window of the view shrunk by `factor`; the LiDAR's word first where it reaches.
 
     Args:
         view: What is looked at.
         belief: Of all its shrunk pixels.
+        spec: Of the networks.
         factor: 1 for the image itself.
         window: Of the image that is `factor` times smaller.
     """
-    channels = sample(belief.stacked(), _places(view, factor, view.factor)[window])
+    places = _places(view, factor, view.factor)[window]
+    believed = Hypotheses(belief.inverse, belief.probability).resized(places, _JUMP * _plane_step(spec))
     inverse, gap_px = (view.thinned(x, factor)[window] for x in (view.inverse, view.gap_px))
     trust = torch.exp(-gap_px / _TRUST_PX)
     return Hypotheses(
-        torch.cat([channels[:2], inverse[None]]), torch.cat([channels[2:4] * (1.0 - trust), trust[None]])
+        torch.cat([believed.inverse, inverse[None]]),
+        torch.cat([believed.share * (1.0 - trust), trust[None]]),
     )
 
 
@@ -121,8 +138,7 @@ def refine(
         window: Of the image of the middle size.
     """
     count = spec.refinements
-    step = (1.0 / spec.near_m - 1.0 / spec.far_m) / (spec.planes - 1) * _FINER
-    offsets = (torch.arange(count) - count // 2) * step
+    offsets = (torch.arange(count) - count // 2) * _FINER * _plane_step(spec)
     depths = (coarse.inverse.detach()[:, None] + offsets[:, None, None]).clamp_min(0.0).flatten(0, 1)
     middle = view.middle
     label = view.label_of(middle_factor(view.factor), window)
@@ -155,11 +171,13 @@ def blend_sources(
     """
     refinement = None
     if networks.refine is None:
-        found = hypotheses(view, belief, 1, window)
+        found = hypotheses(view, belief, spec, 1, window)
     else:
         part = scaled(around, view.factor // middle_factor(view.factor))
-        refinement = refine(networks.refine, view, hypotheses(view, belief, _middle(view), part), spec, part)
-        found = refinement.hypotheses.resized(_places(view, 1, _middle(view), part)[window])
+        coarse_depths = hypotheses(view, belief, spec, _middle(view), part)
+        refinement = refine(networks.refine, view, coarse_depths, spec, part)
+        places = _places(view, 1, _middle(view), part)[window]
+        found = refinement.hypotheses.resized(places, _JUMP * _plane_step(spec))
     coarse = sample(belief.colour, _places(view, 1, view.factor)[window])
     label = view.label_of(1, window)
     sources, rays = view.sources(view.images.full), plane_rays(view.pinhole)[window]
@@ -186,6 +204,11 @@ def render_view(networks: CameraNetworks, view: CameraView, spec: CameraSpec) ->
     return RenderedImage(
         image.permute(1, 2, 0).contiguous().numpy(), ray_length(believed, view.pinhole).numpy()
     )
+
+
+def _plane_step(spec: CameraSpec) -> float:
+    """Inverse depth between two planes, 1/m."""
+    return (1.0 / spec.near_m - 1.0 / spec.far_m) / (spec.planes - 1)
 
 
 def _middle(view: CameraView) -> int:

@@ -70,10 +70,6 @@ class DepthBelief:
     colour: Tensor
     """(3, h, w) mean over all planes."""
 
-    def stacked(self) -> Tensor:
-        """All of it as channels (7, h, w)."""
-        return torch.cat([self.inverse, self.probability, self.colour])
-
     def placed(self, window: tuple[slice, slice], shape: tuple[int, int]) -> "DepthBelief":
         """The same in an image (rows, columns) of which this is a window; zeros around it."""
         rows, columns = window

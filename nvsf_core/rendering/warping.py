@@ -1,6 +1,7 @@
 """Where a recorded image shows what a wanted view sees at a depth, and its values there."""
 
 import functools
+from typing import Literal
 
 import numpy as np
 import torch
@@ -38,10 +39,10 @@ def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhol
     return torch.stack([x, y], dim=-1), seen
 
 
-def sample(image: Tensor, grid: Tensor) -> Tensor:
-    """Bilinear values (c, H, W) of an image (c, h, w)."""
+def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "bilinear") -> Tensor:
+    """Values (c, H, W) of an image (c, h, w): between its pixels, or those of the nearest pixel."""
     return functional.grid_sample(
-        image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
+        image[None], grid[None], mode=mode, padding_mode="border", align_corners=False
     )[0]
 
 

@@ -18,7 +18,14 @@ from nvsf_core.rendering.camera_view import (
     moving_pixels,
     shown_images,
 )
-from nvsf_core.rendering.learned_warp import believe_depth, blend_sources, hypotheses, refine, render_view
+from nvsf_core.rendering.learned_warp import (
+    Hypotheses,
+    believe_depth,
+    blend_sources,
+    hypotheses,
+    refine,
+    render_view,
+)
 from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses, plane_volume, volume_features
 from nvsf_core.rendering.warping import plane_rays
 
@@ -117,12 +124,26 @@ def test_untrained_refinement_leaves_depths_and_shares_as_they_were() -> None:
     spec = replace(SPEC, refinements=3)
     networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
     one = view(wall_points())
-    before = hypotheses(one, believe_depth(networks.depth, one, spec), 1, WHOLE)
+    before = hypotheses(one, believe_depth(networks.depth, one, spec), spec, 1, WHOLE)
     assert networks.refine is not None
     after = refine(networks.refine, one, before, spec)
     torch.testing.assert_close(after.hypotheses.inverse, before.inverse, atol=1e-6, rtol=0.0)
     torch.testing.assert_close(after.probability.sum(dim=0), torch.ones(64, 128))
     assert middle_factor(4) == 2 and middle_factor(1) == 1
+
+
+def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:
+    columns = torch.arange(8.0)
+    inverse = torch.where(columns < 4, 0.10 + 0.001 * columns, 0.30).expand(3, 2, 8)
+    share = torch.where(columns < 4, 0.9, 0.2).expand(3, 2, 8)
+    x = (torch.arange(32) + 0.5) / 16.0 - 1.0
+    places = torch.stack([x, torch.zeros(32)], dim=-1)[None]
+    finer = Hypotheses(inverse, share).resized(places, 0.01)
+    near = torch.arange(32) < 16
+    expected = 0.10 + 0.001 * ((torch.arange(32) + 0.5) / 4.0 - 0.5).clamp_min(0.0)
+    torch.testing.assert_close(finer.inverse[0, 0, :14], expected[:14])
+    assert (finer.inverse[..., near] < 0.104).all() and (finer.inverse[..., ~near] > 0.299).all()
+    assert (finer.share[..., near] > 0.89).all() and (finer.share[..., ~near] < 0.21).all()
 
 
 THING_M = 4.0
