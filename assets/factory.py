@@ -1,17 +1,21 @@
 """From a stage of the flow to an asset of the lineage."""
 
 import base64
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import dagster as dg
 
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
-from nvsf_core.stages import STAGES, Outcome, Stage, run_named_stage
+from nvsf_core.stages import STAGES, Check, Outcome, Stage, run_named_stage
+from nvsf_core.stages.stage import NOT_RUN, Law, UnsoundOutputError
 
 CHECK_NAME = "output_is_sound"
-"""Every asset's blocking check: all that the stage itself checked, each listed in the metadata."""
+"""Every asset's blocking check: all that the stage itself checked, each listed in the metadata. What a stage
+calls a law is a check of its own beside it."""
 _PUBLISHED = dg.AssetCheckSeverity.WARN
 """What was published broke no blocking law: a law that it breaks warns, and what reads it still runs."""
 _PREVIEW_LIMIT_BYTES = 100_000
@@ -42,14 +46,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
         code_version=stage.version,
         partitions_def=scene_partitions,
         kinds=set(_KINDS.get(stage.name, ("zarr",))),
-        check_specs=[
-            dg.AssetCheckSpec(
-                CHECK_NAME,
-                asset=stage.name,
-                blocking=True,
-                description="What the stage checked of its output; a failed blocking law publishes nothing.",
-            )
-        ],
+        check_specs=check_specs(stage),
         op_tags={"stage": stage.name},
     )
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> Iterator[_AssetEvent]:
@@ -58,24 +55,78 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
             outcome = run_named_stage(stage.name, scene_run, context.log.info, stages=stages)
         except NvsfError as error:
             # Yielded, not logged: what is logged is lost when the step then fails.
-            yield dg.AssetCheckResult(
-                check_name=CHECK_NAME, passed=False, description=f"scene {context.partition_key}: {error}"
-            )
+            for verdict in failed_verdicts(stage, context.partition_key, error, str(error)):
+                yield dg.AssetCheckResult(**verdict)
             raise
         yield dg.MaterializeResult(
             metadata=outcome_metadata(outcome),
             check_results=[
-                dg.AssetCheckResult(
-                    check_name=CHECK_NAME,
-                    passed=is_sound(outcome),
-                    severity=_PUBLISHED,
-                    description=f"scene {context.partition_key}",
-                    metadata=check_metadata(outcome),
-                )
+                dg.AssetCheckResult(**verdict) for verdict in verdicts(stage, outcome, context.partition_key)
             ],
         )
 
     return run
+
+
+def check_specs(stage: Stage) -> list[dg.AssetCheckSpec]:
+    """One check over all that the stage checked, and one for each of its laws."""
+    whole = dg.AssetCheckSpec(
+        CHECK_NAME,
+        asset=stage.name,
+        blocking=True,
+        description="What the stage checked of its output; a failed blocking law publishes nothing.",
+    )
+    return [
+        whole,
+        *(
+            dg.AssetCheckSpec(law.name, asset=stage.name, blocking=law.blocking, description=law.description)
+            for law in stage.laws
+        ),
+    ]
+
+
+def verdicts(stage: Stage, outcome: Outcome, scene: str) -> list[dict[str, Any]]:
+    """Arguments of each check's result or evaluation, for a stage's published output."""
+    whole = {
+        "check_name": CHECK_NAME,
+        "passed": is_sound(outcome),
+        "severity": _PUBLISHED,
+        "description": f"scene {scene}",
+        "metadata": check_metadata(outcome),
+    }
+    found = {check.name: check for check in outcome.checks}
+    return [whole, *(_verdict(law, found.get(law.name), scene) for law in stage.laws)]
+
+
+def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> list[dict[str, Any]]:
+    """The same for a stage that published nothing: that it failed, and what was judged before it did."""
+    whole = {"check_name": CHECK_NAME, "passed": False, "description": f"scene {scene}: {reason}"}
+    judged = error.checks if isinstance(error, UnsoundOutputError) else ()
+    found = {check.name: check for check in judged}
+    return [whole, *(_verdict(law, found[law.name], scene) for law in stage.laws if law.name in found)]
+
+
+def _verdict(law: Law, check: Check | None, scene: str) -> dict[str, Any]:
+    """One law's: value and limit are numbers, so that the UI plots them over time."""
+    if check is None:
+        reason = f"{NOT_RUN}: this output was made before the check was"
+        return {"check_name": law.name, "passed": True, "description": f"scene {scene}: {reason}"}
+    numbers = {"value": check.value, "limit": check.limit}
+    # A NaN cannot travel to the UI as a number; the description says it.
+    metadata: dict[str, dg.MetadataValue] = {
+        key: dg.MetadataValue.float(number)
+        for key, number in numbers.items()
+        if number is not None and math.isfinite(number)
+    }
+    if metadata and check.unit:
+        metadata["unit"] = dg.MetadataValue.text(check.unit)
+    return {
+        "check_name": law.name,
+        "passed": check.passed,
+        "severity": dg.AssetCheckSeverity.ERROR if law.blocking else dg.AssetCheckSeverity.WARN,
+        "description": f"scene {scene}: {check.detail}",
+        "metadata": metadata | {"scene": dg.MetadataValue.text(scene)},
+    }
 
 
 def is_sound(outcome: Outcome) -> bool:
@@ -129,30 +180,28 @@ def picture(path: Path) -> dg.MetadataValue:
     return dg.MetadataValue.md(f"![{path.stem}](data:image/png;base64,{base64.b64encode(content).decode()})")
 
 
-def events_of(outcome: Outcome, scene: str) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
-    """What an op logs so that the scene's partition of the asset turns green, with its check."""
+def events_of(
+    stage: Stage, outcome: Outcome, scene: str
+) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
+    """What an op logs so that the scene's partition of the asset turns green, with its checks."""
     yield dg.AssetMaterialization(
         asset_key=outcome.stage,
         partition=scene,
         metadata=outcome_metadata(outcome),
     )
-    yield dg.AssetCheckEvaluation(
-        asset_key=dg.AssetKey(outcome.stage),
-        check_name=CHECK_NAME,
-        passed=is_sound(outcome),
-        severity=_PUBLISHED,
-        description=f"scene {scene}",
-        metadata=check_metadata(outcome),
-        blocking=True,
-    )
+    yield from _evaluations(stage, verdicts(stage, outcome, scene))
 
 
-def failed_check(stage_name: str, scene: str, reason: str) -> dg.AssetCheckEvaluation:
-    """The failed check of a stage that published nothing."""
-    return dg.AssetCheckEvaluation(
-        asset_key=dg.AssetKey(stage_name),
-        check_name=CHECK_NAME,
-        passed=False,
-        description=f"scene {scene}: {reason}",
-        blocking=True,
-    )
+def failed_checks(
+    stage: Stage, scene: str, error: Exception, reason: str
+) -> Iterable[dg.AssetCheckEvaluation]:
+    """What an op logs of a stage that published nothing, and of the error that kept it from it."""
+    yield from _evaluations(stage, failed_verdicts(stage, scene, error, reason))
+
+
+def _evaluations(stage: Stage, found: Iterable[dict[str, Any]]) -> Iterator[dg.AssetCheckEvaluation]:
+    blocking = {law.name for law in stage.laws if law.blocking} | {CHECK_NAME}
+    for verdict in found:
+        yield dg.AssetCheckEvaluation(
+            asset_key=dg.AssetKey(stage.name), blocking=verdict["check_name"] in blocking, **verdict
+        )

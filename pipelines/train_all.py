@@ -15,7 +15,7 @@ from typing import Any
 import dagster as dg
 from pydantic import Field
 
-from assets.factory import events_of, failed_check
+from assets.factory import events_of, failed_checks
 from assets.report import CURVES, METRICS_STAGE
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
@@ -103,12 +103,12 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
         try:
             outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
         except NvsfError as error:
-            return _failed(context, state, stage, f"{stage.name}: {error}")
+            return _failed(context, state, stage, error, str(error))
         except Exception as error:
             # A defect, not bad data; yet a failed step would keep the report of all scenes from being made.
             context.log.exception(f"[{scene}] {stage.name}: unexpected error")
-            return _failed(context, state, stage, f"{stage.name}: {type(error).__name__}: {error}")
-        for event in events_of(outcome, scene):
+            return _failed(context, state, stage, error, f"{type(error).__name__}: {error}")
+        for event in events_of(stage, outcome, scene):
             context.log_event(event)
         done = {"stage": stage.name, "seconds": outcome.seconds, "skipped": outcome.skipped}
         exports = [*state["exports"], *_exports(outcome)]
@@ -117,9 +117,13 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
     return run
 
 
-def _failed(context: dg.OpExecutionContext, state: SceneState, stage: Stage, reason: str) -> SceneState:
+def _failed(
+    context: dg.OpExecutionContext, state: SceneState, stage: Stage, error: Exception, words: str
+) -> SceneState:
+    reason = f"{stage.name}: {words}"
     context.log.warning(f"[{state['scene']}] FAILED in {reason}")
-    context.log_event(failed_check(stage.name, state["scene"], reason))
+    for event in failed_checks(stage, state["scene"], error, reason):
+        context.log_event(event)
     return {**state, "failed": reason}
 
 

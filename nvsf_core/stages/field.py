@@ -7,12 +7,11 @@ import json
 import resource
 from pathlib import Path
 
-import torch
-
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import PaperRecipe, ResidualRecipe
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.divergence import go_on
+from nvsf_core.stages.field_check import LAWS, check_loss, check_rendering, check_weights
 from nvsf_core.stages.field_profile import field_profile
 from nvsf_core.stages.fitting import Trained
 from nvsf_core.stages.paper_model import load_paper_model
@@ -31,7 +30,10 @@ def load_model(task: Task, recording: Recording) -> SceneModel:
     Raises:
         StoreError: It was never published, or its weights cannot be read.
     """
-    folder = task.store.require(STAGE.location(task.config))
+    return _load(task, task.store.require(STAGE.location(task.config)), recording)
+
+
+def _load(task: Task, folder: Path, recording: Recording) -> SceneModel:
     if isinstance(task.config.recipe, PaperRecipe):
         return load_paper_model(folder, recording)
     return load_residual_model(folder, recording)
@@ -62,7 +64,6 @@ def _run(task: Task) -> StageOutput:
     trained = train_model(task, recording, work)
     _write(task, trained, recording)
     task.store.drop_work_dir(location)
-    finite = all(bool(torch.isfinite(value).all()) for value in trained.tensors.values())
     output = StageOutput(
         metadata={
             **needs,
@@ -73,16 +74,10 @@ def _run(task: Task) -> StageOutput:
             **trained.metadata,
             **_ends(trained),
         },
-        checks=[
-            Check(
-                name="weights_are_finite",
-                passed=finite,
-                detail=f"{len(trained.tensors)} tensors",
-                blocking=True,
-            )
-        ],
+        checks=[check_weights(trained.tensors), check_loss(trained.curves)],
     )
-    output.checks += _lowered(trained)
+    if output.checks[0].passed:
+        output.checks += check_rendering(_load(task, task.folder, recording), recording)
     if went_on:
         output.checks.append(Check(name="training_never_diverged", passed=False, detail=went_on))
     return output
@@ -96,16 +91,6 @@ def _ends(trained: Trained) -> dict[str, Scalar]:
         if "rays_per_s" in curve[-1]:
             found[f"{part}_rays_per_s"] = curve[-1]["rays_per_s"]
     return found
-
-
-def _lowered(trained: Trained) -> list[Check]:
-    """Whether each loss ended lower than it began; a curve of one record cannot tell."""
-    ends = {s: (c[0]["loss"], c[-1]["loss"]) for s, c in trained.curves.items() if len(c) > 1}
-    if not ends:
-        return []
-    detail = ", ".join(f"{sensor} {first:.4f} to {last:.4f}" for sensor, (first, last) in ends.items())
-    passed = all(last < first for first, last in ends.values())
-    return [Check(name="training_lowered_the_loss", passed=passed, detail=detail)]
 
 
 def _write(task: Task, trained: Trained, recording: Recording) -> None:
@@ -128,4 +113,5 @@ STAGE = Stage(
     version="5",
     run=_run,
     per_recipe=True,
+    laws=LAWS,
 )

@@ -10,6 +10,7 @@ import numpy as np
 
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.table import HELD_OUT, UNITS, mean_rows, summary_table
+from nvsf_core.stages.metrics_check import DEFINED
 from nvsf_core.stages.stage import Check, Scalar, StageOutput
 
 _HEADLINES = {
@@ -100,11 +101,11 @@ class Ledger:
         metadata |= self._headlines()
         checks = [
             Check(name="some_frame_was_measured", passed=bool(self.rows), detail=detail),
-            Check(
-                name="all_metrics_of_whole_frames_are_finite",
-                # A lost object, or a sky that the recording sensor never saw, is a finding and no fault.
-                passed=self.n_undefined_whole == 0 and not np.isinf(values[is_whole]).any(),
-                detail=f"{detail}; {reasons}" if reasons else detail,
+            # A lost object, or a sky that the recording sensor never saw, is a finding and no fault.
+            DEFINED.judged(
+                float(self.n_undefined_whole + np.isinf(values[is_whole]).sum()),
+                0.0,
+                f"{detail}; {reasons}" if reasons else detail,
             ),
         ]
         return StageOutput(metadata=metadata, checks=checks)

@@ -13,6 +13,7 @@ from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.stage import Stage, StageOutput, Task, read_record
 from nvsf_core.stages.view_camera import copied_images, image_arrays
+from nvsf_core.stages.view_check import LAWS, check_views
 from nvsf_core.stages.view_files import describe_view, export_files, write_method
 from nvsf_core.stages.view_lidar import along_recorded_rays, copied_scans, own_panos, sweep_arrays, warm_up
 from nvsf_core.stages.view_planning import View, asked_view, held_out_view, reference_poses, to_world
@@ -118,4 +119,7 @@ STAGE = Stage(
     run=_run,
     per_recipe=True,
     reads_views=True,
+    check=check_views,
+    check_version="1",
+    laws=LAWS,
 )

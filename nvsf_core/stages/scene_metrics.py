@@ -23,6 +23,7 @@ from nvsf_core.stages.lidar_metrics import (
     recorded_range_errors,
 )
 from nvsf_core.stages.metric_ledger import Ledger, method_columns
+from nvsf_core.stages.metrics_check import LAWS, TABLE_NAME, check_metrics
 from nvsf_core.stages.moving_boxes import NO_BOXES, read_moving_boxes
 from nvsf_core.stages.stage import Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_attrs
@@ -30,7 +31,6 @@ from nvsf_core.stores.tables import write_rows
 
 METHODS = ("model", "reproject", "copy_nearest", "mesh")
 """Stored predictions of a view, in the order in which they are measured."""
-TABLE_NAME = "metrics.parquet"
 _THREADS = 2
 
 
@@ -163,5 +163,8 @@ STAGE = Stage(
     version="4",
     run=_run,
     per_recipe=True,
+    check=check_metrics,
+    check_version="1",
+    laws=LAWS,
 )
 """What is measured and under which protocol."""

@@ -2,8 +2,9 @@
 
 import hashlib
 import json
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,6 +15,8 @@ from nvsf_core.recipe import Recipe
 from nvsf_core.stores.scene_store import SceneStore
 
 RECORD_NAME = "stage.json"
+NOT_RUN = "not run"
+"""How the detail of a check begins that had nothing to judge."""
 Scalar = float | int | str | bool
 
 
@@ -63,6 +66,44 @@ class Check:
     """What was found, with numbers."""
     blocking: bool = False
     """A failed blocking check keeps the output from being published."""
+    value: float | None = None
+    """The number that was judged; None where the law has none, or could not be measured."""
+    limit: float | None = None
+    """What `value` may at most be."""
+    unit: str = ""
+    """Of both; empty for shares and counts."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Law:
+    """A check that a stage makes of every scene: the UI and the report show it by itself."""
+
+    name: str
+    """As of the check."""
+    description: str
+    """What it asks, why, and where its limit is from."""
+    blocking: bool = False
+    """Whether what breaks it is unusable; else breaking it is a doubt, and warns."""
+
+    def judged(self, value: float, limit: float, detail: str, unit: str = "") -> Check:
+        """The law's check: it holds where the value is at most the limit; NaN breaks it."""
+        return Check(
+            name=self.name, passed=value <= limit, detail=detail, blocking=self.blocking, value=value,
+            limit=limit, unit=unit,
+        )  # fmt: skip
+
+    def not_run(self, reason: str) -> Check:
+        """The law's check on an output that has nothing to be judged by."""
+        return Check(name=self.name, passed=True, detail=f"{NOT_RUN}: {reason}", blocking=self.blocking)
+
+
+class UnsoundOutputError(CheckFailedError):
+    """Blocking checks failed; carries all checks of the output."""
+
+    def __init__(self, message: str, checks: Sequence[Check]) -> None:
+        """Say which failed; keep what all of them found."""
+        super().__init__(message)
+        self.checks = tuple(checks)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -115,6 +156,12 @@ class Stage:
     """Whether the drive's files (names, sizes, times) are part of its identity."""
     reads_views: bool = False
     """Whether the views that are asked for are part of its identity."""
+    check: Callable[[Task], list[Check]] | None = None
+    """Judges what lies in the task's folder, just made or published earlier."""
+    check_version: str = ""
+    """Raised when `check` judges otherwise: outputs that are up to date are judged again, not made again."""
+    laws: tuple[Law, ...] = ()
+    """The checks, of `run` or `check`, that are shown by themselves."""
 
     def location(self, config: RunConfig) -> str:
         """Where its output lies under the scene's folder."""
@@ -152,7 +199,7 @@ def run_stage(
     """Run one stage, or skip it when its code, configuration and inputs are unchanged.
 
     Raises:
-        CheckFailedError: A blocking check failed; nothing was published.
+        UnsoundOutputError: A blocking check failed; nothing was published.
         NvsfError: Whatever the stage itself raises.
     """
     location = stage.location(config)
@@ -160,32 +207,61 @@ def run_stage(
     fingerprint = _digest(facts)
     made_from = _digest({name: fact for name, fact in facts.items() if name != "recipe"})
     record = read_record(store.path(location))
+
+    def task(folder: Path) -> Task:
+        return Task(
+            scene=scene, store=store, config=config, folder=folder, progress=progress, made_from=made_from
+        )
+
     if record is not None and record["fingerprint"] == fingerprint:
         progress(f"[{scene.name}] {stage.name}: up to date, skipped")
+        record = _judged_again(stage, task(store.path(location)), record)
         return _outcome(stage, store.path(location), record, skipped=True)
     progress(f"[{scene.name}] {stage.name}: started")
     started = time.perf_counter()
     with store.publish(location) as folder:
-        output = stage.run(
-            Task(
-                scene=scene, store=store, config=config, folder=folder, progress=progress, made_from=made_from
-            )
-        )  # fmt: skip
-        failed = [check for check in output.checks if check.blocking and not check.passed]
-        if failed:
-            reasons = "; ".join(f"{check.name}: {check.detail}" for check in failed)
-            raise CheckFailedError(f"scene {scene.name}, stage {stage.name}: {reasons}")
+        output = stage.run(task(folder))
         record = {
             "fingerprint": fingerprint,
             "version": stage.version,
-            "seconds": time.perf_counter() - started,
             "metadata": output.metadata,
-            "checks": [asdict(check) for check in output.checks],
             "previews": output.previews,
+            **_judged(stage, task(folder), output.checks),
+            "seconds": time.perf_counter() - started,
         }
         (folder / RECORD_NAME).write_text(json.dumps(record, indent=1))
     progress(f"[{scene.name}] {stage.name}: done in {record['seconds']:.1f} s")
     return _outcome(stage, store.path(location), record, skipped=False)
+
+
+def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
+    """The record's part on checks: those that `run` made, and over them what `check` finds in the folder.
+
+    Raises:
+        UnsoundOutputError: A blocking one failed.
+    """
+    found = {check.name: check for check in made}
+    if stage.check is not None:
+        found |= {check.name: check for check in stage.check(task)}
+    failed = [check for check in found.values() if check.blocking and not check.passed]
+    if failed:
+        reasons = "; ".join(f"{check.name}: {check.detail}" for check in failed)
+        raise UnsoundOutputError(
+            f"scene {task.scene.name}, stage {stage.name}: {reasons}", tuple(found.values())
+        )
+    return {"checks": [asdict(check) for check in found.values()], "check_version": stage.check_version}
+
+
+def _judged_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
+    """The record of a published output, judged anew where it was judged by earlier checks."""
+    if record.get("check_version", "") == stage.check_version:
+        return record
+    record = record | _judged(stage, task, [Check(**check) for check in record["checks"]])
+    # Renamed over the old one: a reader, or a second judge, sees one whole record or the other.
+    fresh = task.folder / f".{RECORD_NAME}-{os.getpid()}"
+    fresh.write_text(json.dumps(record, indent=1))
+    fresh.replace(task.folder / RECORD_NAME)
+    return record
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:

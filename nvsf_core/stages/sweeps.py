@@ -17,7 +17,7 @@ from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_ti
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
-from nvsf_core.stages.registration_check import registration_check
+from nvsf_core.stages.registration_check import LAW, check_registration
 from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.tables import read_rows
@@ -275,7 +275,6 @@ def _checks(
             name="no_two_returns_share_a_firing", passed=shared <= 1e-4 * len(arrays["laser"]),
             detail=f"{shared} of {len(arrays['laser'])} returns share laser and firing with another",
         ),
-        registration_check(arrays),
     ]  # fmt: skip
 
 
@@ -293,4 +292,7 @@ STAGE = Stage(
     version="6",
     run=_run,
     reads_drive=True,
+    check=check_registration,
+    check_version="1",
+    laws=(LAW,),
 )

@@ -45,6 +45,12 @@ def read_part(path: Path, rows: slice, *names: str) -> dict[str, np.ndarray]:
     return _read(_open(path), path, names, rows)
 
 
+def array_names(path: Path, kind: str) -> list[str]:
+    """Names of the arrays of one kind, `f` floating or `i` integer, without reading any."""
+    group = _open(path)
+    return [name for name, array in sorted(group.arrays()) if array.dtype.kind == kind]
+
+
 def read_attrs(path: Path) -> dict[str, Any]:
     """Read the group's attributes."""
     return dict(_open(path).attrs)

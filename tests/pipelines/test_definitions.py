@@ -5,6 +5,7 @@ import datetime
 import dagster as dg
 import pytest
 
+from assets.factory import CHECK_NAME
 from nvsf_core.errors import RecipeError
 from nvsf_core.stages import STAGE_NAMES, STAGES
 from pipelines.definitions import defs
@@ -22,15 +23,22 @@ def test_stages_are_in_an_order_that_has_every_input_first():
         assert set(stage.inputs) <= set(STAGE_NAMES[:position])
 
 
-def test_every_stage_is_an_asset_with_group_description_partitions_and_a_blocking_check():
+def test_every_stage_is_an_asset_with_group_description_partitions_and_its_checks():
     graph = defs.resolve_asset_graph()
     assert {key.to_user_string() for key in graph.get_all_asset_keys()} == {*STAGE_NAMES, "benchmark_report"}
     for stage in STAGES:
         node = graph.get(dg.AssetKey(stage.name))
         assert {key.to_user_string() for key in node.parent_keys} == set(stage.inputs)
         assert node.group_name == stage.group and node.description and node.is_partitioned
-        (check,) = graph.get_check_keys_for_assets({node.key})
-        assert graph.get_check_spec(check).blocking
+        specs = [graph.get_check_spec(key) for key in graph.get_check_keys_for_assets({node.key})]
+        expected = {CHECK_NAME: True} | {law.name: law.blocking for law in stage.laws}
+        assert {spec.name: spec.blocking for spec in specs} == expected
+        assert all(spec.description for spec in specs)
+
+
+def test_what_may_go_wrong_unnoticed_is_a_check_of_its_own():
+    laws = {stage.name: stage.laws for stage in STAGES}
+    assert [name for name in ("sweeps", "field", "novel_views", "scene_metrics") if not laws[name]] == []
 
 
 def test_workspace_file_and_project_load_the_same_location(run_process, tmp_path):

@@ -1,0 +1,138 @@
+"""Whether a trained model can be used: its weights, its training, and a training scan rendered by it."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.simulation.sweep_simulation import fire_sweep
+from nvsf_core.simulation.view_plan import plan_sweeps, plan_view
+from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.stage import Check, Law
+from nvsf_core.stages.training_norms import (
+    NO_NORMS,
+    RATE_LIMIT,
+    RATE_WORDS,
+    SPREAD_LIMIT,
+    SPREAD_WORDS,
+    judge_worst,
+    norms_of,
+)
+
+WEIGHTS = Law(
+    name="weights_are_finite",
+    description="No trained number is NaN or infinite. Value: share that is.",
+    blocking=True,
+)
+LOSS = Law(
+    name="training_lowered_the_loss",
+    description="Each part's loss ends lower than it began, by the medians of the first and the last fifth "
+    "of its curve: single batches differ too much. Value: the worst part's last over its first.",
+)
+ANSWERS = Law(
+    name="training_scan_is_rendered_within_limits",
+    description="The middle training scan, rendered by the model that was just trained, has no NaN, no range "
+    "below 0 or beyond the sensor's (and a tenth, for its lever arms), no probability or intensity outside "
+    "0..1. Value: share of the rays that break this.",
+    blocking=True,
+)
+HIT_RATE = Law(
+    name="hit_rate_is_as_trained",
+    description="Share of the rays that return in the middle training scan: rendered (without that scan's "
+    f"own vote) less recorded. {RATE_LIMIT}",
+)
+INTENSITY = Law(
+    name="intensities_are_as_trained",
+    description="Earth mover's distance between the intensity histograms of the middle training scan, "
+    f"rendered and recorded. {SPREAD_LIMIT}",
+)
+LAWS = (WEIGHTS, LOSS, ANSWERS, HIT_RATE, INTENSITY)
+_OF_RENDERING = (ANSWERS, HIT_RATE, INTENSITY)
+_FIFTH = 5
+_LEVER = 1.1
+
+
+def check_weights(tensors: Mapping[str, Tensor]) -> Check:
+    """How many of the trained numbers are not finite, and where."""
+    broken = {name: int((~torch.isfinite(value)).sum()) for name, value in tensors.items()}
+    total = sum(value.numel() for value in tensors.values())
+    named = ", ".join(f"{count} in {name}" for name, count in broken.items() if count)
+    detail = f"{total:,} numbers in {len(tensors)} tensors: " + (f"not finite {named}" if named else "finite")
+    return WEIGHTS.judged(sum(broken.values()) / max(1, total), 0.0, detail)
+
+
+def check_loss(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> Check:
+    """Whether each part's loss fell; a curve of one record cannot tell."""
+    ends = {part: _ends([row["loss"] for row in curve]) for part, curve in curves.items() if len(curve) > 1}
+    if not ends:
+        return LOSS.not_run("no part was trained for long enough to tell")
+    detail = ", ".join(f"{part} {first:.4f} to {last:.4f}" for part, (first, last) in ends.items())
+    return LOSS.judged(max(last / max(first, 1e-12) for first, last in ends.values()), 1.0, detail)
+
+
+def _ends(losses: Sequence[float]) -> tuple[float, float]:
+    fifth = max(1, len(losses) // _FIFTH)
+    return float(np.median(losses[:fifth])), float(np.median(losses[-fifth:]))
+
+
+def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
+    """Render the middle training scan and judge it; what has no LiDAR is not judged.
+
+    Returns:
+        Checks of `ANSWERS`, `HIT_RATE` and `INTENSITY`.
+    """
+    if recording.lidar is None or model.lidar is None:
+        return [law.not_run("drive or model has no LiDAR") for law in _OF_RENDERING]
+    sweeps, evidence = recording.lidar.sweeps, recording.lidar.evidence
+    norms = norms_of(sweeps.arrays, sweeps.is_training)
+    if norms is None:
+        return [law.not_run(NO_NORMS) for law in _OF_RENDERING]
+    middle = len(norms.time_s) // 2
+    time_s = float(norms.time_s[middle])
+    plan = plan_sweeps(
+        plan_view(
+            "training", recorded_frame=recording.posed_frame, recorded_time_s=recording.posed_time_s,
+            frames=None, times_s=(time_s,),
+        ),
+        sweeps.table, None,
+    )  # fmt: skip
+    _, answers = fire_sweep(
+        plan, time_s, evidence, model.lidar, sweeps.trajectory, sweeps.period_s, sweeps.table, model.votes,
+        leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None, as_recorded=model.as_recorded,
+    )  # fmt: skip
+    returned = np.isfinite(answers.range_m) & (answers.hit >= HIT_THRESHOLD)
+    intensity = np.clip(answers.intensity[returned], 0.0, 1.0)
+    place = f"training frame {int(plan.frame[0])}"
+    rate = float(returned.mean()) - float(norms.hit_rate[middle])
+    spreads = []
+    if len(intensity) and np.isfinite(intensity).all():
+        spreads = [(spread_distance(intensity_spread(intensity), norms.spread[middle]), place)]
+    return [
+        _within_limits(answers, recording.lidar.far_m * _LEVER, place),
+        judge_worst(HIT_RATE, [(rate, place)], norms.hit_rate_limit, RATE_WORDS),
+        judge_worst(INTENSITY, spreads, norms.intensity_limit, SPREAD_WORDS),
+    ]
+
+
+def _within_limits(answers: RayAnswers, far_m: float, place: str) -> Check:
+    """An infinite range is no answer; what such a ray says beside it is never used."""
+    unanswered = np.isposinf(answers.range_m)
+    columns = {
+        "range": (answers.range_m >= 0.0) & (answers.range_m <= far_m),
+        "hit probability": _is_share(answers.hit),
+        "intensity": _is_share(answers.intensity),
+    }
+    wrong = {name: int(np.count_nonzero(~(sound | unanswered))) for name, sound in columns.items()}
+    named = ", ".join(f"{count} by {name}" for name, count in wrong.items() if count) or "none"
+    share = max(wrong.values()) / max(1, len(answers.range_m))
+    return ANSWERS.judged(share, 0.0, f"{place}, {len(answers.range_m):,} rays, out of limits: {named}")
+
+
+def _is_share(values: np.ndarray) -> np.ndarray:
+    sound: np.ndarray = (values >= -1e-6) & (values <= 1.0 + 1e-6)
+    return sound

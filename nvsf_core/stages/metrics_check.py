@@ -1,0 +1,143 @@
+"""Whether what was measured can be numbers of a sound model: read from the table and the stored views."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
+from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
+from nvsf_core.stages.stage import Check, Law, Task
+from nvsf_core.stages.training_norms import (
+    NO_NORMS,
+    RATE_LIMIT,
+    RATE_WORDS,
+    SPREAD_LIMIT,
+    SPREAD_WORDS,
+    judge_worst,
+    read_norms,
+)
+from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.tables import read_rows
+
+TABLE_NAME = "metrics.parquet"
+
+DEFINED = Law(
+    name="all_metrics_of_whole_frames_are_finite",
+    description="Every metric of a whole held-out frame has a finite value. (Around moving objects, and "
+    "where nothing was recorded, none is a finding and no fault.) Value: how many have not.",
+)
+IN_RANGE = Law(
+    name="metrics_lie_in_their_ranges",
+    description="Shares, F-scores and likenesses lie in 0..1 (SSIM in -1..1), errors are not negative. "
+    "Value: how many values lie outside; a metric that does is computed wrongly.",
+    blocking=True,
+)
+BETTER = Law(
+    name="model_is_better_than_copying",
+    description="At the held-out frames the model beats the recorded scan and image nearest in time, copied "
+    "as they are, in at least half of the main numbers. Value: share in which it is worse.",
+)
+HIT_RATE = Law(
+    name="hit_rate_is_as_recorded",
+    description="Share of the rays that return in held-out scans: rendered less recorded, the worst scan. "
+    f"{RATE_LIMIT}",
+)
+INTENSITY = Law(
+    name="intensities_are_spread_as_recorded",
+    description="Earth mover's distance between the intensity histograms of held-out scans, rendered and "
+    f"recorded, the worst scan. {SPREAD_LIMIT}",
+)
+LAWS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY)
+
+_HALF = 0.5
+_NAMED = 5
+_COPY = "copy_nearest"
+_SHARES = ("f_score", "range_missing", "hit_accuracy", "hit_f_score", "hit_rmse")
+_LIKENESS = ("range_ssim", "intensity_ssim", "image_ssim")
+_DECIBELS = "_db"
+_UP = (*_SHARES, *_LIKENESS)
+_DOWN = ("range_missing", "hit_rmse")
+
+
+def check_metrics(task: Task) -> list[Check]:
+    """Judge the table in the task's folder, and the stored held-out scans beside the recorded ones."""
+    rows = read_rows(task.folder / TABLE_NAME)
+    recipe, seed = task.config.recipe.name, task.config.seed
+    view = task.store.require(f"novel_views/{recipe}/{seed}") / HELD_OUT / "model.zarr"
+    return [_in_range(rows), _better(rows), *_as_recorded(task, view)]
+
+
+def _in_range(rows: Sequence[Row]) -> Check:
+    wrong = [row for row in rows if not _is_possible(row["metric"], float(row["value"]))]
+    named = ", ".join(
+        f"{row['metric']} {row['value']:.4g} ({row['recipe']}, {row['split']} frame {row['frame']})"
+        for row in wrong[:_NAMED]
+    )
+    detail = f"{len(wrong)} of {len(rows)} values lie outside" + (f": {named}" if named else "")
+    return IN_RANGE.judged(float(len(wrong)), 0.0, detail)
+
+
+def _is_possible(metric: str, value: float) -> bool:
+    """Whether a metric can have the value; what is undefined (NaN) is counted elsewhere."""
+    if math.isnan(value) or metric.endswith(_DECIBELS):
+        return True  # decibels have no end on either side, equal images none at all
+    slack = 1e-6  # of float32 sums
+    if metric in _LIKENESS:
+        return -1.0 - slack <= value <= 1.0 + slack
+    return -slack <= value <= (1.0 + slack if metric in _SHARES else math.inf)
+
+
+def _better(rows: Sequence[Row]) -> Check:
+    """In how many main numbers of the held-out frames the model is worse than a copy."""
+    means = [
+        row for row in mean_rows(rows)
+        if (row["split"], row["region"]) == (HELD_OUT, "all")
+        and row["metric"] in HEADLINES[row["protocol"]] and not math.isnan(row["value"])
+    ]  # fmt: skip
+    key = ("protocol", "sensor", "metric")
+    copied = {tuple(row[k] for k in key): row["value"] for row in means if row["recipe"] == _COPY}
+    compared = [(tuple(row[k] for k in key), row["value"]) for row in means if row["recipe"] not in BASELINES]
+    compared = [(number, value) for number, value in compared if number in copied]
+    if not compared:
+        return BETTER.not_run("no number of both the model and a copy of the nearest recording")
+    worse = [number for number, value in compared if _is_worse(number[2], value, copied[number])]
+    named = ", ".join(" ".join(number) for number in worse[:_NAMED])
+    detail = f"worse in {len(worse)} of {len(compared)} main numbers" + (f": {named}" if named else "")
+    return BETTER.judged(len(worse) / len(compared), _HALF, detail)
+
+
+def _is_worse(metric: str, value: float, copied: float) -> bool:
+    higher_is_better = metric.endswith(_DECIBELS) or (metric in _UP and metric not in _DOWN)
+    return value < copied if higher_is_better else value > copied
+
+
+def _as_recorded(task: Task, view: Path) -> list[Check]:
+    norms = read_norms(task.store)
+    if norms is None or not view.is_dir() or not read_attrs(view).get("sensor"):
+        reason = NO_NORMS if norms is None else "no held-out scan was rendered"
+        return [HIT_RATE.not_run(reason), INTENSITY.not_run(reason)]
+    recorded = read_arrays(
+        task.store.require("sweeps") / "returns.zarr", "frame", "offsets", "firings", "intensity"
+    )
+    rendered = read_arrays(view, "frame", "offsets", "intensity")
+    rates, spreads = list[tuple[float, str]](), list[tuple[float, str]]()
+    for i, frame in enumerate(rendered["frame"].tolist()):
+        own = _scan(rendered, i)
+        for k in np.flatnonzero(recorded["frame"] == frame)[:1].tolist():
+            truth, rays = _scan(recorded, k), norms.lasers * int(recorded["firings"][k])
+            if rays > 0:
+                rates.append(((len(own) - len(truth)) / rays, f"frame {frame}"))
+            if len(own) and len(truth) and np.isfinite(own).all():
+                apart = spread_distance(intensity_spread(own), intensity_spread(truth))
+                spreads.append((apart, f"frame {frame}"))
+    return [
+        judge_worst(HIT_RATE, rates, norms.hit_rate_limit, RATE_WORDS),
+        judge_worst(INTENSITY, spreads, norms.intensity_limit, SPREAD_WORDS),
+    ]
+
+
+def _scan(arrays: dict[str, np.ndarray], i: int) -> np.ndarray:
+    found: np.ndarray = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
+    return found

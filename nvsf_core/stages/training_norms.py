@@ -1,0 +1,67 @@
+"""The training scans' norms, read from what the stages up to `sweeps` published, and scans judged by them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from nvsf_core.metrics.scan_norms import ScanNorms, scan_norms
+from nvsf_core.stages.stage import Check, Law
+from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import read_rows
+
+NO_NORMS = "no training scan with returns to compare with"
+RATE_LIMIT = (
+    "Limit, from training scans alone: half the way to a scan of which every ray (or none) returns, or as "
+    "far as training scans are apart."
+)
+SPREAD_LIMIT = (
+    "Limit, from training scans alone: half the way to a scan of one intensity, or as far as training scans "
+    "are apart."
+)
+RATE_WORDS, SPREAD_WORDS = "{:+.3f} of the rays", "intensities {:.3f} apart"
+
+
+def read_norms(store: SceneStore) -> ScanNorms | None:
+    """How the training scans look as a whole; None where the drive has none with returns."""
+    rows = read_rows(store.require("frames") / "frames.parquet")
+    training = [row["frame"] for row in rows if row["split"] == "train"]
+    folder = store.require("sweeps") / "returns.zarr"
+    if read_arrays(folder, "frame")["frame"].size == 0:
+        return None
+    a = read_arrays(folder, "frame", "time_s", "firings", "offsets", "laser", "intensity")
+    return norms_of(a, np.isin(a["frame"], training))
+
+
+def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanNorms | None:
+    """The same from arrays of `sweeps/returns.zarr` and (n,) bool, which of its scans are for training."""
+    lengths = np.diff(arrays["offsets"])
+    used = is_training & (arrays["firings"] > 0) & (lengths > 0)
+    of_used = np.repeat(used, lengths)
+    lasers = np.unique(arrays["laser"][of_used])
+    if not (lasers >= 0).any():
+        return None
+    return scan_norms(
+        arrays["time_s"][used],
+        arrays["firings"][used],
+        int((lasers >= 0).sum()),
+        np.concatenate([[0], np.cumsum(lengths[used])]),
+        arrays["intensity"][of_used],
+    )
+
+
+def judge_worst(law: Law, apart: Sequence[tuple[float, str]], limit: float, words: str) -> Check:
+    """The check of a law on how far scans are from what they should be like.
+
+    Args:
+        law: It.
+        apart: Distance of each scan, signed or not, and the scan's name.
+        limit: For the largest.
+        words: A format of the distance.
+    """
+    if not apart:
+        return law.not_run("no scan by the recording sensor with returns on both sides")
+    worst, place = max(apart, key=lambda one: abs(one[0]))
+    beyond = sum(abs(distance) > limit for distance, _ in apart)
+    detail = f"worst {words.format(worst)} ({place}); {beyond} of {len(apart)} scans beyond {limit:.3f}"
+    return law.judged(abs(worst), limit, detail)

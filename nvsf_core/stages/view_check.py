@@ -1,0 +1,168 @@
+"""Whether rendered views can be used, and whether their scans look like the drive's: read from the store."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.metrics.scan_norms import ScanNorms
+from nvsf_core.metrics.table import HELD_OUT
+from nvsf_core.sensors.tables import sensor_table
+from nvsf_core.stages.stage import Check, Law, Task
+from nvsf_core.stages.training_norms import (
+    NO_NORMS,
+    RATE_LIMIT,
+    RATE_WORDS,
+    SPREAD_LIMIT,
+    SPREAD_WORDS,
+    judge_worst,
+    read_norms,
+)
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+
+FINITE = Law(
+    name="stored_views_are_finite",
+    description="No number of a rendered view, nor of a baseline's, is NaN or infinite (only the range along "
+    "a ray without an answer is). Value: share of the numbers that are.",
+    blocking=True,
+)
+WITHIN = Law(
+    name="stored_views_lie_within_limits",
+    description="Returns of the model lie within the sensor's greatest range (and a tenth, for lever arms "
+    "and the way driven in a turn), intensities and hit probabilities in 0..1. Value: share that does not.",
+    blocking=True,
+)
+RETURNS = Law(
+    name="held_out_scans_hold_returns",
+    description="Most held-out scans are rendered with returns, where the training scans have them. Value: "
+    "share of scans without any where there should be; fewer than half are left to the hit rate to doubt.",
+    blocking=True,
+)
+HIT_RATE = Law(
+    name="hit_rate_is_like_the_training_scans",
+    description="Share of the rays that return, rendered, less that of the two training scans nearest in "
+    f"time: the worst scan of all views by the recording sensor. {RATE_LIMIT}",
+)
+INTENSITY = Law(
+    name="intensities_are_like_the_training_scans",
+    description="Earth mover's distance between the intensity histograms of a rendered scan and of the two "
+    f"training scans nearest in time: the worst scan of all views by the recording sensor. {SPREAD_LIMIT}",
+)
+LAWS = (FINITE, WITHIN, RETURNS, HIT_RATE, INTENSITY)
+
+_SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensity", "ray_intensity")
+_GRIDS_M = ("pano_range_m", "grid_range_m")
+"""0 where nothing answered; other ranges, along recorded rays or pixels, are infinite there."""
+_RANGES_M = (*_GRIDS_M, "ray_range_m")
+_LEVER = 1.1
+_MODEL = "model"
+
+_View = tuple[str, Mapping[str, np.ndarray], Mapping[str, Any]]
+"""Name, arrays and attributes of the model's scans."""
+
+
+@dataclass(slots=True)
+class _Count:
+    """Numbers that were looked at, and what is wrong with some of them."""
+
+    total: int = 0
+    wrong: int = 0
+    places: list[str] = field(default_factory=list)
+
+    def add(self, total: int, wrong: int, place: str) -> None:
+        self.total += total
+        self.wrong += wrong
+        if wrong:
+            self.places.append(f"{wrong} of {total} in {place}")
+
+    def judged(self, law: Law, fault: str) -> Check:
+        share = self.wrong / max(1, self.total)
+        found = "; ".join(self.places) if self.places else f"none of {self.total:,} numbers"
+        return law.judged(share, 0.0, f"{fault}: {found}")
+
+
+def check_views(task: Task) -> list[Check]:
+    """Judge all views in the task's folder.
+
+    Returns:
+        One check a law of `LAWS`.
+    """
+    finite, within = _Count(), _Count()
+    scans = list[_View]()
+    for path in sorted(task.folder.glob("*/*.zarr")):
+        place = f"{path.parent.name}/{path.stem}"
+        arrays, attrs = _numbers(path), read_attrs(path)
+        for name, values in arrays.items():
+            finite.add(values.size, _broken(name, values), f"{place}, {name}")
+        if path.stem == _MODEL and attrs.get("sensor"):
+            _limits(within, place, arrays, sensor_table(attrs["sensor"]).max_range_m * _LEVER)
+            scans.append((path.parent.name, arrays, attrs))
+    norms = read_norms(task.store)
+    checks = [finite.judged(FINITE, "not finite"), within.judged(WITHIN, "out of limits")]
+    if norms is None:
+        return [*checks, *(law.not_run(NO_NORMS) for law in (RETURNS, HIT_RATE, INTENSITY))]
+    return [*checks, _empty(scans, norms), *_likeness(scans, norms, _recording_sensor(task))]
+
+
+def _numbers(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of a view that can hold a NaN, and where its scans begin."""
+    floating = array_names(path, "f")
+    more = [name for name in ("offsets", "frame") if name in array_names(path, "i")]
+    return read_arrays(path, *floating, *more)
+
+
+def _broken(name: str, values: np.ndarray) -> int:
+    may_be_unanswered = name.endswith("_range_m") and name not in _GRIDS_M
+    sound = ~np.isnan(values) & (values != -np.inf) if may_be_unanswered else np.isfinite(values)
+    return int(values.size - np.count_nonzero(sound))
+
+
+def _limits(within: _Count, place: str, arrays: Mapping[str, np.ndarray], far_m: float) -> None:
+    """Count what is out of limits; what is not finite has been counted elsewhere."""
+    for name in (*_SHARES, *_RANGES_M):
+        if name in arrays:
+            values, top = arrays[name], 1.0 if name in _SHARES else far_m
+            # One rounding of float32 beyond 1 is no fault of a probability.
+            wrong = (values < -1e-6) | ((values > top * (1.0 + 1e-6)) & np.isfinite(values))
+            within.add(values.size, int(np.count_nonzero(wrong)), f"{place}, {name}")
+    if "points_m" in arrays:
+        range_m = np.linalg.norm(arrays["points_m"].astype(np.float64), axis=1)
+        wrong = (range_m > far_m) & np.isfinite(range_m)
+        within.add(range_m.size, int(np.count_nonzero(wrong)), f"{place}, points_m (up to {far_m:.0f} m)")
+
+
+def _empty(scans: list[_View], norms: ScanNorms) -> Check:
+    held_out = [arrays for view, arrays, _ in scans if view == HELD_OUT]
+    if not held_out:
+        return RETURNS.not_run("no held-out scan was rendered")
+    returns, time_s = np.diff(held_out[0]["offsets"]), held_out[0]["time_s"]
+    # In a plain that hardly returns anything an empty scan is no fault.
+    empty = sum(
+        abs(norms.hit_rate_apart(0, float(instant))) > norms.hit_rate_limit
+        for instant in time_s[returns == 0]
+    )
+    detail = f"{empty} of {len(returns)} held-out scans without a return where training scans have them"
+    return RETURNS.judged(empty / max(1, len(returns)), 0.5, detail)
+
+
+def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
+    rates, spreads = list[tuple[float, str]](), list[tuple[float, str]]()
+    for view, arrays, attrs in scans:
+        if attrs["sensor"] != sensor:
+            continue  # other lasers meet other surfaces: nothing recorded is like them
+        for i, (frame, time_s) in enumerate(zip(arrays["frame"], arrays["time_s"], strict=True)):
+            own = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
+            place = f"view {view}, frame {frame}"
+            rates.append((norms.hit_rate_apart(len(own), float(time_s)), place))
+            if len(own) and np.isfinite(own).all():
+                spreads.append((norms.intensities_apart(own, float(time_s)), place))
+    return [
+        judge_worst(HIT_RATE, rates, norms.hit_rate_limit, RATE_WORDS),
+        judge_worst(INTENSITY, spreads, norms.intensity_limit, SPREAD_WORDS),
+    ]
+
+
+def _recording_sensor(task: Task) -> str:
+    return str(read_attrs(task.store.require("sweeps") / "returns.zarr").get("sensor", ""))
