@@ -9,6 +9,8 @@ from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.surfels import Surfels
 
+_RENDERED = "rendered_"
+
 
 @dataclass(frozen=True, slots=True)
 class SceneEvidence:
@@ -29,17 +31,26 @@ class SceneEvidence:
     """What moves, and the scene without it; None where nothing was seen to move."""
     at_rest: AtRest | None = None
     """What was measured where the sensor stood or crawled; None where it never did."""
+    rendered: Surfels | None = None
+    """Of what stays, in voxels of the size that suits the renderer that learns nothing; None = `standing`."""
 
     @property
     def standing(self) -> Surfels:
         """Surfels of what stays: all of them where nothing was seen to move."""
         return self.surfels if self.dynamic is None else self.dynamic.background
 
+    @property
+    def for_rendering(self) -> Surfels:
+        """Surfels of what stays, for the renderer that learns nothing."""
+        return self.standing if self.rendered is None else self.rendered
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         moving = {} if self.dynamic is None else self.dynamic.to_arrays()
         at_rest = {} if self.at_rest is None else self.at_rest.to_arrays()
-        return self.surfels.to_arrays() | moving | at_rest | {
+        own = {} if self.rendered is None else self.rendered.to_arrays()
+        rendered = {_RENDERED + name: value for name, value in own.items()}
+        return self.surfels.to_arrays() | moving | at_rest | rendered | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -49,9 +60,12 @@ class SceneEvidence:
     def from_arrays(arrays: dict[str, np.ndarray]) -> "SceneEvidence":
         """Read back what `to_arrays` gave."""
         a = arrays
+        has_own = all(_RENDERED + name in a for name in Surfels.ARRAYS)
+        rendered = {name: a[_RENDERED + name] for name in Surfels.ARRAYS} if has_own else None
         prior = DropPrior(a["prior_time_s"], a["prior_fraction"], a["prior_is_hit"])
         return SceneEvidence(
             surfels=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
             dynamic=DynamicEvidence.from_arrays(a), at_rest=AtRest.from_arrays(a),
+            rendered=None if rendered is None else Surfels.from_arrays(rendered),
         )  # fmt: skip

@@ -10,6 +10,7 @@ from nvsf_core.evidence.at_rest import AtRest, keep_scans, scans_at_rest
 from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior, find_cells
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.find_moving import find_moving
+from nvsf_core.evidence.moving import MovingObjects
 from nvsf_core.evidence.objects import prove_objects
 from nvsf_core.evidence.returns import TimedReturns
 from nvsf_core.evidence.scene_evidence import SceneEvidence
@@ -18,12 +19,11 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 from nvsf_core.stages.profile import scene_profile
 from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, choose_voxel_m
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_table
 
-VOXEL_M = 0.2
-"""Edge of a voxel: on real scans finer ones helped only the renderer that learns nothing."""
 _THREADS = 2
 
 
@@ -106,7 +106,7 @@ def _run(task: Task) -> StageOutput:
         return StageOutput(metadata={"profile": "cameras alone: nothing is proven, everything is learned"})
     if not sweeps.is_training.any():
         raise DataError(f"scene {task.scene.name}: expected at least one valid training scan, found none")
-    evidence = _prove(sweeps)
+    evidence, tried = _prove(sweeps)
     write_arrays(task.folder / "evidence.zarr", evidence.to_arrays())
     surfels = evidence.surfels
     profile = _profile(evidence, sweeps, task)
@@ -115,6 +115,7 @@ def _run(task: Task) -> StageOutput:
     return StageOutput(
         metadata={
             **profile,
+            **tried,
             "planar_share": float(surfels.is_planar.mean()),
             "seen_through_share": seen_through,
             **_plane_thickness(surfels),
@@ -136,15 +137,12 @@ def _run(task: Task) -> StageOutput:
     )
 
 
-def _prove(sweeps: Sweeps) -> SceneEvidence:
+def _prove(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
+    """The evidence, and how well each size of voxel answered training scans that were left out."""
     a = sweeps.arrays
     lengths = np.diff(a["offsets"])
     of_training = np.repeat(sweeps.is_training, lengths)
     used = of_training & ~a["is_own_vehicle"] & (a["range_m"] < sweeps.table.max_range_m)
-    surfels = build_surfels(
-        a["origin_m"][used], a["direction"][used], a["range_m"][used], sweeps.even_intensity(used),
-        voxel_m=VOXEL_M, threads=_THREADS,
-    )  # fmt: skip
     training = np.flatnonzero(sweeps.is_training)
     prior = build_drop_prior(
         a["laser"][of_training], a["firing"][of_training], a["sweep_fraction"][of_training],
@@ -153,16 +151,40 @@ def _prove(sweeps: Sweeps) -> SceneEvidence:
     )  # fmt: skip
     firings = np.where(a["firings"][training] > 0, a["firings"][training], sweeps.table.firings_per_turn)
     lasers = np.unique(a["laser"][of_training])
-    return SceneEvidence(
-        surfels=surfels,
+    returns = training_returns(sweeps)
+    moving = find_moving(returns)
+    stays = np.ones(len(used), bool)
+    stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
+    rays = ScanRays(
+        origin_m=a["origin_m"][used], direction=a["direction"][used], range_m=a["range_m"][used],
+        intensity=sweeps.even_intensity(used), scan=np.repeat(np.arange(sweeps.count), lengths)[used],
+        stays=stays[used],
+    )  # fmt: skip
+    rendered, tried = _best_for_rendering(rays, float(sweeps.table.max_range_m))
+    evidence = SceneEvidence(
+        surfels=build_surfels(
+            rays.origin_m, rays.direction, rays.range_m, rays.intensity,
+            voxel_m=FIELD_VOXEL_M, threads=_THREADS,
+        ),
         prior=prior,
         lasers=lasers[lasers >= 0].astype(np.int16),
         firings=firings.astype(np.int32),
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
-        dynamic=_prove_motion(sweeps, of_training, used),
+        dynamic=None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays),
         at_rest=_keep_at_rest(sweeps, of_training, prior),
-    )
+        rendered=rendered,
+    )  # fmt: skip
+    return evidence, tried
+
+
+def _best_for_rendering(rays: ScanRays, far_m: float) -> tuple[Surfels | None, dict[str, Scalar]]:
+    """Surfels of the size that left-out scans choose, None where it is the fields'; and what was tried."""
+    errors_m = choose_voxel_m(rays, far_m=far_m, threads=_THREADS)
+    best_m = min(errors_m, key=lambda voxel_m: errors_m[voxel_m]) if errors_m else FIELD_VOXEL_M
+    tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
+    tried |= {f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm": found for voxel_m, found in errors_m.items()}
+    return None if best_m == FIELD_VOXEL_M else rays.surfels(best_m, _THREADS), tried
 
 
 def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> AtRest | None:
@@ -201,25 +223,21 @@ def training_returns(sweeps: Sweeps) -> TimedReturns:
     )
 
 
-def _prove_motion(sweeps: Sweeps, of_training: np.ndarray, used: np.ndarray) -> DynamicEvidence | None:
-    """What moves and the scene without it; None where nothing does.
+def _prove_motion(
+    sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects, of_training: np.ndarray, rays: ScanRays
+) -> DynamicEvidence:
+    """What moves and the scene without it.
 
     Args:
         sweeps: All scans.
+        returns: Of the training scans.
+        moving: Which of them are of which moving object.
         of_training: (N,) bool, returns of training scans.
-        used: (N,) bool, those that evidence is made of.
+        rays: Those that evidence is made of.
     """
-    a, returns = sweeps.arrays, training_returns(sweeps)
-    moving = find_moving(returns)
-    if moving.is_static:
-        return None
-    stays = np.ones(len(used), bool)
-    stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
+    a = sweeps.arrays
     return DynamicEvidence(
-        background=build_surfels(
-            a["origin_m"][used], a["direction"][used], a["range_m"][used], sweeps.even_intensity(used),
-            voxel_m=VOXEL_M, threads=_THREADS, is_surface=stays[used],
-        ),
+        background=rays.surfels(FIELD_VOXEL_M, _THREADS),
         objects=prove_objects(
             moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
             sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
@@ -248,6 +266,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="4",
+    version="5",
     run=_run,
 )

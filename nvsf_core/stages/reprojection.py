@@ -23,7 +23,7 @@ def reprojection(recording: Recording) -> SceneModel:
     lidar = None
     if recording.lidar is not None:
         lidar = evidence_renderer(
-            recording.lidar.evidence.standing,
+            recording.lidar.evidence.for_rendering,
             recording.lidar.moving(),
             most=spec.lidar_candidates,
             far_m=recording.lidar.far_m,

@@ -1,6 +1,7 @@
 """A profile says what a scene needs; a static scene allocates and asks for nothing dynamic."""
 
 import sys
+from dataclasses import replace
 from types import FrameType
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
@@ -19,6 +21,7 @@ from nvsf_core.stages.profile import point_spacing_m
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.training_cost import expected_seconds
+from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M
 
 OF_MOTION = ("evidence/objects.py", "evidence/object_votes.py", "fields/object_surfaces.py")
 
@@ -88,6 +91,20 @@ def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcom
     assert np.isfinite(answers.range_m).any()
     assert any(name.endswith("fields/lidar_field.py") for name in called)
     assert not [name for name in called if name.endswith(OF_MOTION)]
+
+
+def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of_the_field(
+    static: tuple[Recording, Outcome],
+) -> None:
+    recording, outcome = static
+    assert recording.lidar is not None
+    evidence = recording.lidar.evidence
+    # Three training scans are too few to choose a size.
+    assert outcome.metadata["rendered_voxel_m"] == FIELD_VOXEL_M
+    assert evidence.rendered is None and evidence.for_rendering is evidence.standing
+    own = replace(evidence, rendered=evidence.standing)
+    again = SceneEvidence.from_arrays(own.to_arrays()).for_rendering.to_arrays()
+    assert all(np.array_equal(again[name], value) for name, value in evidence.standing.to_arrays().items())
 
 
 def test_spacing_is_that_of_a_plane_of_points() -> None:

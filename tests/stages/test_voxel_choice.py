@@ -1,0 +1,62 @@
+"""Laws of the choice of voxels: scans that are left out decide, and the evidence keeps what they chose."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.stages.voxel_choice import CANDIDATES_M, ScanRays, choose_voxel_m
+
+FAR_M = 50.0
+
+
+def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> ScanRays:
+    """A wall 10 m ahead whose surface steps back and forth every 0.15 m, by rays drawn at random."""
+    generator = np.random.default_rng(0)
+    count = scans * rays_a_scan
+    y, z = generator.uniform(-2.0, 2.0, count), generator.uniform(-1.0, 1.0, count)
+    x = 10.0 + step_m * (np.floor(y / 0.15) % 2.0)
+    points = np.stack([x, y, z], axis=1)
+    range_m = np.linalg.norm(points, axis=1)
+    return ScanRays(
+        origin_m=np.zeros((count, 3), np.float32),
+        direction=(points / range_m[:, None]).astype(np.float32),
+        range_m=range_m.astype(np.float32),
+        intensity=np.full(count, 0.5, np.float32),
+        scan=np.repeat(np.arange(scans), rays_a_scan),
+        stays=np.ones(count, bool),
+    )
+
+
+def best_m(errors_m: dict[float, float]) -> float:
+    return min(errors_m, key=lambda voxel_m: errors_m[voxel_m])
+
+
+def test_what_is_seen_densely_and_is_not_flat_gets_the_finest_voxels() -> None:
+    errors_m = choose_voxel_m(wall_seen_from_one_place(8, 4000, 0.1), far_m=FAR_M, threads=1)
+    assert best_m(errors_m) == CANDIDATES_M[0]
+    assert all(0.0 < found < 1.0 for found in errors_m.values())
+
+
+def test_what_is_seen_sparsely_gets_coarse_ones_whose_gaps_are_closed() -> None:
+    errors_m = choose_voxel_m(wall_seen_from_one_place(8, 25, 0.0), far_m=FAR_M, threads=1)
+    assert list(errors_m) == list(CANDIDATES_M) and best_m(errors_m) == CANDIDATES_M[-1]
+
+
+def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    assert choose_voxel_m(rays, far_m=FAR_M, threads=1) == choose_voxel_m(rays, far_m=FAR_M, threads=1)
+    assert choose_voxel_m(wall_seen_from_one_place(5, 400, 0.1), far_m=FAR_M, threads=1) == {}
+
+
+def test_moving_objects_do_not_vote_on_the_size() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    rays.stays[:] = False
+    assert choose_voxel_m(rays, far_m=FAR_M, threads=1) == {}
+
+
+def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.0)
+    rays.stays[::2] = False
+    surfels = rays.surfels(0.3, 1)
+    assert surfels.index.voxel_m == 0.3
+    assert int(surfels.hits.sum()) == int(rays.stays.sum())
+    assert surfels.mean_m[:, 0] == pytest.approx(10.0, abs=1e-3)
