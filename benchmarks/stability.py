@@ -21,8 +21,8 @@ _ROOT = Path(__file__).resolve().parent.parent
 RESULTS = _ROOT / "benchmarks" / "results" / "stability.json"
 DOCUMENT = _ROOT / "docs" / "numerical_stability.md"
 THEMES = (
-    "activation", "transmittance", "ranges", "evidence", "encoders", "many_points", "far_poses", "rotations",
-    "panorama", "cameras", "clouds", "metrics", "sampling", "optimiser", "long_run",
+    "activation", "transmittance", "ranges", "evidence", "encoders", "many_points", "many_encoded",
+    "far_poses", "rotations", "panorama", "cameras", "clouds", "metrics", "sampling", "optimiser", "long_run",
 )  # fmt: skip
 
 

@@ -41,7 +41,7 @@ def squared_nearest_distances(points: Tensor, others: Tensor) -> tuple[Tensor, T
 def chamfer_distance(points: Tensor, others: Tensor) -> Tensor:
     """CD = mean_i min_j |p_i - q_j|^2 + mean_j min_i |q_j - p_i|^2, a scalar, squared unit of the inputs.
 
-    Source: the paper's equation of CD; its 1/K is read as each cloud's own number of points. Arguments and
+    Eq. 4 of the paper (CD); its 1/K is read as each cloud's own number of points. Arguments and
     errors as `squared_nearest_distances`.
     """
     to_others, to_points = squared_nearest_distances(points, others)

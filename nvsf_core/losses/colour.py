@@ -9,5 +9,5 @@ def colour_loss(colour: Tensor, true_colour: Tensor) -> Tensor:
 
 
 def squared_colour_error(colour: Tensor, true_colour: Tensor) -> Tensor:
-    """(C^ - C)^2 (r, 3) of colours (r, 3) in 0..1. Source: the paper's L_rgb, to be summed over all."""
+    """(C^ - C)^2 (r, 3) of colours (r, 3) in 0..1. Eq. 9 of the paper (L_rgb), to be summed."""
     return (colour - true_colour) ** 2

@@ -24,7 +24,7 @@ def absolute_range_error(rendered_range: Tensor, true_range: Tensor) -> Tensor:
     """|D^ - D| (r,), in the unit of both, 0 where nothing returned; to be summed.
 
     The rendered range of a ray without return is multiplied by 0, as in the authors' code: whether it
-    returns is the hit probability's to learn. Source: the paper's L_depth.
+    returns is the hit probability's to learn. Eq. 6 of the paper (L_depth).
 
     Args:
         rendered_range: (r,) expected range; scaled units in the `paper` recipe.

@@ -21,7 +21,7 @@ def gradient_loss(
     within a patch counts once, at its first pixel; the last column and row have none. (The authors repeat the
     last one, so that in patches of two rows each y difference counts twice.) Where nothing returned the
     rendered range counts as 0, as recorded; a pair of a return and a drop therefore compares ranges.
-    Source: the paper's L_grad, to be summed; its equation has the absolute value, its text the square.
+    Eq. 1 of the paper (L_grad), to be summed; the equation has the absolute value, the text the square.
 
     Args:
         rendered_range_m: (p, h, w) rendered ranges of patches, metres.

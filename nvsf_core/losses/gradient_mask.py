@@ -17,7 +17,7 @@ def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, T
 
     g is the forward difference g[k] = D[k] - D[k + 1]. The last g of a row or column is repeated, and so is
     the last of its changes (as the authors do), so the last two pixels of each always pass. A pixel without
-    return is never inside; one beside it can be. Source: the paper's equation of M^(2).
+    return is never inside; one beside it can be. Eq. 2 of the paper (M^(2)).
 
     On a plane seen at a grazing angle the gradient grows with distance, but its change stays small: the mask
     still holds where |g| < tau fails. A lone spike passes too: its two

@@ -12,7 +12,7 @@ def intensity_loss(intensity_logit: Tensor, true_intensity: Tensor) -> Tensor:
 def squared_intensity_error(intensity: Tensor, true_intensity: Tensor, is_return: Tensor) -> Tensor:
     """(I^ - I)^2 (r,) of rendered intensities 0..1, 0 where nothing returned.
 
-    Source: the paper's L_intensity, to be summed.
+    Eq. 7 of the paper (L_intensity), to be summed.
 
     Args:
         intensity: (r,) rendered.

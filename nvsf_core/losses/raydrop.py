@@ -10,7 +10,7 @@ def raydrop_loss(hit_logit: Tensor, is_return: Tensor) -> Tensor:
 
 
 def squared_hit_error(hit: Tensor, is_return: Tensor) -> Tensor:
-    """(P^ - P)^2 (r,) of the hit probability, all rays. Source: the paper's L_raydrop, to be summed.
+    """(P^ - P)^2 (r,) of the hit probability, all rays. Eq. 8 of the paper (L_raydrop), to be summed.
 
     Args:
         hit: (r,) rendered probability that the ray returns, 0..1.

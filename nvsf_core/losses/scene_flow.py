@@ -16,8 +16,8 @@ def scene_flow_loss(
 ) -> Tensor:
     """CD(S_i + flow_j(S_i), S_(i+j)) of each neighbour j = +1, -1 that there is: (0..2,), to be summed.
 
-    Source: the paper's L_flow with its CD, on clouds without ground. The gradient reaches the flow through
-    the moved points. (The authors' code sums half of the squared distances instead of averaging them.)
+    Eq. 5 of the paper (L_flow) with the CD of eq. 4, on clouds without ground. The gradient reaches the flow
+    through the moved points. (The authors' code sums half of the squared distances instead of averaging.)
 
     Args:
         points: (k, 3) the frame's cloud S_i; scaled units in the `paper` recipe.

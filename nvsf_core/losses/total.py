@@ -26,7 +26,7 @@ def total_loss(
 ) -> LossBreakdown:
     """Each term's mean, or its sum if `sums` names it, times its weight, added.
 
-    An empty term (no ray of its kind) counts as absent; if all are, the total is 0. The paper's total is
+    An empty term (no ray of its kind) counts as absent; if all are, the total is 0. Eq. 10 of the paper:
     lambda_1 L_flow + ... + lambda_6 L_rgb, with sums over rays (`PaperLosses`).
 
     Args:

@@ -29,7 +29,7 @@ class VolumeRender:
     t: Tensor
     """(r, s) scaled units along the ray."""
     range_scaled: Tensor
-    """(r,): D of the paper's eq. (compositing lidar depth), not divided by the sum of the weights."""
+    """(r,): D of eq. 3, not divided by the sum of the weights."""
     attributes: Tensor
     """(r, c): sum of w_i a_i."""
     passed: Tensor
@@ -40,7 +40,7 @@ def render_volume(
     density: Density, attributes: Attributes, rays: ScaledRays, *, samples: int, bound: float,
     generator: torch.Generator | None = None, optical_factor: float = 1.0,
 ) -> VolumeRender:
-    """D = sum_i T_i alpha_i t_i, alpha_i = 1 - exp(-sigma_i delta_i), T_i = exp(-sum_{j<i} sigma_j delta_j).
+    """Eq. 3: D = sum_i T_i alpha_i t_i, alpha_i = 1 - exp(-sigma_i d_i), T_i = exp(-sum_{j<i} sigma_j d_j).
 
     Args:
         density: The field's density at points of one sensor and time.

@@ -147,7 +147,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             ("sensor", "string", "", "`lidar` or `camera`"),
             ("step", "i8", "1", "optimiser step"),
             ("seconds", "f8", "s", "spent training so far"),
-            ("loss", "f8", "1", "total, weighted"),
+            ("loss", "f8", "1", "total, weighted; each term has a column of its own beside it, unweighted"),
             ("rays_per_s", "f8", "1/s", "speed of training"),
         ),
     ),

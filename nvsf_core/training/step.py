@@ -18,7 +18,7 @@ _EPOCH_SEED = 1_000_003
 def paper_step(
     trainee: PaperTrainee, frames: PaperFrames, seed: int, step: int, generator: torch.Generator
 ) -> Iterator[LossBreakdown]:
-    """L_total = l1 L_flow + l2 L_depth + l3 L_intensity + l4 L_raydrop + l5 L_grad + l6 L_rgb, of one frame.
+    """Eq. 10: l1 L_flow + l2 L_depth + l3 L_intensity + l4 L_raydrop + l5 L_grad + l6 L_rgb, of one frame.
 
     In parts whose gradients add up: 2048 rays of 768 samples need not fit into memory together. Every epoch
     shows each frame once, in an order of its own that seed and epoch decide.

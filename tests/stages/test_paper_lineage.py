@@ -15,14 +15,17 @@ from nvsf_core.stages import plan_run, run_named_stage, run_scene
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.paper_model import read_frames
 from nvsf_core.stages.paper_training import train_on_frames
-from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.stage import Task
 from nvsf_core.stages.view_lidar import along_recorded_rays, sweep_arrays
 from nvsf_core.stages.view_planning import held_out_view
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_tensors
+from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, read_table
+from nvsf_core.training.paper_camera import camera_losses
 from nvsf_core.training.paper_trainee import PaperTrainee
+from nvsf_core.training.step import paper_step
 
 UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
 
@@ -128,6 +131,85 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
     even, uneven = made(replace(model, as_recorded=False))
     assert np.abs(uneven["grid_range_m"] - even["grid_range_m"]).max() > 0.3
     assert np.array_equal(even["ray_range_m"], uneven["ray_range_m"])
+
+
+def losses_of(recipe: PaperRecipe, recording: Recording, store: SceneStore, steps: int) -> list[float]:
+    """Total loss of each of the first steps, with a generator that starts alike for every recipe."""
+    frames = read_frames(recipe, recording, store)
+    # The tiny drive's lasers are too far apart for neighbouring pixels: a wavy wall takes the panos' place.
+    columns = torch.arange(1030.0)
+    wall_m = 8.0 + 3.0 * torch.sin(columns / 40.0) + 0.02 * torch.sin(columns * 1.7)
+    panos = replace(frames.panos, range_m=wall_m.expand(frames.panos.range_m.shape))
+    frames = replace(frames, panos=panos)
+    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0))
+    optimiser = torch.optim.Adam(trainee.field.parameter_groups(recipe.optimiser))
+    found = []
+    for step in range(steps):
+        draws = torch.Generator().manual_seed(step)
+        loss = torch.stack([part.total for part in paper_step(trainee, frames, 0, step, draws)]).sum()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        found.append(loss.item())
+    return found
+
+
+SWITCHES = {
+    "encoders same": {"encoders": "same"},
+    "encoders fused": {"encoders": "separate_fused"},
+    "no aggregation": {"aggregate": False},
+    "no heuristic draws": {"sampling": replace(smoke().sampling, heuristic=False)},
+    "no patches": {"sampling": replace(smoke().sampling, patches=None)},
+    "no camera": {"sampling": replace(smoke().sampling, camera=False)},
+    "single-gradient mask": {"gradient": replace(smoke().gradient, mask="single")},
+    "threshold": {"gradient": replace(smoke().gradient, threshold_m=0.01)},
+    "squared gradient loss": {"gradient": replace(smoke().gradient, norm="mse")},
+    **{
+        name: {"losses": replace(smoke().losses, **{name: 0.5})}
+        for name in ("flow", "depth", "intensity", "raydrop", "gradient", "colour")
+    },
+    "chamfer": {"losses": replace(smoke().losses, chamfer=1.0)},
+    "flow_magnitude": {"losses": replace(smoke().losses, flow_magnitude=1.0)},
+    "camera_depth": {"losses": replace(smoke().losses, camera_depth=1.0)},
+    "line_of_sight": {"losses": replace(smoke().losses, line_of_sight=0.1)},
+    **{
+        slip: {"slips": AuthorsSlips(**{slip: 2.0 if slip == "bound" else True})}
+        for slip in AuthorsSlips.__dataclass_fields__
+    },
+}
+
+
+def test_each_switch_alone_changes_the_training_and_nothing_breaks(drive, home):
+    # Three frames are an epoch: the second one draws by the error map and in patches.
+    store = plan_run(entry(drive), home, recipe=smoke()).store
+    recording = read_recording(store)
+    plain = losses_of(smoke(), recording, store, 4)
+    for name, change in SWITCHES.items():
+        found = losses_of(smoke(name="switched", **change), recording, store, 4)
+        assert np.isfinite(found).all() and found != plain, name
+
+
+def test_every_camera_of_a_drive_is_trained_on(tmp_path):
+    size = replace(DemoSize.tiny(), cameras=("image_00", "image_01"), fisheye_side=64)
+    write_demo(tmp_path / "drive", size=size)
+    run = plan_run(entry(tmp_path / "drive"), tmp_path / "home", recipe=smoke())
+    for stage in UPSTREAM:
+        run_named_stage(stage, run, lambda line: None)
+    recording = read_recording(run.store)
+    frames = read_frames(smoke(), recording, run.store)
+    assert [camera.name for camera in frames.cameras] == ["image_00", "image_01", "image_02"]
+    trainee = PaperTrainee(smoke(), frames, torch.Generator().manual_seed(0))
+    draws = torch.Generator().manual_seed(0)
+    for camera in frames.cameras:
+        (row,) = np.flatnonzero(camera.frame == frames.frames[0])
+        # An even epoch, then one that draws by the error map.
+        for epoch in (0, 1):
+            for part in camera_losses(trainee, frames, camera, int(row), epoch, draws):
+                part.total.backward()
+        errors = trainee.image_errors[camera.name].errors
+        assert errors[row].max() > 1.0, "the map has learned from its own camera"
+    encoder = trainee.field.encoders[1]
+    assert all(bool(p.grad.isfinite().all()) for p in encoder.parameters() if p.grad is not None)
 
 
 @pytest.mark.parametrize("encoders", ["same", "separate_fused"])
