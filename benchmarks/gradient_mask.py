@@ -1,8 +1,8 @@
 """Coverage of the double-gradient mask by distance, beside the single-gradient one, on recorded panos.
 
 Run ``python -m benchmarks.gradient_mask PANO.zarr [PANO.zarr ...]`` with outputs of the stage `pano`, such as
-``.nvsf/k360_street/pano/pano.zarr``. Prints a Markdown table and writes
-``benchmarks/results/gradient_mask.json``.
+``.nvsf/k360_street/pano/pano.zarr``. Writes ``benchmarks/results/gradient_mask.json`` and the table of
+``docs/paper_fidelity.md``; without any it writes the table anew from the JSON.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from typing import Literal
 
 import torch
 
+from benchmarks.markers import write_between
 from nvsf_core.losses.gradient_mask import BAND_EDGES_M, gradient_mask, mask_coverage
 from nvsf_core.stores.arrays import read_arrays
 
 RESULTS = Path(__file__).parent / "results" / "gradient_mask.json"
+DOCUMENT = Path(__file__).parent.parent / "docs" / "paper_fidelity.md"
 MASKS: tuple[tuple[Literal["double", "single"], float], ...] = (
     ("double", 0.05),
     ("single", 0.05),
@@ -64,14 +66,17 @@ def table(rows: list[dict[str, object]]) -> str:
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, write, print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pano", nargs="+", type=Path, help="pano.zarr of a scene")
+    parser.add_argument("pano", nargs="*", type=Path, help="pano.zarr of a scene")
     parser.add_argument("--grid", choices=("linear", "beam"), default="linear", help="linear: the paper's")
     arguments = parser.parse_args()
     rows = [row for pano in arguments.pano for row in coverage_rows(pano, arguments.grid)]
-    RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
-    print(table(rows))
+    if rows:
+        RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+    text = table(json.loads(RESULTS.read_text()))
+    write_between(DOCUMENT, "gradient_mask", text + "\n")
+    print(text)
 
 
 def _percent(share: object) -> str:

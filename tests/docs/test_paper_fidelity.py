@@ -1,11 +1,13 @@
 """docs/paper_fidelity.md says of every switch what the paper, its authors' code and we do."""
 
 import dataclasses
+import json
 import re
 from pathlib import Path
 
 import pytest
 
+from benchmarks import gradient_mask
 from benchmarks.parameters import counts, table
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recipe.paper import (
@@ -82,6 +84,12 @@ def test_every_row_is_as_wide_as_its_head():
 def test_the_parameter_table_is_the_codes_own():
     begin, end = LINES.index("<!-- parameters -->"), LINES.index("<!-- end of parameters -->")
     assert LINES[begin + 1 : end] == table().splitlines()
+
+
+def test_the_masks_coverage_is_what_was_measured():
+    begin, end = LINES.index("<!-- gradient_mask -->"), LINES.index("<!-- end of gradient_mask -->")
+    rows = json.loads(gradient_mask.RESULTS.read_text())
+    assert LINES[begin + 1 : end] == gradient_mask.table(rows).splitlines()
 
 
 def test_the_paper_has_the_authors_parameters_without_dead_weights_and_padding():
