@@ -8,6 +8,7 @@ import numpy as np
 
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting import plots
+from nvsf_core.reporting.checks import checks_section
 from nvsf_core.reporting.error_cloud import error_cloud_figure
 from nvsf_core.reporting.html import escape, image, number, page, plain_table, plot
 from nvsf_core.reporting.previews import image_preview, scan_top_view
@@ -207,6 +208,7 @@ def _scene(scene: SceneOutputs) -> str:
         not_run(scene),
         _provenance(scene),
         _cost_plot(rows),
+        checks_section(scene),
     ]
     for view in newest.pictures:
         parts.append(_view(view, newest.recipe))

@@ -21,8 +21,8 @@ LAW = Law(
     f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
     f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times.",
 )
-_MOST_PAIRS = 16
-"""Evenly over the drive: all scans of one with 32."""
+_MOST_PAIRS = 12
+"""Evenly over the drive: three quarters of the scans of one with 32."""
 _NAMED = 5
 _THIN_M = 0.5
 _NEAR_M, _FAR_M = 3.0, 40.0

@@ -62,6 +62,18 @@ def test_a_single_scan_has_no_neighbour():
     assert registration_check(arrays).detail.startswith("not run: no two neighbouring scans")
 
 
+def test_the_frames_of_a_wrong_pose_are_named():
+    _require_open3d()
+    right, wrong = street(0.0), street(0.25)
+    arrays = {name: np.concatenate([right[name], wrong[name]]) for name in ("direction", "range_m")}
+    arrays |= {name: np.concatenate([right[name]] * 2) for name in ("origin_m", "is_own_vehicle")}
+    returns = right["offsets"][1]
+    arrays |= {"frame": np.array([10, 11, 12, 13]), "offsets": np.arange(5) * returns}
+    check = registration_check(arrays)
+    assert not check.passed and check.value > check.limit
+    assert "doubtful at frames 12 and 13" in check.detail and "10 and 11" not in check.detail
+
+
 def test_training_runs_where_open3ds_system_libraries_are_missing(tmp_path, tiny_catalogue, run_process):
     slim = tmp_path / "slim"
     slim.mkdir()

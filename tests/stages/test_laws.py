@@ -1,0 +1,238 @@
+"""Broken stores are seen: by the stage's own checks, in a Dagster instance, and on outputs made earlier."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import dagster as dg
+import numpy as np
+import pytest
+
+from assets.factory import CHECK_NAME, asset_of
+from assets.workspace import Workspace
+from nvsf_core.metrics.table import COLUMNS
+from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
+from nvsf_core.stages.stage import Check, Law, Stage, StageOutput, UnsoundOutputError, read_record
+from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import write_rows, write_table
+
+SCENE = "demo"  # of the project's own catalogue: the partitions are known when Dagster loads
+LASERS, FIRINGS, SENSOR = 8, 64, "HDL-64E"
+RAYS = LASERS * FIRINGS
+FRAMES, HELD_OUT = (0, 1, 2, 3, 4), 2
+
+
+def _scan(draws, share=0.9):
+    laser = np.repeat(np.arange(LASERS), FIRINGS)
+    kept = np.sort(draws.choice(RAYS, int(share * RAYS), replace=False))
+    direction = draws.normal(size=(len(kept), 3))
+    points = 10.0 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return {
+        "points_m": points.astype(np.float32),
+        "laser": laser[kept].astype(np.int16),
+        "intensity": draws.uniform(0.0, 1.0, len(kept)).astype(np.float32),
+    }
+
+
+def _joined(scans):
+    offsets = np.concatenate([[0], np.cumsum([len(scan["laser"]) for scan in scans])])
+    return {"offsets": offsets} | {name: np.concatenate([s[name] for s in scans]) for name in scans[0]}
+
+
+@pytest.fixture
+def store(tmp_path, monkeypatch):
+    """A home with five recorded scans, of which one is held out."""
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
+    store, draws = SceneStore((tmp_path / "home").resolve(), SCENE), np.random.default_rng(0)
+    with store.publish("frames") as folder:
+        split = ["test" if frame == HELD_OUT else "train" for frame in FRAMES]
+        write_table(folder / "frames.parquet", {"frame": list(FRAMES), "split": split})
+    with store.publish("sweeps") as folder:
+        times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1, "firings": np.full(5, FIRINGS)}
+        arrays = _joined([_scan(draws) for _ in FRAMES])
+        write_arrays(folder / "returns.zarr", times | arrays, {"sensor": SENSOR})
+    return store
+
+
+def _view(folder, scan):
+    """The model's held-out view as `novel_views` stores it."""
+    counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2])}
+    along = {"ray_range_m": np.array([10.0, np.inf], np.float32), "ray_intensity": np.zeros(2, np.float32)}
+    (folder / "test").mkdir()
+    path = folder / "test" / "model.zarr"
+    write_arrays(path, counts | along | _joined([scan]), {"sensor": SENSOR, "split": "test"})
+    return path
+
+
+def _change(path, **arrays):
+    changed, attrs = read_arrays(path) | arrays, read_attrs(path)
+    write_arrays(path, changed, attrs)
+
+
+def _nothing(path):
+    pass
+
+
+def _nan(path):
+    points = read_arrays(path, "points_m")["points_m"]
+    points[7, 1] = np.nan
+    _change(path, points_m=points)
+
+
+def _far(path):
+    _change(path, points_m=read_arrays(path, "points_m")["points_m"] * 1e3)
+
+
+def _dropped(path):
+    gone = {"points_m": np.zeros((0, 3), np.float32), "laser": np.zeros(0, np.int16)}
+    _change(path, **gone, intensity=np.zeros(0, np.float32), offsets=np.array([0, 0]))
+
+
+def _half_dropped(path):
+    a = read_arrays(path, "points_m", "laser", "intensity")
+    half = {name: values[: len(values) // 2] for name, values in a.items()}
+    _change(path, **half, offsets=np.array([0, len(half["laser"])]))
+
+
+def _grey(path):
+    _change(path, intensity=np.full_like(read_arrays(path, "intensity")["intensity"], 0.5))
+
+
+def _views_stage(damage, scan=None):
+    """`novel_views` with its own checks; what it renders is a view that was then damaged on disk."""
+
+    def run(task):
+        damage(_view(task.folder, scan or _scan(np.random.default_rng(9))))
+        return StageOutput()
+
+    return replace(novel_views.STAGE, inputs=(), run=run)
+
+
+def _materialize(stage, instance):
+    return dg.materialize(
+        [asset_of(stage, [stage])], partition_key=SCENE, resources={"workspace": Workspace(recipe="smoke")},
+        instance=instance, raise_on_error=False,
+    )  # fmt: skip
+
+
+def _shown(instance, stage, names):
+    """The latest verdict of each check as the UI asks for it: whether it passed, and how severe it is."""
+    keys = [dg.AssetCheckKey(dg.AssetKey(stage), name) for name in names]
+    records = instance.event_log_storage.get_latest_asset_check_execution_by_key(keys)
+    found = {key.name: record.event.dagster_event.event_specific_data for key, record in records.items()}
+    return {name: (one.passed, one.severity.value, one.metadata) for name, one in found.items()}
+
+
+@pytest.mark.parametrize(
+    ("damage", "law", "blocks"),
+    [
+        (_nan, "stored_views_are_finite", True),
+        (_far, "stored_views_lie_within_limits", True),
+        (_dropped, "held_out_scans_hold_returns", True),
+        (_half_dropped, "hit_rate_is_like_the_training_scans", False),
+        (_grey, "intensities_are_like_the_training_scans", False),
+    ],
+)
+def test_a_damaged_view_fails_its_check_in_dagster(store, damage, law, blocks):
+    names = [one.name for one in novel_views.STAGE.laws]
+    with dg.DagsterInstance.ephemeral() as instance:
+        result = _materialize(_views_stage(damage), instance)
+        shown = _shown(instance, "novel_views", [CHECK_NAME, *names])
+    passed, severity, metadata = shown[law]
+    assert (passed, severity) == (False, "ERROR" if blocks else "WARN")
+    assert metadata["value"].value > metadata["limit"].value
+    assert result.success is not blocks and not shown[CHECK_NAME][0]
+    assert store.path("novel_views/smoke/0").is_dir() is not blocks
+
+
+def test_a_sound_view_passes_all_and_the_record_keeps_value_and_limit(store):
+    with dg.DagsterInstance.ephemeral() as instance:
+        assert _materialize(_views_stage(_nothing), instance).success
+        shown = _shown(instance, "novel_views", [one.name for one in novel_views.STAGE.laws])
+    assert all(passed for passed, _, _ in shown.values()) and len(shown) == len(novel_views.STAGE.laws)
+    record = read_record(store.path("novel_views/smoke/0"))
+    assert {check["name"] for check in record["checks"]} == set(shown)
+    assert all(check["value"] <= check["limit"] for check in record["checks"])
+
+
+def _run_plan(store):
+    return plan_run(find_scene(SCENE), store.home, recipe="smoke")
+
+
+def _row(metric, value, recipe="smoke"):
+    words = {"scene": SCENE, "split": "test", "region": "all", "protocol": "raw", "sensor": "lidar"}
+    costs = dict.fromkeys(
+        ("train_seconds", "render_seconds", "parameters", "model_mb", "peak_memory_mb"), 0.0
+    )
+    facts = {"frame": HELD_OUT, "unit": "1", "n_valid": 1, "seed": 0, "commit": "abc", "recipe": recipe}
+    return words | dict.fromkeys(costs, 0.0) | facts | {"metric": metric, "value": value}
+
+
+def _metrics_stage(rows):
+    def run(task):
+        write_rows(task.folder / "metrics.parquet", rows, COLUMNS)
+        return StageOutput()
+
+    return replace(scene_metrics.STAGE, inputs=(), run=run)
+
+
+@pytest.mark.parametrize(("metric", "value"), [("hit_accuracy", 1.2), ("chamfer_m2", -0.1), ("f_score", -1)])
+def test_a_metric_out_of_its_range_is_not_published(store, metric, value):
+    run, views = _run_plan(store), _views_stage(_nothing)
+    run_named_stage("novel_views", run, str, stages=[views])
+    stage = _metrics_stage([_row(metric, value)])
+    with pytest.raises(UnsoundOutputError, match=f"metrics_lie_in_their_ranges: 1 of 1 .*{metric}"):
+        run_named_stage("scene_metrics", run, str, stages=[stage])
+    assert not store.path("scene_metrics/smoke/0").exists()
+
+
+def test_a_model_worse_than_a_copy_and_darker_scans_are_doubted(store):
+    run, views = _run_plan(store), _views_stage(_grey)
+    run_named_stage("novel_views", run, str, stages=[views])
+    rows = [_row("chamfer_m2", 0.5), _row("chamfer_m2", 0.2, "copy_nearest"), _row("f_score", 0.4)]
+    stage = _metrics_stage([*rows, _row("f_score", 0.9, "copy_nearest")])
+    outcome = run_named_stage("scene_metrics", run, str, stages=[stage])
+    found = {check.name: check for check in outcome.checks}
+    assert [name for name, check in found.items() if not check.passed] == [
+        "model_is_better_than_copying", "intensities_are_spread_as_recorded",
+    ]  # fmt: skip
+    assert "worse in 2 of 2" in found["model_is_better_than_copying"].detail
+
+
+def test_an_output_made_before_its_check_is_judged_and_not_made_again(store):
+    run, made = _run_plan(store), []
+
+    def make(task):
+        made.append("made")
+        return StageOutput(checks=[Check(name="old", passed=True, detail="kept")])
+
+    law = Law(name="new", description="of files")
+    before = Stage(name="pano", group="prepare", inputs=(), description="-", version="1", run=make)
+    after = replace(
+        before, laws=(law,), check_version="1", check=lambda task: [law.judged(2.0, 1.0, "too many")]
+    )
+    run_named_stage("pano", run, str, stages=[before])
+    outcome = run_named_stage("pano", run, str, stages=[after])
+    assert made == ["made"] and outcome.skipped
+    assert [(check.name, check.passed) for check in outcome.checks] == [("old", True), ("new", False)]
+    kept = json.loads((store.path("pano") / "stage.json").read_text())
+    assert kept["check_version"] == "1" and len(list(store.path("pano").iterdir())) == 1
+
+
+def test_a_published_view_that_was_damaged_is_refused_when_judged_again(store):
+    run, stage = _run_plan(store), _views_stage(_nothing)
+    folder = run_named_stage("novel_views", run, str, stages=[stage]).path
+    _nan(folder / "test" / "model.zarr")
+    with pytest.raises(UnsoundOutputError, match=r"not finite: 1 of .* in test/model, points_m"):
+        run_named_stage("novel_views", run, str, stages=[replace(stage, check_version="later")])
+
+
+def test_a_drive_without_lidar_is_not_judged_by_scans(store):
+    shutil.rmtree(store.path("sweeps"))
+    with store.publish("sweeps") as folder:
+        write_arrays(folder / "returns.zarr", {"frame": np.zeros(0, np.int64)}, {"sensor": SENSOR})
+    run = _run_plan(store)
+    outcome = run_named_stage("novel_views", run, str, stages=[_views_stage(_nothing)])
+    found = {check.name: check.detail for check in outcome.checks}
+    assert found["hit_rate_is_like_the_training_scans"].startswith("not run: no training scan")
