@@ -11,6 +11,9 @@ _MOST_CELLS = 4_000_000
 _PERCENTILE = 0.03
 _ABOVE_NEIGHBOURS_M = 0.6
 """A cell that much above the lowest one within 3 m holds no ground: a car's roof, a hedge."""
+_MIRRORED_M, _MIRROR_PERCENTILE = 1.5, 25
+"""A cell that much below the quarter of the cells within 7 m that are lowest holds mirror images: it is left
+out before its depth is taken for that of all cells around."""
 _BELOW_NEIGHBOURS_M = 0.7
 """A cell that much below the median within 7 m holds mirror images in puddles or bonnets."""
 
@@ -34,8 +37,9 @@ class GroundMap:
 def build_ground(point_m: np.ndarray) -> GroundMap:
     """Ground of at least one return (N, 3), scene-local, z up.
 
-    A cell's third percentile of z; where the cell is empty or 0.6 m above the least of the 7 x 7 cells
-    around, that least; the median of 3 x 3; where 0.7 m below the median of 15 x 15, that median.
+    A cell's third percentile of z, but nothing where that is 1.5 m below a quarter of the 15 x 15 cells;
+    where the cell is empty or 0.6 m above the least of the 7 x 7 cells around, that least; the median of
+    3 x 3; where 0.7 m below the median of 15 x 15, that median.
     """
     point_m = point_m[:: max(1, len(point_m) // _MOST_RETURNS)]
     # A few returns far off would make the map huge: beyond the extent of nearly all the border holds.
@@ -46,6 +50,8 @@ def build_ground(point_m: np.ndarray) -> GroundMap:
     cell = np.floor((point_m[:, :2] - origin) / CELL_M).astype(np.int64)
     within = np.all((cell >= 0) & (cell < shape), axis=1)
     height = _percentile_by_cell(cell[within, 0] * shape[1] + cell[within, 1], point_m[within, 2], shape)
+    low = ndimage.percentile_filter(_filled(height), _MIRROR_PERCENTILE, 15, mode="nearest")
+    height[height < low - _MIRRORED_M] = np.inf
     lowest = ndimage.minimum_filter(height, 7, mode="nearest")
     height = np.where(height > lowest + _ABOVE_NEIGHBOURS_M, lowest, height)
     height = _filled(height)
