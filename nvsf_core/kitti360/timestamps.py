@@ -12,6 +12,9 @@ NOMINAL_PERIOD_S = 0.1
 """A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
 
 
+_NO_FILE = "no timestamp file"
+
+
 @dataclass(frozen=True, slots=True)
 class FrameTimes:
     """Times of a section's frames."""
@@ -24,6 +27,11 @@ class FrameTimes:
     """True where times and period are nominal, not recorded."""
     source: str
     """The file, or why there is none that serves."""
+
+    @property
+    def is_refused(self) -> bool:
+        """Times were recorded, and could not be used."""
+        return self.is_assumed and not self.source.endswith(_NO_FILE)
 
 
 def frame_times(
@@ -42,7 +50,7 @@ def frame_times(
     count = last_frame - first_frame + 1
     period_s = NOMINAL_PERIOD_S if nominal_period_s is None else nominal_period_s
     if path is None:
-        return _nominal(count, period_s, "no timestamp file")
+        return _nominal(count, period_s, _NO_FILE)
     stamps = read_timestamps(path)
     first_line = _line_of_first_frame(len(stamps), first_frame, last_frame, _recorded_frames(layout))
     if first_line is None:

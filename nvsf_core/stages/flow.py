@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.errors import DataError, StoreError
+from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.kitti360.catalogue import (
     SceneEntry,
     catalogue_from_environment,
@@ -91,7 +91,7 @@ def run_named_stage(
 
     Raises:
         StoreError: An input was never published.
-        NvsfError: Whatever the stage raises.
+        NvsfError: Whatever the stage raises; names the scene.
     """
     by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
     stage = by_name[name]
@@ -100,7 +100,12 @@ def run_named_stage(
         _lease_for(stage, run, progress),
         Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
     ):
-        return run_stage(stage, run.scene, run.store, run.config, say, inputs)
+        try:
+            return run_stage(stage, run.scene, run.store, run.config, say, inputs)
+        except NvsfError as error:
+            if run.scene.name in str(error):
+                raise
+            raise type(error)(f"scene {run.scene.name}, stage {name}: {error}") from error
 
 
 def find_scene(name: str) -> SceneEntry:

@@ -168,6 +168,7 @@ def _checks(drive: Drive) -> list[Check]:
         _listing("all_images_are_usable", bad_images, "images left out"),
         _listing("all_held_out_frames_are_usable", lost, "held-out frames that cannot be used"),
         _speed_check(drive),
+        Check(name="timestamps_are_usable", passed=not drive.times.is_refused, detail=drive.times.source),
     ]
     if any(row.checksum for row in drive.frames):
         checks.append(_listing("all_scans_are_usable", bad_scans, "scans left out"))
