@@ -30,7 +30,8 @@ def image_arrays(
             image = render(name, pinhole, poses[number], float(instant))
             seconds.append(time.perf_counter() - started)
             shown.append(image.rgb)
-            range_m.append(image.range_m.astype(np.float16))
+            with np.errstate(over="ignore"):  # beyond 65 km a pixel looks at nothing
+                range_m.append(image.range_m.astype(np.float16))
             task.progress(
                 f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} "
                 f"{number + 1}/{len(plan.time_s)}, {seconds[-1]:.2f} s"
