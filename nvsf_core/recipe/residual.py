@@ -18,18 +18,18 @@ class EvidenceSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSpec:
-    """Size of the LiDAR's residual field."""
+    """The largest residual field of the LiDAR; a scene gets what its evidence fills of it."""
 
     levels: int = 8
-    """Levels of the hash grid."""
+    """Most levels of the hash grid."""
     features: int = 2
     """Features an entry."""
     log2_table: int = 17
-    """Entries a level, as a power of two."""
+    """Most entries a level, as a power of two."""
     coarsest_cell_m: float = 4.0
     """Cell of the coarsest level."""
     finest_cell_m: float = 0.06
-    """Cell of the finest level."""
+    """Smallest cell of the finest level."""
     hidden: int = 32
     """Width of the network at a sample."""
     decoded: int = 8

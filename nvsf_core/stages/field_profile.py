@@ -30,7 +30,7 @@ def field_profile(recipe: Recipe, recording: Recording) -> dict[str, Scalar]:
         if model is not None
     }
     found: dict[str, Scalar] = {f"{sensor}_parameters": count for sensor, count in parameters.items()}
-    evidence, samples, returns, rays = None, 0.0, 0, ""
+    evidence, samples, returns, rays, size = None, 0.0, 0, "", ""
     if recording.lidar is not None and fields.lidar is not None:
         evidence, a = recording.lidar.evidence, recording.lidar.sweeps.arrays
         returns = len(a["range_m"])
@@ -38,21 +38,23 @@ def field_profile(recipe: Recipe, recording: Recording) -> dict[str, Scalar]:
             evidence.standing, a["origin_m"], a["direction"],
             most=recipe.evidence.lidar_candidates, far_m=recording.lidar.far_m,
         )  # fmt: skip
-        rays = f"; {samples:.0f} samples a ray"
         layout = fields.lidar.grid.layout
+        finest_m = fields.lidar.bounds.edge_m / layout.finest_resolution
+        rays = f"; {samples:.0f} samples a ray"
+        size = f" in {layout.levels} levels down to {100 * finest_m:.0f} cm"
         found |= {
             "hash_levels": layout.levels,
             "hash_entries": layout.entries,
-            "finest_cell_m": fields.lidar.bounds.edge_m / layout.finest_resolution,
+            "finest_cell_m": finest_m,
             "samples_a_ray": samples,
         }
     seconds = expected_seconds(recipe, parameters, samples)
-    memory_mb = expected_memory_mb(returns)
+    memory_mb = expected_memory_mb(recipe, parameters, returns)
     millions = sum(parameters.values()) / 1e6
     return found | {
         "expected_seconds": seconds,
         "expected_memory_mb": memory_mb,
-        "needs": f"{motion_in_words(evidence)}; {millions:.1f} M parameters{rays}; about "
+        "needs": f"{motion_in_words(evidence)}; {millions:.1f} M parameters{size}{rays}; about "
         f"{_in_words(seconds)} and {memory_mb / 1000:.1f} GB to train (estimate for {FITTED_ON})",
     }
 

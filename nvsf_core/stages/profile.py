@@ -17,19 +17,19 @@ def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float
     """
     surfels = evidence.surfels
     voxel_m = surfels.index.voxel_m
-    surface_m2 = len(surfels.hits) * voxel_m**2
+    proven_m2 = surface_m2(surfels)
     spacing_m = point_spacing_m(surfels)
     # Not the extremes: a stray return far away bounds nothing.
     low, high = np.percentile(surfels.mean_m, (0.5, 99.5), axis=0)
     sensors = f"LiDAR and {', '.join(cameras)}" if cameras else "LiDAR, no camera"
     return {
-        "profile": f"{motion_in_words(evidence)}; {sensors}; about {surface_m2:,.0f} m2 of surface, seen by "
+        "profile": f"{motion_in_words(evidence)}; {sensors}; about {proven_m2:,.0f} m2 of surface, seen by "
         f"points {100 * spacing_m:.0f} cm apart",
         **_motion(evidence, duration_s),
         "cameras": len(cameras),
         "voxels": len(surfels.hits),
         "voxel_m": voxel_m,
-        "surface_m2": surface_m2,
+        "surface_m2": proven_m2,
         "point_spacing_m": spacing_m,
         **{f"extent_{axis}_m": float(size) for axis, size in zip("xyz", high - low, strict=True)},
     }
@@ -43,6 +43,11 @@ def motion_in_words(evidence: SceneEvidence | None) -> str:
         return "static street: no time branch"
     count = len(evidence.dynamic.objects)
     return f"dynamic: {count} moving object{'s' if count > 1 else ''}, each in its own frame"
+
+
+def surface_m2(surfels: Surfels) -> float:
+    """About how much surface is proven: one face of every voxel that holds a return."""
+    return len(surfels.hits) * surfels.index.voxel_m**2
 
 
 def point_spacing_m(surfels: Surfels) -> float:

@@ -14,6 +14,7 @@ from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
+from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import LEARNED, camera_renderer
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
@@ -44,9 +45,11 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
     """Untrained fields of this scene's size."""
     lidar = camera = pano = None
     if recording.lidar is not None:
-        mean = recording.lidar.evidence.surfels.mean_m
+        surfels = recording.lidar.evidence.surfels
+        mean = surfels.mean_m
         bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
-        lidar = LidarField(recipe.lidar_field, bounds, torch.Generator().manual_seed(seed))
+        spec = needed_field(recipe.lidar_field, surfels)
+        lidar = LidarField(spec, bounds, torch.Generator().manual_seed(seed))
         if recipe.pano is not None and recipe.pano.training is not None:
             pano = PanoNetwork(recipe.pano, torch.Generator().manual_seed(seed + 2))
     if recording.cameras:

@@ -1,20 +1,25 @@
-"""What training a residual recipe is expected to cost: a model fitted to three measured runs."""
+"""What training a residual recipe is expected to cost: a model fitted to four measured runs."""
 
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 
 FITTED_ON = "2 cores of an AMD EPYC"
-# Fitted to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297), idle machine.
+# Fitted to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297), idle machine, and, for
+# what only `lean` has, to its run on k360_street, which ran beside other work.
 _PREPARATION_S = 12.5
 _SECONDS_A_SAMPLE = 1.2e-6
 """One surface of one LiDAR ray in one step, forward, backward and Adam's share."""
 _SECONDS_A_PLANE_PIXEL = 30e-6
 _SECONDS_A_BLENDED_PIXEL = 65e-6
+_SECONDS_A_REFINED_DEPTH = 11.4e-6
+"""One depth that is compared once more at one blended pixel."""
 _SECONDS_A_PANO_CELL = 6e-6
 _SECONDS_A_PANO_TURN = 0.8
 """One turn that is fired to make what the pano learns from."""
 _CAMERA_PARAMETERS = 111_000
 """Of the camera's networks in these runs: larger ones cost in proportion."""
-_BASE_MB = 700.0
+_BASE_MB = 1060.0
+_REFINEMENT_MB = 360.0
+"""What comparing depths once more takes."""
 _MB_A_RETURN = 4.2e-4
 
 
@@ -33,15 +38,24 @@ def expected_seconds(recipe: ResidualRecipe, parameters: dict[str, int], samples
         size = parameters["camera"] / _CAMERA_PARAMETERS
         total += size * _drawn(recipe.depth_training) * _SECONDS_A_PLANE_PIXEL
         total += size * _drawn(recipe.camera_training) * _SECONDS_A_BLENDED_PIXEL
+        refined = _drawn(recipe.camera_training) * recipe.camera.refinements
+        total += refined * _SECONDS_A_REFINED_DEPTH
     if "pano" in parameters and recipe.pano is not None and recipe.pano.training is not None:
         total += recipe.pano.frames * recipe.pano.phases * _SECONDS_A_PANO_TURN
         total += _drawn(recipe.pano.training) * _SECONDS_A_PANO_CELL
     return total
 
 
-def expected_memory_mb(returns: int) -> float:
-    """Peak of the training process; images weigh little beside returns."""
-    return _BASE_MB + _MB_A_RETURN * returns
+def expected_memory_mb(recipe: ResidualRecipe, parameters: dict[str, int], returns: int) -> float:
+    """Peak of the training process; images weigh little beside returns.
+
+    Args:
+        recipe: To be trained.
+        parameters: As of `expected_seconds`.
+        returns: Of all scans.
+    """
+    refines = "camera" in parameters and recipe.camera.refinements > 0
+    return _BASE_MB + _MB_A_RETURN * returns + (_REFINEMENT_MB if refines else 0.0)
 
 
 def _drawn(training: TrainingSpec) -> int:

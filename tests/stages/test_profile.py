@@ -10,17 +10,18 @@ import pytest
 import torch
 
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.recipe import ResidualRecipe, preset
+from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
+from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.field_profile import field_profile
 from nvsf_core.stages.profile import point_spacing_m
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_model import make_fields
-from nvsf_core.stages.training_cost import expected_seconds
+from nvsf_core.stages.training_cost import expected_memory_mb, expected_seconds
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M
 
 OF_MOTION = ("evidence/objects.py", "evidence/object_votes.py", "fields/object_surfaces.py")
@@ -62,7 +63,7 @@ def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Rec
     said = field_profile(recipe, recording)
     total = sum(value.numel() for value in names.values())
     assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera"))
-    assert str(said["needs"]).startswith(f"static street: no time branch; {total / 1e6:.1f} M parameters; ")
+    assert str(said["needs"]).startswith(f"static street: no time branch; {total / 1e6:.1f} M parameters in ")
     assert 0.0 < float(said["samples_a_ray"]) <= recipe.evidence.lidar_candidates
     assert float(said["expected_seconds"]) > 0.0 and float(said["expected_memory_mb"]) > 0.0
 
@@ -93,6 +94,20 @@ def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcom
     assert not [name for name in called if name.endswith(OF_MOTION)]
 
 
+def test_a_field_is_as_large_as_its_surface_and_its_points_fill_and_never_larger_than_the_recipe_s() -> None:
+    most = FieldSpec()
+    dense, sparse, small = floor(40.0, 0.05), floor(40.0, 0.2), floor(4.0, 0.05)
+    large = needed_field(most, dense)
+    assert large == needed_field(most, dense)
+    assert large.finest_cell_m == pytest.approx(2.5 * 0.05, rel=0.1)
+    for less in (needed_field(most, sparse), needed_field(most, small)):
+        assert less.log2_table < large.log2_table <= most.log2_table
+    assert needed_field(most, sparse).levels < large.levels <= most.levels
+    assert needed_field(most, sparse).finest_cell_m > large.finest_cell_m
+    tiny = FieldSpec(levels=2, log2_table=4, finest_cell_m=1.0)
+    assert needed_field(tiny, dense) == tiny
+
+
 def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of_the_field(
     static: tuple[Recording, Outcome],
 ) -> None:
@@ -108,13 +123,18 @@ def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of
 
 
 def test_spacing_is_that_of_a_plane_of_points() -> None:
-    x, y = np.meshgrid(np.arange(0.025, 4.0, 0.05), np.arange(0.025, 4.0, 0.05))
+    assert point_spacing_m(floor(4.0, 0.05)) == pytest.approx(0.05, rel=0.1)
+
+
+def floor(edge_m: float, spacing_m: float) -> Surfels:
+    """Of a square floor, seen from above by points in a grid."""
+    steps = np.arange(0.5 * spacing_m, edge_m, spacing_m)
+    x, y = np.meshgrid(steps, steps)
     down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (x.size, 1))
     origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 3.1)], axis=1).astype(np.float32)
-    surfels = build_surfels(
+    return build_surfels(
         origin, down, np.full(x.size, 3.0, np.float32), np.zeros(x.size, np.float32), voxel_m=0.2, threads=1
     )
-    assert point_spacing_m(surfels) == pytest.approx(0.05, rel=0.1)
 
 
 def test_more_steps_or_larger_networks_cost_more_and_a_sensor_that_is_absent_nothing() -> None:
@@ -125,3 +145,9 @@ def test_more_steps_or_larger_networks_cost_more_and_a_sensor_that_is_absent_not
     assert expected_seconds(quick, lidar, 6.5) < expected_seconds(quick, both, 6.5)
     # Measured: 115 s on k360_street, 111 s on demo.
     assert expected_seconds(quick, both, 6.5) == pytest.approx(113.0, rel=0.15)
+    assert expected_memory_mb(quick, both, 3_900_000) == pytest.approx(2683.0, rel=0.05)
+    # Measured beside other work on k360_street: 871 s and 3058 MB.
+    whole = {"lidar": 1_990_000, "camera": 120_000, "pano": 10_500}
+    assert expected_seconds(lean, whole, 6.36) == pytest.approx(871.0, rel=0.1)
+    assert expected_memory_mb(lean, whole, 3_900_000) == pytest.approx(3058.0, rel=0.05)
+    assert expected_memory_mb(lean, lidar, 3_900_000) < expected_memory_mb(lean, whole, 3_900_000)
