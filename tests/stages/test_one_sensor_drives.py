@@ -11,7 +11,7 @@ import pytest
 from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.kitti360.layout import DriveLayout
-from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.recipe import FieldSpec, PaperRecipe, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.recording import read_recording
@@ -193,7 +193,11 @@ def test_the_papers_field_allocates_one_encoder_on_a_drive_of_one_sensor(
 ) -> None:
     done: Run = request.getfixturevalue(one)
     scene = scene_of(done.home.parent / "drive")
-    run = plan_run(scene, done.home, recipe=preset("paper_smoke"))
+    recipe = preset("paper_smoke")
+    assert isinstance(recipe, PaperRecipe)
+    # A pano of eight lasers is nearly empty: a field that learns drops from it renders no return at all.
+    recipe = replace(recipe, losses=replace(recipe.losses, raydrop=0.0))
+    run = plan_run(scene, done.home, recipe=recipe)
     for stage in ("field", "novel_views"):
         run_named_stage(stage, run, lambda line: None)
     tensors, _ = load_tensors(done.root / "field/paper_smoke/0/weights.safetensors")
