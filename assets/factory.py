@@ -55,7 +55,9 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
             outcome = run_named_stage(stage.name, scene_run, context.log.info, stages=stages)
         except NvsfError as error:
             # Yielded, not logged: what is logged is lost when the step then fails.
-            for verdict in failed_verdicts(stage, context.partition_key, error, str(error)):
+            for verdict in failed_verdicts(
+                stage, context.partition_key, error, reason_of(error, stage, context.partition_key)
+            ):
                 yield dg.AssetCheckResult(**verdict)
             raise
         yield dg.MaterializeResult(
@@ -96,6 +98,11 @@ def verdicts(stage: Stage, outcome: Outcome, scene: str) -> list[dict[str, Any]]
     }
     found = {check.name: check for check in outcome.checks}
     return [whole, *(_verdict(law, found.get(law.name), scene) for law in stage.laws)]
+
+
+def reason_of(error: Exception, stage: Stage, scene: str) -> str:
+    """What an error says, without the scene and stage that the reader is told beside it."""
+    return str(error).removeprefix(f"scene {scene}, stage {stage.name}: ")
 
 
 def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> list[dict[str, Any]]:

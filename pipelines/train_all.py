@@ -15,7 +15,7 @@ from typing import Any
 import dagster as dg
 from pydantic import Field
 
-from assets.factory import events_of, failed_checks
+from assets.factory import events_of, failed_checks, reason_of
 from assets.report import CURVES, METRICS_STAGE
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
@@ -103,7 +103,7 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
         try:
             outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
         except NvsfError as error:
-            return _failed(context, state, stage, error, str(error))
+            return _failed(context, state, stage, error, reason_of(error, stage, scene))
         except Exception as error:
             # A defect, not bad data; yet a failed step would keep the report of all scenes from being made.
             context.log.exception(f"[{scene}] {stage.name}: unexpected error")
