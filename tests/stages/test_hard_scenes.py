@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from nvsf_core.errors import DataError, DivergedError, NvsfError
+from nvsf_core.errors import DataError, DivergedError, MissingLibraryError, NvsfError
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.kitti360.demo_cameras import LIDAR_TO_POSE
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.stages import Outcome, plan_run, run_named_stage, scene_metrics
+from nvsf_core.stages import Outcome, mesh, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.evidence import read_evidence
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
@@ -39,10 +39,15 @@ SHAPES = ("neighbouring_scans_agree_with_their_poses", "lasers_are_known", "no_t
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _without_lpips() -> Iterator[None]:
-    """LPIPS would take nine tenths of these tests' time; a user without its weights has none either."""
+def _without_lpips_and_mesh() -> Iterator[None]:
+    """They take most of a tiny scene's time; a user without LPIPS's weights and open3d has none either."""
+
+    def missing(*_: object, **__: object) -> None:
+        raise MissingLibraryError("left out by this test")
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scene_metrics, "load_lpips", lambda: None)
+        patch.setattr(mesh, "poisson_mesh", missing)
         yield
 
 
