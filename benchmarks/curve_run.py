@@ -31,6 +31,7 @@ from nvsf_core.stages.field import train_model
 from nvsf_core.stages.fitting import Trained
 from nvsf_core.stages.flow import (
     SceneRun,
+    field_made_from,
     find_scene,
     run_named_stage,
     say_on_stderr,
@@ -226,7 +227,7 @@ def _train(setting: Setting, recording: Recording, recipe: Recipe, seed: int, ob
             work = setting.store.work_dir(place)
         task = Task(
             scene=scene_run.scene, store=setting.store, config=scene_run.config, folder=work,
-            progress=setting.progress, observe=observe,
+            progress=setting.progress, observe=observe, made_from=field_made_from(scene_run),
         )  # fmt: skip
         return train_model(task, recording, work)
 

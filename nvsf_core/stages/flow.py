@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from nvsf_core.kitti360.catalogue import (
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.heartbeat import Heartbeat
 from nvsf_core.stages.lease import device_lease
-from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, read_record, run_stage
+from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, made_from, read_record, run_stage
 from nvsf_core.stores.scene_store import SceneStore
 
 DEMO_SCENE = "demo"
@@ -95,7 +95,7 @@ def run_named_stage(
     """
     by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
     stage = by_name[name]
-    inputs = {source: _fingerprint_of(by_name[source], run) for source in stage.inputs}
+    inputs = _input_fingerprints(stage, by_name, run)
     with (
         _lease_for(stage, run, progress),
         Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
@@ -106,6 +106,17 @@ def run_named_stage(
             if run.scene.name in str(error):
                 raise
             raise type(error)(f"scene {run.scene.name}, stage {name}: {error}") from error
+
+
+def field_made_from(run: SceneRun) -> str:
+    """What the run's stage `field` is made from; a checkpoint that carries it is the stage's own.
+
+    Raises:
+        StoreError: An input was never published.
+    """
+    by_name = {stage.name: stage for stage in _own_stages()}
+    stage = by_name["field"]
+    return made_from(stage, run.scene, run.config, _input_fingerprints(stage, by_name, run))
 
 
 def find_scene(name: str) -> SceneEntry:
@@ -146,6 +157,10 @@ def say_on_stderr(line: str, /) -> None:
     """Progress for a terminal."""
     sys.stderr.write(line + "\n")
     sys.stderr.flush()
+
+
+def _input_fingerprints(stage: Stage, by_name: Mapping[str, Stage], run: SceneRun) -> dict[str, str]:
+    return {source: _fingerprint_of(by_name[source], run) for source in stage.inputs}
 
 
 def _fingerprint_of(stage: Stage, run: SceneRun) -> str:

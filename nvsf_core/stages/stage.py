@@ -131,7 +131,7 @@ class Task:
     observe: Observer | None = None
     """Watches the training; the clock stands still meanwhile."""
     made_from: str = ""
-    """SHA-256 of all that decides the output but the recipe: tells checkpoints of other inputs apart."""
+    """`made_from` of the stage and its inputs: tells checkpoints of other inputs apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,13 +205,13 @@ def run_stage(
     location = stage.location(config)
     facts = _facts(stage, scene, config, input_fingerprints)
     fingerprint = _digest(facts)
-    made_from = _digest({name: fact for name, fact in facts.items() if name != "recipe"})
+    inputs_digest = made_from(stage, scene, config, input_fingerprints)
     record = read_record(store.path(location))
 
     def task(folder: Path) -> Task:
         return Task(
-            scene=scene, store=store, config=config, folder=folder, progress=progress, made_from=made_from
-        )
+            scene=scene, store=store, config=config, folder=folder, progress=progress, made_from=inputs_digest
+        )  # fmt: skip
 
     if record is not None and record["fingerprint"] == fingerprint:
         progress(f"[{scene.name}] {stage.name}: up to date, skipped")
@@ -232,6 +232,14 @@ def run_stage(
         (folder / RECORD_NAME).write_text(json.dumps(record, indent=1))
     progress(f"[{scene.name}] {stage.name}: done in {record['seconds']:.1f} s")
     return _outcome(stage, store.path(location), record, skipped=False)
+
+
+def made_from(
+    stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerprints: dict[str, str]
+) -> str:
+    """SHA-256 of all that decides a stage's output but the recipe."""
+    facts = _facts(stage, scene, config, input_fingerprints)
+    return _digest({name: fact for name, fact in facts.items() if name != "recipe"})
 
 
 def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
