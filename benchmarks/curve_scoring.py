@@ -21,7 +21,7 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.warping import shrunk
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import put_back_own_vehicle, recorded_scan, without_bias
+from nvsf_core.simulation.scan import by_lasers, put_back_own_vehicle, recorded_scan
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import answer_in_chunks, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -289,8 +289,7 @@ def _model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) ->
         fired_s = time_s + rays.fraction * sweeps.period_s
         vote = evidence.prior.vote(rays.laser, rays.fraction, near)
         answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, fired_s)
-        if model.as_recorded:
-            answers = without_bias(answers, plan.table.range_bias_m[rays.laser])
+        answers = by_lasers(answers, rays.laser, plan.table, as_recorded=model.as_recorded)
         points, intensity, laser = recorded_scan(rays, put_back_own_vehicle(answers, rays, evidence))
         pano = project_scan(_WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
         a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
@@ -299,9 +298,7 @@ def _model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) ->
         vote = evidence.prior.vote(np.maximum(laser, 0), fraction, near)
         fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
         along = answer_in_chunks(render, origin, direction, vote, fired_s)
-        if model.as_recorded:
-            along = without_bias(along, np.where(laser >= 0, sweeps.table.range_bias_m[laser], 0.0))
-        return pano, along.range_m
+        return pano, by_lasers(along, laser, sweeps.table, as_recorded=model.as_recorded).range_m
 
     return answer
 

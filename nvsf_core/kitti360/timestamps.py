@@ -12,9 +12,6 @@ NOMINAL_PERIOD_S = 0.1
 """A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
 
 
-_NO_FILE = "no timestamp file"
-
-
 @dataclass(frozen=True, slots=True)
 class FrameTimes:
     """Times of a section's frames."""
@@ -27,11 +24,8 @@ class FrameTimes:
     """True where times and period are nominal, not recorded."""
     source: str
     """The file, or why there is none that serves."""
-
-    @property
-    def is_refused(self) -> bool:
-        """Times were recorded, and could not be used."""
-        return self.is_assumed and not self.source.endswith(_NO_FILE)
+    is_refused: bool = False
+    """True where times were recorded and could not be used."""
 
 
 def frame_times(
@@ -50,15 +44,16 @@ def frame_times(
     count = last_frame - first_frame + 1
     period_s = NOMINAL_PERIOD_S if nominal_period_s is None else nominal_period_s
     if path is None:
-        return _nominal(count, period_s, _NO_FILE)
+        return _nominal(count, period_s, "no timestamp file", is_refused=False)
     stamps = read_timestamps(path)
     first_line = _line_of_first_frame(len(stamps), first_frame, last_frame, _recorded_frames(layout))
     if first_line is None:
         misfit = f"{len(stamps)} lines fit frames {first_frame}..{last_frame} neither by number nor by count"
-        return _nominal(count, period_s, f"{path.name}: {misfit}")
+        return _nominal(count, period_s, f"{path.name}: {misfit}", is_refused=True)
     section = stamps[first_line : first_line + count]
     if np.isnat(section).any() or (np.diff(section) <= np.timedelta64(0, "ns")).any():
-        return _nominal(count, period_s, f"{path.name} has gaps or steps back in this section")
+        misfit = f"{path.name} has gaps or steps back in this section"
+        return _nominal(count, period_s, misfit, is_refused=True)
     time_s = (section - section[0]) / np.timedelta64(1, "s")
     steps_s = np.diff(time_s) if count > 1 else np.array([period_s])
     return FrameTimes(time_s, float(np.median(steps_s)), False, str(path.relative_to(layout.root)))
@@ -85,9 +80,9 @@ def read_timestamps(path: Path) -> np.ndarray:
     return stamps
 
 
-def _nominal(count: int, period_s: float, reason: str) -> FrameTimes:
+def _nominal(count: int, period_s: float, reason: str, *, is_refused: bool) -> FrameTimes:
     source = f"assumed {period_s:g} s a frame: {reason}"
-    return FrameTimes(np.arange(count) * period_s, period_s, True, source)
+    return FrameTimes(np.arange(count) * period_s, period_s, True, source, is_refused)
 
 
 def _timestamp_file(layout: DriveLayout) -> Path | None:

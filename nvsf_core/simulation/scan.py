@@ -8,6 +8,7 @@ from nvsf_core.evidence.at_rest import FiredRays, answer_at_rest
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays
 
 HIT_THRESHOLD = 0.5
@@ -43,14 +44,22 @@ def measured_at_rest(
     )  # fmt: skip
 
 
-def with_gain(answers: RayAnswers, gain: np.ndarray) -> RayAnswers:
-    """Intensities as lasers with these gains (r,), one a ray, record them."""
+def by_lasers(answers: RayAnswers, laser: np.ndarray, table: LaserTable, *, as_recorded: bool) -> RayAnswers:
+    """Answers in the terms of a stored scan: intensities with their laser's gain, ranges without its bias.
+
+    Args:
+        answers: Of r rays.
+        laser: (r,) of the table; -1 = unknown, which has neither.
+        table: Gains and biases.
+        as_recorded: Whether the answers hold both already, as `SceneModel` says: then the bias is taken off.
+            Else they hold neither, and the gain is applied.
+    """
+    known = laser >= 0
+    if as_recorded:
+        bias_m = np.where(known, table.range_bias_m[laser], 0.0)
+        return replace(answers, range_m=(answers.range_m - bias_m).astype(np.float32))
+    gain = np.where(known, table.intensity_gain[laser], 1.0)
     return replace(answers, intensity=np.clip(answers.intensity * gain, 0.0, 1.0).astype(np.float32))
-
-
-def without_bias(answers: RayAnswers, bias_m: np.ndarray) -> RayAnswers:
-    """Ranges without the biases (r,) of the lasers that recorded them, one a ray."""
-    return replace(answers, range_m=(answers.range_m - bias_m).astype(np.float32))
 
 
 def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:

@@ -18,13 +18,7 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import (
-    measured_at_rest,
-    put_back_own_vehicle,
-    recorded_scan,
-    with_gain,
-    without_bias,
-)
+from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_vehicle, recorded_scan
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -190,10 +184,7 @@ def fire_sweep(
     )
     vote = evidence.prior.vote(voter, rays.fraction, near)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
-    if as_recorded:
-        answers = without_bias(answers, plan.table.range_bias_m[rays.laser])
-    else:
-        answers = with_gain(answers, plan.table.intensity_gain[rays.laser])
+    answers = by_lasers(answers, rays.laser, plan.table, as_recorded=as_recorded)
     if plan.is_recorded_sensor and plan.mount is None and not as_recorded:
         answers = measured_at_rest(
             answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,

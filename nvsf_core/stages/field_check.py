@@ -17,12 +17,11 @@ from nvsf_core.stages.evidence import Sweeps
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.stage import Check, Law
 from nvsf_core.stages.training_norms import (
+    LEVER,
     NO_NORMS,
     RATE_LIMIT,
-    RATE_WORDS,
     SPREAD_LIMIT,
-    SPREAD_WORDS,
-    judge_worst,
+    judge_likeness,
     norms_of,
 )
 
@@ -56,7 +55,6 @@ INTENSITY = Law(
 LAWS = (WEIGHTS, LOSS, ANSWERS, HIT_RATE, INTENSITY)
 _OF_RENDERING = (ANSWERS, HIT_RATE, INTENSITY)
 _FIFTH = 5
-_LEVER = 1.1
 _MOST_LASERS = 8
 
 
@@ -121,9 +119,8 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         apart = spread_distance(intensity_spread(intensity), intensity_spread(recorded))
         spreads = [(apart, place)]
     return [
-        _within_limits(answers, recording.lidar.far_m * _LEVER, place),
-        judge_worst(HIT_RATE, [(rate, place)], norms.hit_rate_limit, RATE_WORDS),
-        judge_worst(INTENSITY, spreads, norms.intensity_limit, SPREAD_WORDS),
+        _within_limits(answers, recording.lidar.far_m * LEVER, place),
+        *judge_likeness(HIT_RATE, INTENSITY, [(rate, place)], spreads, norms),
     ]
 
 

@@ -12,10 +12,9 @@ from nvsf_core.stages.stage import Check, Law, Task
 from nvsf_core.stages.training_norms import (
     NO_NORMS,
     RATE_LIMIT,
-    RATE_WORDS,
     SPREAD_LIMIT,
-    SPREAD_WORDS,
-    judge_worst,
+    Apart,
+    judge_likeness,
     read_norms,
 )
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -122,7 +121,7 @@ def _as_recorded(task: Task, view: Path) -> list[Check]:
         task.store.require("sweeps") / "returns.zarr", "frame", "offsets", "firings", "intensity"
     )
     rendered = read_arrays(view, "frame", "offsets", "intensity")
-    rates, spreads = list[tuple[float, str]](), list[tuple[float, str]]()
+    rates, spreads = Apart(), Apart()
     for i, frame in enumerate(rendered["frame"].tolist()):
         own = _scan(rendered, i)
         for k in np.flatnonzero(recorded["frame"] == frame)[:1].tolist():
@@ -132,10 +131,7 @@ def _as_recorded(task: Task, view: Path) -> list[Check]:
             if len(own) and len(truth) and np.isfinite(own).all():
                 apart = spread_distance(intensity_spread(own), intensity_spread(truth))
                 spreads.append((apart, f"frame {frame}"))
-    return [
-        judge_worst(HIT_RATE, rates, norms.hit_rate_limit, RATE_WORDS),
-        judge_worst(INTENSITY, spreads, norms.intensity_limit, SPREAD_WORDS),
-    ]
+    return judge_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
 
 
 def _scan(arrays: dict[str, np.ndarray], i: int) -> np.ndarray:

@@ -205,7 +205,7 @@ def run_stage(
     location = stage.location(config)
     facts = _facts(stage, scene, config, input_fingerprints)
     fingerprint = _digest(facts)
-    inputs_digest = made_from(stage, scene, config, input_fingerprints)
+    inputs_digest = _without_recipe(facts)
     record = read_record(store.path(location))
 
     def task(folder: Path) -> Task:
@@ -238,8 +238,7 @@ def made_from(
     stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerprints: dict[str, str]
 ) -> str:
     """SHA-256 of all that decides a stage's output but the recipe."""
-    facts = _facts(stage, scene, config, input_fingerprints)
-    return _digest({name: fact for name, fact in facts.items() if name != "recipe"})
+    return _without_recipe(_facts(stage, scene, config, input_fingerprints))
 
 
 def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
@@ -296,6 +295,10 @@ def _outcome(stage: Stage, path: Path, record: dict[str, Any], *, skipped: bool)
 
 def _digest(facts: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _without_recipe(facts: dict[str, Any]) -> str:
+    return _digest({name: fact for name, fact in facts.items() if name != "recipe"})
 
 
 def _facts(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str, str]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The training scans' norms, read from what the stages up to `sweeps` published, and scans judged by them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -19,7 +19,11 @@ SPREAD_LIMIT = (
     "Limit, from training scans alone: half the way to a scan of one intensity, or as far as training scans "
     "are apart."
 )
-RATE_WORDS, SPREAD_WORDS = "{:+.3f} of the rays", "intensities {:.3f} apart"
+LEVER = 1.1
+"""A return may lie so many times the sensor's range away: lever arms, and the way driven in a turn."""
+_RATE_WORDS, _SPREAD_WORDS = "{:+.3f} of the rays", "intensities {:.3f} apart"
+Apart = list[tuple[float, str]]
+"""Distance of each scan from what it should be like, signed or not, and the scan's name."""
 
 
 def read_norms(store: SceneStore) -> ScanNorms | None:
@@ -50,15 +54,17 @@ def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanN
     )
 
 
-def judge_worst(law: Law, apart: Sequence[tuple[float, str]], limit: float, words: str) -> Check:
-    """The check of a law on how far scans are from what they should be like.
+def judge_likeness(
+    hit_rate: Law, intensity: Law, rates: Apart, spreads: Apart, norms: ScanNorms
+) -> list[Check]:
+    """Checks of a law on hit rates and of one on the spread of intensities, by the worst scan of each."""
+    return [
+        _judge_worst(hit_rate, rates, norms.hit_rate_limit, _RATE_WORDS),
+        _judge_worst(intensity, spreads, norms.intensity_limit, _SPREAD_WORDS),
+    ]
 
-    Args:
-        law: It.
-        apart: Distance of each scan, signed or not, and the scan's name.
-        limit: For the largest.
-        words: A format of the distance.
-    """
+
+def _judge_worst(law: Law, apart: Apart, limit: float, words: str) -> Check:
     if not apart:
         return law.not_run("no scan by the recording sensor with returns on both sides")
     worst, place = max(apart, key=lambda one: abs(one[0]))

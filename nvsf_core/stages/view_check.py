@@ -12,12 +12,12 @@ from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.stages.stage import Check, Law, Task
 from nvsf_core.stages.training_norms import (
+    LEVER,
     NO_NORMS,
     RATE_LIMIT,
-    RATE_WORDS,
     SPREAD_LIMIT,
-    SPREAD_WORDS,
-    judge_worst,
+    Apart,
+    judge_likeness,
     read_norms,
 )
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
@@ -56,7 +56,6 @@ _SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensit
 _GRIDS_M = ("pano_range_m", "grid_range_m")
 """0 where nothing answered; other ranges, along recorded rays or pixels, are infinite there."""
 _RANGES_M = (*_GRIDS_M, "ray_range_m")
-_LEVER = 1.1
 _MODEL = "model"
 
 _View = tuple[str, Mapping[str, np.ndarray], Mapping[str, Any]]
@@ -97,7 +96,7 @@ def check_views(task: Task) -> list[Check]:
         for name, values in arrays.items():
             finite.add(values.size, _broken(name, values), f"{place}, {name}")
         if path.stem == _MODEL and attrs.get("sensor"):
-            _limits(within, place, arrays, sensor_table(attrs["sensor"]).max_range_m * _LEVER)
+            _limits(within, place, arrays, sensor_table(attrs["sensor"]).max_range_m * LEVER)
             scans.append((path.parent.name, arrays, attrs))
     norms = read_norms(task.store)
     checks = [finite.judged(FINITE, "not finite"), within.judged(WITHIN, "out of limits")]
@@ -148,7 +147,7 @@ def _empty(scans: list[_View], norms: ScanNorms) -> Check:
 
 
 def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
-    rates, spreads = list[tuple[float, str]](), list[tuple[float, str]]()
+    rates, spreads = Apart(), Apart()
     for view, arrays, attrs in scans:
         if attrs["sensor"] != sensor:
             continue  # other lasers meet other surfaces: nothing recorded is like them
@@ -158,10 +157,7 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
             rates.append((norms.hit_rate_apart(len(own), float(time_s)), place))
             if len(own) and np.isfinite(own).all():
                 spreads.append((norms.intensities_apart(own, float(time_s)), place))
-    return [
-        judge_worst(HIT_RATE, rates, norms.hit_rate_limit, RATE_WORDS),
-        judge_worst(INTENSITY, spreads, norms.intensity_limit, SPREAD_WORDS),
-    ]
+    return judge_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
 
 
 def _recording_sensor(task: Task) -> str:

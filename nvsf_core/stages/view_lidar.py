@@ -6,7 +6,7 @@ import numpy as np
 
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
-from nvsf_core.simulation.scan import HIT_THRESHOLD, measured_at_rest, with_gain, without_bias
+from nvsf_core.simulation.scan import HIT_THRESHOLD, by_lasers, measured_at_rest
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answer_in_chunks, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -94,10 +94,8 @@ def along_recorded_rays(
         fired_s = float(instant) + a["sweep_fraction"][part].astype(np.float64) * sweeps.period_s
         answers = answer_in_chunks(model.lidar, a["origin_m"][part], a["direction"][part], vote, fired_s)
         laser = a["laser"][part]
-        if model.as_recorded:
-            answers = without_bias(answers, np.where(laser >= 0, sweeps.table.range_bias_m[laser], 0.0))
-        else:
-            answers = with_gain(answers, np.where(laser >= 0, sweeps.table.intensity_gain[laser], 1.0))
+        answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
+        if not model.as_recorded:
             answers = measured_at_rest(
                 answers, np.maximum(laser, 0), a["sweep_fraction"][part], lidar.evidence,
                 float(instant), sweeps.trajectory, sweeps.period_s,

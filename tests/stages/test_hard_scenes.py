@@ -93,6 +93,18 @@ def _scans(layout: DriveLayout, change: Callable[[int, np.ndarray], np.ndarray])
         change(int(path.stem), rows).astype("<f4").tofile(path)
 
 
+def _noise(share: float) -> Callable[[int, np.ndarray], np.ndarray]:
+    """A change for `_scans` that throws a share of the points anywhere within some 20 m."""
+    rng = np.random.default_rng(0)
+
+    def throw(_: int, rows: np.ndarray) -> np.ndarray:
+        thrown = rng.random(len(rows)) < share
+        rows[thrown, :3] = rng.normal(0.0, 20.0, (int(thrown.sum()), 3))
+        return rows
+
+    return throw
+
+
 def _poses(layout: DriveLayout, change: Callable[[np.ndarray], None]) -> None:
     lines = [line.split() for line in layout.poses_path.read_text().splitlines()]
     for line in lines:
@@ -201,14 +213,7 @@ def test_everything_moving_is_doubted(drive: Path, tmp_path: Path, usual: set[st
 
 def test_one_percent_of_noise_is_counted(drive: Path, tmp_path: Path, usual: set[str]) -> None:
     layout = _copy(drive, tmp_path)
-    rng = np.random.default_rng(0)
-
-    def noise(_: int, rows: np.ndarray) -> np.ndarray:
-        bad = rng.random(len(rows)) < 0.01
-        rows[bad, :3] = rng.normal(0.0, 20.0, (bad.sum(), 3))
-        return rows
-
-    _scans(layout, noise)
+    _scans(layout, _noise(0.01))
     outcomes = _run(layout)
     _never_silent(layout)
     assert "lasers_are_known" in _doubts(outcomes) - usual
@@ -320,13 +325,7 @@ def test_frames_fifty_metres_apart_are_doubted(drive: Path, tmp_path: Path, usua
 
 def test_noise_alone_is_doubted_and_nothing_to_train_on(drive: Path, tmp_path: Path, usual: set[str]) -> None:
     layout = _copy(drive, tmp_path)
-    rng = np.random.default_rng(0)
-
-    def noise(_: int, rows: np.ndarray) -> np.ndarray:
-        rows[:, :3] = rng.normal(0.0, 20.0, (len(rows), 3))
-        return rows
-
-    _scans(layout, noise)
+    _scans(layout, _noise(1.0))
     outcomes = _run(layout, UP_TO_EVIDENCE)
     assert set(SHAPES[:2]) <= _doubts(outcomes) - usual
     with pytest.raises(DataError, match=r"scene tiny.*no.*rays|scene tiny.*expected LiDAR rays"):
