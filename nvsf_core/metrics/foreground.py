@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from nvsf_core.geometry.boxes import inside_any
-from nvsf_core.metrics.elementwise import psnr
+from nvsf_core.metrics.elementwise import psnr, rmse
 from nvsf_core.metrics.hit import hit_region_metrics
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.intensity import ray_intensity_metrics
@@ -31,7 +31,7 @@ from nvsf_core.metrics.protocols import (
     lidar4d,
     near_returns,
 )
-from nvsf_core.metrics.range import ray_range_metrics
+from nvsf_core.metrics.range import clamped_range_m, ray_range_metrics
 from nvsf_core.metrics.ssim import ssim
 from nvsf_core.sensors.linear_pano import LinearPano
 
@@ -55,9 +55,7 @@ def cut_pano(image: PanoImage, pano: LinearPano, boxes_to_lidar: np.ndarray, reg
         boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
         region: `foreground` or `background`.
     """
-    range_m = np.where(image.hit > 0.5, image.range_m, 0.0)
-    inside = np.zeros(range_m.shape, dtype=bool)
-    inside[range_m > 0.0] = inside_any(pano.points(range_m), boxes_to_lidar)
+    inside = _pixels_inside(_answered_m(image), pano, boxes_to_lidar)
     keep = inside if region == FOREGROUND else ~inside
     return PanoImage(
         range_m=np.where(keep, image.range_m, 0.0),
@@ -142,6 +140,36 @@ def masked_regions(
     return {FOREGROUND: foreground, BACKGROUND: background}
 
 
+def masked_range_regions(
+    predicted: PanoImage, truth: PanoImage, pano: LinearPano, boxes_to_lidar: np.ndarray
+) -> dict[str, Mapping[str, Measure]]:
+    """Foreground and background of a range image in the protocol `masked`: `range_rmse_m`, of one frame.
+
+    As in `lidar4d`: the prediction is masked by hit > 0.5, both sides are clamped to [1e-6, 80] m, and a
+    pixel that one side alone leaves empty counts as 0 there. Foreground: pixels whose recorded point lies in
+    a box, or whose simulated one lies in a grown box. Background: pixels where neither lies in a grown box.
+
+    Args:
+        predicted: The model's own pano, or the projection of its scan.
+        truth: The recorded scan's projection.
+        pano: Their grid.
+        boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
+    """
+    predicted_m, truth_m = _answered_m(predicted), truth.range_m
+    truth_in = _pixels_inside(truth_m, pano, boxes_to_lidar)
+    truth_shell = _pixels_inside(truth_m, pano, boxes_to_lidar, GROWN_M)
+    predicted_in = _pixels_inside(predicted_m, pano, boxes_to_lidar, GROWN_M)
+
+    def error(pixels: np.ndarray) -> Mapping[str, Measure]:
+        sides = (clamped_range_m(side_m)[pixels] for side_m in (predicted_m, truth_m))
+        return {"range_rmse_m": rmse(*sides)}
+
+    foreground = error(truth_in | predicted_in)
+    if not truth_in.any():
+        foreground = {"range_rmse_m": absent(NO_RETURN if len(boxes_to_lidar) else NO_BOX)}
+    return {FOREGROUND: foreground, BACKGROUND: error(~(truth_shell | predicted_in))}
+
+
 def image_regions(
     predicted_rgb: np.ndarray,
     truth_rgb: np.ndarray,
@@ -190,6 +218,21 @@ def masked_image_regions(
             "image_ssim": ssim(predicted, truth, 1.0, mask),
         }
     return found
+
+
+def _answered_m(image: PanoImage) -> np.ndarray:
+    """(H, W) range where a return is expected, else 0."""
+    answered_m: np.ndarray = np.where(image.hit > 0.5, image.range_m, 0.0)
+    return answered_m
+
+
+def _pixels_inside(
+    range_m: np.ndarray, pano: LinearPano, boxes_to_lidar: np.ndarray, grown_m: float = 0.0
+) -> np.ndarray:
+    """(H, W) bool: pixels whose points lie in a box."""
+    inside = np.zeros(range_m.shape, dtype=bool)
+    inside[range_m > 0.0] = inside_any(pano.points(range_m), boxes_to_lidar, grown_m)
+    return inside
 
 
 def _along_rays(answers: RayAnswers, truth: RayAnswers, which: np.ndarray) -> dict[str, Measure]:

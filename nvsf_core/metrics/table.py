@@ -37,7 +37,7 @@ HEADLINES = {
         "intensity_rmse", "hit_accuracy",
     ),
     "masked": (
-        "chamfer_m2", "f_score", "range_abs_error_median_m", "range_missing",
+        "chamfer_m2", "f_score", "range_rmse_m", "range_abs_error_median_m", "range_missing",
         "intensity_rmse", "hit_accuracy", "image_psnr_db", "image_ssim",
     ),
     "image": ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_depth_rmse_m"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import StoreError
-from nvsf_core.metrics.foreground import lidar4d_regions, masked_regions
+from nvsf_core.metrics.foreground import lidar4d_regions, masked_range_regions, masked_regions
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d, project_scan, raw
@@ -113,7 +113,8 @@ def measure_lidar(
                 regions = lidar4d_regions(side, true_image, pano, here, lpips)
                 found |= {(protocol, region): measures for region, measures in regions.items()}
             masked = masked_regions(predicted, answers, truth, truth_rays, recording.n_lasers, here)
-            found |= {("masked", region): measures for region, measures in masked.items()}
+            ranges = masked_range_regions(image, true_image, pano, here)
+            found |= {("masked", region): {**masked[region], **ranges[region]} for region in masked}
         seconds = float(a["lidar_render_seconds"][i])
         for (protocol, region), measures in found.items():
             ledger.add(

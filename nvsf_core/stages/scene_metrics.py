@@ -160,7 +160,7 @@ STAGE = Stage(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
         "the trained field and for the baselines that learn nothing."
     ),
-    version="4",
+    version="5",
     run=_run,
     per_recipe=True,
     check=check_metrics,

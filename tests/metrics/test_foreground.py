@@ -9,6 +9,7 @@ from nvsf_core.metrics.foreground import (
     image_regions,
     lidar4d_regions,
     masked_image_regions,
+    masked_range_regions,
     masked_regions,
 )
 from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d
@@ -97,6 +98,36 @@ def test_published_foreground_dilutes_the_error_by_all_pixels_that_are_black_on_
     assert regions[FOREGROUND]["range_psnr_db"].value > 35.0
     assert not any("lpips" in name for name in regions[BACKGROUND])
     assert "range_lpips_alex" in regions[FOREGROUND]
+
+
+def test_masked_range_error_is_of_the_objects_own_pixels_and_counts_what_one_side_leaves_empty() -> None:
+    truth, moved = _pano(_scan()), _pano(_scan(object_shift_m=0.25))
+    found = masked_range_regions(moved, truth, PANO, BOX)
+    published = lidar4d_regions(moved, truth, PANO, BOX, None)[FOREGROUND]["range_rmse_m"]
+    assert found[FOREGROUND]["range_rmse_m"].n_valid < 60
+    assert found[FOREGROUND]["range_rmse_m"].value > 3 * published.value
+    assert found[BACKGROUND]["range_rmse_m"].value == 0.0
+    assert sum(regions["range_rmse_m"].n_valid for regions in found.values()) == truth.range_m.size
+    # The object is not expected: every one of its pixels is off by its whole range.
+    ranges, lost = truth.range_m, truth.range_m.copy()
+    lost[(ranges > 0) & (ranges < 9.0)] = 0.0
+    empty = PanoImage(range_m=lost, intensity=truth.intensity, hit=truth.hit)
+    unsure = PanoImage(range_m=ranges, intensity=truth.intensity, hit=0.4 * truth.hit)
+    for missed in (empty, unsure):
+        error = masked_range_regions(missed, truth, PANO, BOX)[FOREGROUND]["range_rmse_m"]
+        assert 7.2 < error.value < 9.0
+
+
+def test_masked_range_error_is_nan_on_nothing_where_no_pixel_counts() -> None:
+    truth = _pano(_scan())
+    away = BOX.copy()
+    away[0, 2, 3] = 30.0
+    for boxes, reason in ((NONE, "annotated"), (away, "no recorded return")):
+        found = masked_range_regions(truth, truth, PANO, boxes)
+        absent = found[FOREGROUND]["range_rmse_m"]
+        assert math.isnan(absent.value) and absent.n_valid == 0 and absent.is_absent
+        assert reason in absent.reason
+        assert found[BACKGROUND]["range_rmse_m"].n_valid == truth.range_m.size
 
 
 def test_published_regions_of_an_empty_truth_are_explained() -> None:

@@ -280,13 +280,18 @@ def test_moving_boxes_give_foreground_and_background_of_their_very_frame(moving:
             _value(rows, who, "masked", "chamfer_m2", region) for who in ("smoke", "copy_nearest")
         )
         assert better < 0.1 * worse
+        exact, off = (
+            _value(rows, who, "masked", "range_rmse_m", region) for who in ("smoke", "copy_nearest")
+        )
+        assert exact < 0.1 * off
     inside, outside = (
         [row["n_valid"] for row in rows if row["metric"] == "range_missing" and row["region"] == region]
         for region in ("foreground", "background")
     )
     # The box stands in one frame only; the other has no foreground.
     assert 0 == min(inside) < max(inside) < min(outside)
-    assert math.isnan(_value(rows, "smoke", "masked", "chamfer_m2", "foreground", frame=11))
+    for metric in ("chamfer_m2", "range_rmse_m"):
+        assert math.isnan(_value(rows, "smoke", "masked", metric, "foreground", frame=11))
     assert not math.isnan(_value(rows, "smoke", "masked", "chamfer_m2", "background", frame=11))
 
 
