@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from nvsf_core.clouds.open3d_room import registration_shift
+from nvsf_core.clouds.registration import LEAST_ACROSS, Registration, register
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.stages.stage import Check, Law, Task
 from nvsf_core.stores.arrays import read_arrays
@@ -19,7 +19,9 @@ LAW = Law(
     name="neighbouring_scans_agree_with_their_poses",
     description="Neighbouring scans, laid over each other by their poses, are registered (open3d's "
     f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
-    f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times.",
+    f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times. What slides along all "
+    f"surfaces, as in a tunnel or on a plain (below {LEAST_ACROSS:.0%} of it across them), is not judged: it is "
+    "named.",
 )
 _MOST_PAIRS = 12
 """Evenly over the drive: three quarters of the scans of one with 32."""
@@ -57,10 +59,12 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
     if not clouds:
         return LAW.not_run("no two neighbouring scans with enough returns")
     try:
-        found = np.array([registration_shift(later, earlier) for _, earlier, later in clouds])
+        found = [register(later, earlier) for _, earlier, later in clouds]
     except MissingLibraryError as error:
         return Check(name=LAW.name, passed=True, detail=str(error))
-    shift_m, turn_deg, matched = found.T
+    shift_m = np.array([one.shift_m for one in found])
+    turn_deg = np.array([one.turn_deg for one in found])
+    matched = np.array([one.matched for one in found])
     pair = [f"{frame[k]} and {frame[k + 1]}" for k, _, _ in clouds]
     wrong = np.flatnonzero((shift_m > MOST_SHIFT_M) | (turn_deg > MOST_TURN_DEG) | (matched < FEWEST_MATCHED))
     worst = int(wrong[shift_m[wrong].argmax()]) if len(wrong) else int(shift_m.argmax())
@@ -68,7 +72,8 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
         name=LAW.name,
         passed=len(wrong) == 0,
         detail=f"{len(pair)} pairs, the worst (frames {pair[worst]}) moved by {shift_m[worst]:.3f} m and "
-        f"{turn_deg[worst]:.2f} degrees, {matched[worst]:.0%} of points matched; {_in_words(wrong, pair)}",
+        f"{turn_deg[worst]:.2f} degrees, {matched[worst]:.0%} of points matched; {_in_words(wrong, pair)}"
+        f"{_untold(found, pair)}",
         value=float(shift_m[worst]),
         limit=MOST_SHIFT_M,
         unit="m",
@@ -81,6 +86,24 @@ def _in_words(wrong: np.ndarray, pair: list[str]) -> str:
     named = ", ".join(pair[k] for k in wrong[:_NAMED].tolist())
     more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
     return f"poses or times are doubtful at frames {named}{more}"
+
+
+def _untold(found: list[Registration], pair: list[str]) -> str:
+    """Along which directions nothing can be said, of the pair with the most of them."""
+    free = [len(one.free_shifts) + len(one.free_turns) for one in found]
+    most = int(np.argmax(free))
+    if free[most] == 0:
+        return ""
+    directions = [f"along {_vector(axis)}" for axis in found[most].free_shifts]
+    directions += [f"turning about {_vector(axis)}" for axis in found[most].free_turns]
+    return (
+        f"; {np.count_nonzero(free)} pairs do not tell every motion: of frames {pair[most]} nothing can be "
+        f"said {', '.join(directions)} (scene axes)"
+    )
+
+
+def _vector(axis: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.round(axis, 2)) + ")"
 
 
 def _thinned(arrays: Mapping[str, np.ndarray], scan: int) -> np.ndarray:

@@ -293,6 +293,6 @@ STAGE = Stage(
     run=_run,
     reads_drive=True,
     check=check_registration,
-    check_version="1",
+    check_version="2",
     laws=(LAW,),
 )

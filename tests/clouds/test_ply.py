@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.open3d_room import load_open3d, read_cloud, registration_shift, write_pcd
+from nvsf_core.clouds.open3d_room import load_open3d, read_cloud, write_pcd
 from nvsf_core.clouds.ply import read_ply, write_ply
 from nvsf_core.errors import DataError, MissingLibraryError, ShapeError
 
@@ -75,15 +75,3 @@ def test_open3d_reads_our_ply_and_its_own_pcd(tmp_path: Path) -> None:
         read_points_m, read_intensity = read_cloud(tmp_path / name)
         np.testing.assert_array_equal(read_points_m, points_m)
         np.testing.assert_array_equal(read_intensity, intensity)
-
-
-def test_registration_finds_a_known_shift() -> None:
-    _need_open3d()
-    generator = np.random.default_rng(1)
-    ground, wall, front = (generator.uniform(-10.0, 10.0, (4000, 3)) for _ in range(3))
-    ground[:, 2], wall[:, 1], front[:, 0] = 0.0, 10.0, 10.0
-    target_m = np.concatenate([ground, wall, front])
-    shift_m, turn_deg, fitness = registration_shift(target_m + np.array([0.2, 0.1, 0.05]), target_m)
-    assert abs(shift_m - np.linalg.norm([0.2, 0.1, 0.05])) < 0.02
-    assert turn_deg < 0.1
-    assert fitness > 0.9
