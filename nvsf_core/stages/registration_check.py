@@ -20,8 +20,8 @@ LAW = Law(
     description="Neighbouring scans, laid over each other by their poses, are registered (open3d's "
     f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
     f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times. Motions that "
-    f"slide along all surfaces, as in a tunnel or on a plain (less than {LEAST_ACROSS:.0%} across them), are named "
-    "and not judged.",
+    f"slide along all surfaces, as in a tunnel or on a plain (less than {LEAST_ACROSS:.0%} across them), are "
+    "named and not judged.",
 )
 _MOST_PAIRS = 12
 """Evenly over the drive: three quarters of the scans of one with 32."""
@@ -97,8 +97,8 @@ def _untold(found: list[Registration], pair: list[str]) -> str:
     directions = [f"along {_vector(axis)}" for axis in found[most].free_shifts]
     directions += [f"turning about {_vector(axis)}" for axis in found[most].free_turns]
     return (
-        f"; in {np.count_nonzero(free)} of {len(pair)} pairs not every motion is told: of frames {pair[most]} "
-        f"nothing can be said {', '.join(directions)} (scene axes)"
+        f"; in {np.count_nonzero(free)} of {len(pair)} pairs not every motion is told: of frames "
+        f"{pair[most]} nothing can be said {', '.join(directions)} (scene axes)"
     )
 
 
