@@ -45,10 +45,7 @@ class ScanNorms:
     @property
     def intensity_limit(self) -> float:
         """How far a rendered scan's intensities may be spread from the nearest training scans'."""
-        together = self.spread.mean(axis=0)
-        at_median = (np.arange(_LEVELS + 1) >= int(np.searchsorted(together, 0.5))).astype(np.float64)
-        apart = np.abs(self.spread[:, None] - self.spread[None]).mean(axis=2).max()
-        return max(_SMALLEST_LIMIT, _HALF_WAY * spread_distance(together, at_median), float(apart))
+        return spread_limit(self.spread)
 
     def hit_rate_apart(self, returns: int, time_s: float) -> float:
         """Hit rate of a scan at a time, less the rate of the two training scans nearest to it."""
@@ -108,6 +105,17 @@ def intensity_spread(intensity: np.ndarray) -> np.ndarray:
     level = np.rint(np.clip(intensity, 0.0, 1.0) * _LEVELS).astype(np.int64)
     total: np.ndarray = np.cumsum(np.bincount(level, minlength=_LEVELS + 1)) / float(intensity.size)
     return total
+
+
+def spread_limit(spread: np.ndarray) -> float:
+    """How far one more cumulative histogram may be from n recorded ones (n, 101), n > 0.
+
+    Half the way to all of it at the median, or as far as the recorded ones are apart.
+    """
+    together = spread.mean(axis=0)
+    at_median = (np.arange(_LEVELS + 1) >= int(np.searchsorted(together, 0.5))).astype(np.float64)
+    apart = np.abs(spread[:, None] - spread[None]).mean(axis=2).max()
+    return max(_SMALLEST_LIMIT, _HALF_WAY * spread_distance(together, at_median), float(apart))
 
 
 def spread_distance(one: np.ndarray, other: np.ndarray) -> float:

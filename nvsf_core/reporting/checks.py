@@ -28,9 +28,10 @@ def checks_section(scene: SceneOutputs) -> str:
         "<h3>Can these numbers be trusted?</h3>",
         f'<div class="note {"" if doubts else "good"}">{_in_words(doubts, len(judged))}</div>',
         _table(judged),
-        '<p class="soft">Each check compares a number with the most that it may be. Limits of hit rates and'
-        " intensities come from the training scans of this drive, never from held-out ones. What breaks a"
-        " check that makes an output unusable (NaN, out of limits, empty) is not published at all.</p>",
+        '<p class="soft">Each check compares a number with the most that it may be. Limits of hit rates,'
+        " intensities and greys come from the training scans and images of this drive, never from held-out"
+        " ones. What breaks a check that makes an output unusable (NaN, out of limits, empty) is not"
+        " published at all.</p>",
     ]
     if folded:
         parts.append(f"<details><summary>Checks of the older runs</summary>{_table(folded)}</details>")

@@ -8,12 +8,15 @@ import numpy as np
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.field import load_model
+from nvsf_core.stages.image_check import LAWS as IMAGE_LAWS
+from nvsf_core.stages.image_check import check_images
 from nvsf_core.stages.mesh_baseline import mesh_baseline
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.stage import Stage, StageOutput, Task, read_record
+from nvsf_core.stages.stage import Check, Stage, StageOutput, Task, read_record
 from nvsf_core.stages.view_camera import copied_images, image_arrays
-from nvsf_core.stages.view_check import LAWS, check_views
+from nvsf_core.stages.view_check import LAWS as VIEW_LAWS
+from nvsf_core.stages.view_check import check_views
 from nvsf_core.stages.view_files import describe_view, export_files, write_method
 from nvsf_core.stages.view_lidar import along_recorded_rays, copied_scans, own_panos, sweep_arrays, warm_up
 from nvsf_core.stages.view_planning import View, asked_view, held_out_view, reference_poses, to_world
@@ -109,6 +112,10 @@ def _write(task: Task, recording: Recording, view: View, arrays: dict[str, np.nd
     write_method(task, view.name, method, arrays | known, sensor, recording.scene_origin_m)
 
 
+def _check(task: Task) -> list[Check]:
+    return [*check_views(task), *check_images(task)]
+
+
 STAGE = Stage(
     name="novel_views",
     group="synthesis",
@@ -119,7 +126,7 @@ STAGE = Stage(
     run=_run,
     per_recipe=True,
     reads_views=True,
-    check=check_views,
-    check_version="1",
-    laws=LAWS,
+    check=_check,
+    check_version="2",
+    laws=(*VIEW_LAWS, *IMAGE_LAWS),
 )

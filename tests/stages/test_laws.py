@@ -20,6 +20,7 @@ from nvsf_core.stores.tables import write_rows, write_table
 SCENE = "demo"  # of the project's own catalogue: the partitions are known when Dagster loads
 LASERS, FIRINGS, SENSOR = 8, 64, "HDL-64E"
 RAYS = LASERS * FIRINGS
+CAMERA, HIGH, WIDE = "image_00", 12, 16
 FRAMES, HELD_OUT = (0, 1, 2, 3, 4), 2
 
 
@@ -35,6 +36,10 @@ def _scan(draws, share=0.9):
     }
 
 
+def _image(draws):
+    return draws.integers(0, 256, (HIGH, WIDE, 3), np.uint8)
+
+
 def _joined(scans):
     offsets = np.concatenate([[0], np.cumsum([len(scan["laser"]) for scan in scans])])
     return {"offsets": offsets} | {name: np.concatenate([s[name] for s in scans]) for name in scans[0]}
@@ -42,7 +47,7 @@ def _joined(scans):
 
 @pytest.fixture
 def store(tmp_path, monkeypatch):
-    """A home with five recorded scans, of which one is held out."""
+    """A home with five recorded scans and images, of which one each is held out."""
     monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
     store, draws = SceneStore((tmp_path / "home").resolve(), SCENE), np.random.default_rng(0)
     with store.publish("frames") as folder:
@@ -52,6 +57,10 @@ def store(tmp_path, monkeypatch):
         times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1, "firings": np.full(5, FIRINGS)}
         arrays = _joined([_scan(draws) for _ in FRAMES])
         write_arrays(folder / "returns.zarr", times | arrays, {"sensor": SENSOR})
+    with store.publish("undistorted") as folder:
+        images = {f"{CAMERA}_rgb": np.stack([_image(draws) for _ in FRAMES])}
+        images |= {f"{CAMERA}_frame": np.array(FRAMES), f"{CAMERA}_valid": np.ones((HIGH, WIDE), np.bool_)}
+        write_arrays(folder / "images.zarr", images, {"cameras": {CAMERA: {}}})
     return store
 
 
@@ -59,9 +68,15 @@ def _view(folder, scan):
     """The model's held-out view as `novel_views` stores it."""
     counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2])}
     along = {"ray_range_m": np.array([10.0, np.inf], np.float32), "ray_intensity": np.zeros(2, np.float32)}
+    images = {
+        f"{CAMERA}_rgb": _image(np.random.default_rng(5))[None],
+        f"{CAMERA}_range_m": np.full((1, HIGH, WIDE), 10.0, np.float16),
+        f"{CAMERA}_frame": np.array([HELD_OUT]),
+    }
     (folder / "test").mkdir()
     path = folder / "test" / "model.zarr"
-    write_arrays(path, counts | along | _joined([scan]), {"sensor": SENSOR, "split": "test"})
+    attrs = {"sensor": SENSOR, "split": "test", "cameras": [CAMERA]}
+    write_arrays(path, counts | along | images | _joined([scan]), attrs)
     return path
 
 
@@ -99,6 +114,27 @@ def _grey(path):
     _change(path, intensity=np.full_like(read_arrays(path, "intensity")["intensity"], 0.5))
 
 
+def _shown_as(change):
+    """A damage that changes the image."""
+
+    def damage(path):
+        name = f"{CAMERA}_rgb"
+        _change(path, **{name: change(read_arrays(path, name)[name])})
+
+    return damage
+
+
+_black = _shown_as(np.zeros_like)
+_one_grey = _shown_as(lambda rgb: np.full_like(rgb, 130))
+_plain = _shown_as(lambda rgb: 110 + rgb // 8)
+_half_black = _shown_as(lambda rgb: rgb * (np.arange(WIDE) < WIDE // 2)[:, None].astype(np.uint8))
+
+
+def _without_depth(path):
+    name = f"{CAMERA}_range_m"
+    _change(path, **{name: np.full_like(read_arrays(path, name)[name], np.inf)})
+
+
 def _views_stage(damage, scan=None):
     """`novel_views` with its own checks; what it renders is a view that was then damaged on disk."""
 
@@ -132,6 +168,11 @@ def _shown(instance, stage, names):
         (_dropped, "held_out_scans_hold_returns", True),
         (_half_dropped, "hit_rate_is_like_the_training_scans", False),
         (_grey, "intensities_are_like_the_training_scans", False),
+        (_black, "rendered_images_are_not_blank", False),
+        (_one_grey, "rendered_images_are_not_blank", False),
+        (_plain, "rendered_images_are_not_blank", False),
+        (_without_depth, "rendered_images_are_not_blank", False),
+        (_half_black, "images_are_like_the_training_images", False),
     ],
 )
 def test_a_damaged_view_fails_its_check_in_dagster(store, damage, law, blocks):

@@ -1,0 +1,119 @@
+"""Whether rendered images show something, and look like the drive's: read from the store."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.metrics.image_norms import LEAST_LEVELS, ImageNorms, image_norms
+from nvsf_core.stages.stage import Check, Law, Task
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.tables import read_rows
+
+BLANK = Law(
+    name="rendered_images_are_not_blank",
+    description="A rendered image is blank where its grey values deviate less than half as far from their "
+    f"mean as those of its camera's plainest training image, or less than {LEAST_LEVELS:.0f} of 255 levels "
+    "(one grey all over then reaches 30 dB), or where no pixel has a finite depth. Value: share of the "
+    "images that are.",
+)
+GREYS = Law(
+    name="images_are_like_the_training_images",
+    description="Earth mover's distance between the grey values' histograms of a rendered image and of the "
+    "training image of its camera that is most like it: the worst image of all views, as a share of its "
+    "camera's limit: half the way to an image of one grey, or as far as its training images are apart.",
+)
+LAWS = (BLANK, GREYS)
+
+_MODEL = "model"
+_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """One rendered image."""
+
+    place: str
+    deviation: float
+    """Of the grey values, levels of 255."""
+    blank_below: float
+    has_depth: bool
+    apart: float
+    apart_limit: float
+
+    @property
+    def is_blank(self) -> bool:
+        """By the law `BLANK`."""
+        return self.deviation < self.blank_below or not self.has_depth
+
+    def in_words(self) -> str:
+        """What was found of its grey values and depths."""
+        depth = "" if self.has_depth else ", no pixel has a finite depth"
+        return f"{self.place}: {self.deviation:.1f} levels, blank below {self.blank_below:.1f}{depth}"
+
+
+def check_images(task: Task) -> list[Check]:
+    """Judge the model's images of all views in the task's folder.
+
+    Returns:
+        One check a law of `LAWS`.
+    """
+    images = list(_judged(task))
+    if not images:
+        reason = "no rendered image with training images of its camera"
+        return [law.not_run(reason) for law in LAWS]
+    blank = [image for image in images if image.is_blank]
+    named = blank[:_NAMED] or [min(images, key=lambda image: image.deviation / image.blank_below)]
+    words = "; ".join(image.in_words() for image in named)
+    found = f"{len(blank)} of {len(images)} images are blank; {'' if blank else 'plainest '}{words}"
+    worst = max(images, key=lambda image: image.apart / image.apart_limit)
+    beyond = sum(image.apart > image.apart_limit for image in images)
+    far = (
+        f"worst greys {worst.apart:.3f} apart, limit {worst.apart_limit:.3f} ({worst.place}); "
+        f"{beyond} of {len(images)} images beyond theirs"
+    )
+    return [
+        BLANK.judged(len(blank) / len(images), 0.0, found),
+        GREYS.judged(worst.apart / worst.apart_limit, 1.0, far),
+    ]
+
+
+def _judged(task: Task) -> Iterator[_Judged]:
+    views = [(path, read_attrs(path).get("cameras", ())) for path in _views(task.folder)]
+    for camera in sorted({camera for _, cameras in views for camera in cameras}):
+        norms = _norms(task, camera)
+        if norms is None:
+            continue
+        for path, cameras in views:
+            if camera in cameras:
+                yield from _of_view(path, camera, norms)
+
+
+def _views(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*/{_MODEL}.zarr"))
+
+
+def _norms(task: Task, camera: str) -> ImageNorms | None:
+    """How the training images of a camera look; None where it has none."""
+    rows = read_rows(task.store.require("frames") / "frames.parquet")
+    training = [row["frame"] for row in rows if row["split"] == "train"]
+    path = task.store.require("undistorted") / "images.zarr"
+    a = read_arrays(path, f"{camera}_rgb", f"{camera}_valid", f"{camera}_frame")
+    own = a[f"{camera}_rgb"][np.isin(a[f"{camera}_frame"], training)]
+    return image_norms(own, a[f"{camera}_valid"]) if len(own) else None
+
+
+def _of_view(path: Path, camera: str, norms: ImageNorms) -> Iterator[_Judged]:
+    a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
+    depth = f"{camera}_range_m"
+    range_m = read_arrays(path, depth)[depth] if depth in array_names(path, "f") else None
+    for i, (image, frame) in enumerate(zip(a[f"{camera}_rgb"], a[f"{camera}_frame"], strict=True)):
+        yield _Judged(
+            place=f"view {path.parent.name}, {camera}, frame {frame}",
+            deviation=norms.deviation_of(image),
+            blank_below=norms.blank_below,
+            has_depth=range_m is None or bool(np.isfinite(range_m[i][norms.seen]).any()),
+            apart=norms.greys_apart(image),
+            apart_limit=norms.greys_limit,
+        )
