@@ -1,10 +1,10 @@
-"""A training that is killed goes on from its checkpoint, and ends where it would have ended."""
+"""A training that is killed in each of its phases goes on every time, and ends where it would have ended."""
 
 import multiprocessing
 import os
 import shutil
 import signal
-import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,82 +14,101 @@ import torch
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import FieldSpec, PanoSpec, Recipe, TrainingSpec, preset
-from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages import fitting, plan_run, run_named_stage
 from nvsf_core.stores.checkpoints import load_tensors
 
 UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
-STEPS = 300
-PAPER_STEPS = 40
-_GRID = FieldSpec(levels=2, log2_table=8)
-SLOW = replace(
+STEPS = 6
+"""Of each phase. A checkpoint is due at every one of them."""
+KILLED_AFTER = 4
+_TRAINING = TrainingSpec(steps=STEPS, rays=512, checkpoint_s=0.0, threads=1)
+RESIDUAL = replace(
     preset("smoke"),
-    name="slow",
-    lidar_field=_GRID,
-    lidar_training=TrainingSpec(steps=STEPS, rays=64, checkpoint_s=0.0, threads=1),
-    depth_training=TrainingSpec(steps=5, rays=512, checkpoint_s=0.0, threads=1),
-    camera_training=TrainingSpec(steps=5, rays=512, checkpoint_s=0.0, threads=1),
-    pano=PanoSpec(
-        phases=1, parts=2, channels=4, layers=1,
-        training=TrainingSpec(steps=STEPS, rays=264, checkpoint_s=0.0, threads=1),
-    ),
-)  # fmt: skip
-
+    name="often_saved",
+    lidar_field=FieldSpec(levels=2, log2_table=8),
+    lidar_training=replace(_TRAINING, rays=64),
+    depth_training=_TRAINING,
+    camera_training=_TRAINING,
+    pano=PanoSpec(phases=1, parts=2, channels=4, layers=1, training=replace(_TRAINING, rays=264)),
+)
 PAPER = preset("paper_smoke")
 PAPER = replace(
     PAPER,
-    name="slow_paper",
-    optimiser=replace(PAPER.optimiser, steps=PAPER_STEPS),
-    refinement=replace(PAPER.refinement, channels=0),
+    name="often_saved_paper",
+    # Whole epochs of the three training frames: the average of the last one is taken after the last step.
+    optimiser=replace(PAPER.optimiser, steps=STEPS),
+    refinement=replace(PAPER.refinement, steps=STEPS, panos=1, column_step=8),
 )
-CASES = [(SLOW, "lidar", STEPS), (SLOW, "pano", STEPS), (PAPER, "field", PAPER_STEPS)]
+PHASES = {"lidar": "lidar.", "pano": "pano.", "depth": "camera.depth.", "camera": "camera."}
+"""Of the residual recipes, in their order, and how the names of their weights begin."""
+PAPER_PHASES = {"field": "field.", "refinement": "unet."}
+"""LiDAR and camera rays train the paper's field together."""
 
 
-def run_of(root: Path, home: Path, recipe: Recipe = SLOW):
+def run_of(root: Path, home: Path, recipe: Recipe):
     scene = SceneEntry(
         name="tiny", root=root, sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3, test_frames=(2,)
     )
     return plan_run(scene, home, recipe=recipe)
 
 
-def train_field(root: Path, home: Path, recipe: Recipe) -> None:
-    run_named_stage("field", run_of(root, home, recipe), lambda line: None)
+def train(root: Path, home: Path, recipe: Recipe, phase: str = "") -> None:
+    """Train in a process of its own; what it says is in `said.txt`.
+
+    With a phase, SIGKILL ends the process as it is about to save what that was past the given step. By its
+    own hand, for a killer outside must guess at the time.
+    """
+    save = fitting.save_tensors
+
+    def save_or_die(path: Path, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, object]) -> None:
+        if path.stem == phase and facts["step"] == KILLED_AFTER + 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        save(path, tensors, facts)
+
+    fitting.save_tensors = save_or_die
+    with (home / "said.txt").open("w") as said:
+        run_named_stage("field", run_of(root, home, recipe), lambda line: print(line, file=said))
+
+
+def exit_code_of(*arguments: object) -> int | None:
+    """Of a process that calls `train`. All share one server: it loads the libraries and the code once."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["nvsf_core.stages.field", "torch._dynamo"])
+    child = context.Process(target=train, args=arguments)
+    child.start()
+    child.join()
+    return child.exitcode
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Path:
-    """A folder with a drive, and with its fields trained without a break."""
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive, and with two homes of all that a training reads."""
     folder = tmp_path_factory.mktemp("killed")
     write_demo(folder / "drive", size=DemoSize.tiny())
     for stage in UPSTREAM:
-        run_named_stage(stage, run_of(folder / "drive", folder / "whole"), lambda line: None)
-    for _, part, _ in CASES:
-        shutil.copytree(folder / "whole", folder / part)
-    for recipe in (SLOW, PAPER):
-        train_field(folder / "drive", folder / "whole", recipe)
+        run_named_stage(stage, run_of(folder / "drive", folder / "whole", RESIDUAL), lambda line: None)
+    shutil.copytree(folder / "whole", folder / "killed")
     return folder
 
 
-@pytest.mark.parametrize(("recipe", "part", "steps"), CASES, ids=[part for _, part, _ in CASES])
-def test_a_killed_field_resumes_and_ends_with_the_same_weights(
-    whole: Path, recipe: Recipe, part: str, steps: int
+@pytest.mark.parametrize(
+    ("recipe", "phases"), [(RESIDUAL, PHASES), (PAPER, PAPER_PHASES)], ids=["residual", "paper"]
+)
+def test_a_training_killed_in_every_phase_ends_with_the_same_weights(
+    prepared: Path, recipe: Recipe, phases: Mapping[str, str]
 ) -> None:
-    root, home, location = whole / "drive", whole / part, f"field/{recipe.name}/0"
-    checkpoint = home / "tiny" / ".work" / location / f"{part}.safetensors"
-    child = multiprocessing.get_context("spawn").Process(target=train_field, args=(root, home, recipe))
-    child.start()
-    deadline = time.monotonic() + 300.0
-    while not checkpoint.is_file() and time.monotonic() < deadline:
-        time.sleep(0.002)
-    os.kill(child.pid, signal.SIGKILL)
-    child.join()
-    _, facts = load_tensors(checkpoint)
-    assert 0 < facts["step"] < steps
-    assert not (home / "tiny" / location).exists()
+    root, home, location = prepared / "drive", prepared / "killed", f"field/{recipe.name}/0"
+    work = home / "tiny" / ".work" / location
+    for phase in phases:
+        assert exit_code_of(root, home, recipe, phase) == -signal.SIGKILL
+        assert load_tensors(work / f"{phase}.safetensors")[1]["step"] == KILLED_AFTER
+        assert not (home / "tiny" / location).exists()
+    assert exit_code_of(root, home, recipe) == exit_code_of(root, prepared / "whole", recipe) == 0
 
-    said: list[str] = []
-    run_named_stage("field", run_of(root, home, recipe), said.append)
-    assert any(f"{part}: resumed from the checkpoint at step {facts['step']}" in line for line in said)
-    unbroken, _ = load_tensors(whole / "whole" / "tiny" / location / "weights.safetensors")
+    resumed_line = f"[tiny] field, {list(phases)[-1]}: resumed from the checkpoint at step {KILLED_AFTER}"
+    assert resumed_line in (home / "said.txt").read_text().splitlines()
+    unbroken, _ = load_tensors(prepared / "whole" / "tiny" / location / "weights.safetensors")
     resumed, _ = load_tensors(home / "tiny" / location / "weights.safetensors")
-    assert any(name.startswith(f"{part}.") for name in unbroken)
-    assert all(torch.equal(unbroken[name], resumed[name]) for name in unbroken)
+    assert all(any(name.startswith(weights) for name in unbroken) for weights in phases.values())
+    assert set(unbroken) == set(resumed)
+    assert [name for name in unbroken if not torch.equal(unbroken[name], resumed[name])] == []
