@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nvsf_core.errors import DataError, DivergedError, MissingLibraryError, NvsfError
+from nvsf_core.errors import DataError, DivergedError, MissingLibraryError
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.kitti360.demo_cameras import LIDAR_TO_POSE
@@ -239,7 +239,7 @@ def test_a_camera_that_sees_only_sky_is_doubted(drive: Path, tmp_path: Path, usu
         cv2.imwrite(str(path), sky + np.linspace(0, 20, sky.shape[0], dtype=np.uint8)[:, None, None])
     outcomes = _run(layout)
     _never_silent(layout)
-    assert "image_00_sees_structure" in _doubts(outcomes) - usual
+    assert {"image_00_sees_structure", "rendered_images_are_not_blank"} <= _doubts(outcomes) - usual
     shown = [row["value"] for row in _metrics(layout) if row["metric"] == "image_psnr_db"]
     assert shown and not any(value == 0.0 for value in shown)
 
@@ -305,14 +305,16 @@ def test_intensities_of_zero_give_a_result(drive: Path, tmp_path: Path) -> None:
     _never_silent(layout)
 
 
-def test_one_training_frame_is_a_result_or_an_error_that_names_the_scene(drive: Path, tmp_path: Path) -> None:
+def test_one_training_frame_gives_a_result_that_is_doubted(
+    drive: Path, tmp_path: Path, usual: set[str]
+) -> None:
     layout = _copy(drive, tmp_path)
-    try:
-        _run(layout, test_frames=(0, 1, 2))
-    except NvsfError as error:
-        assert "tiny" in str(error) or "training scan" in str(error)
-    else:
-        _never_silent(layout)
+    outcomes = _run(layout, test_frames=(0, 1, 2))
+    _never_silent(layout)
+    assert outcomes["novel_views"].metadata["test_sweeps"] == 3
+    # What a single scan did not see is missing: in the views, and beside what was recorded.
+    doubted = _doubts(outcomes) - usual
+    assert {"hit_rate_is_like_the_training_scans", "hit_rate_is_as_recorded"} <= doubted
 
 
 def test_frames_fifty_metres_apart_are_doubted(drive: Path, tmp_path: Path, usual: set[str]) -> None:
