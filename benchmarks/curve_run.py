@@ -42,6 +42,7 @@ from nvsf_core.stages.paper_model import load_paper_model
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_camera import LEARNED
+from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.stage import Observer, Progress, RunConfig, Task, read_record
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
@@ -249,6 +250,8 @@ def _as_of(
     if LEARNED in facts:
         # Whether learning beat `reproject` is asked at the end only: until then, show what is learned.
         facts[LEARNED] = [name for name in recording.cameras if f"{name}_judged_psnr_db" in trained.metadata]
+    if SHOWS_FIELD in facts:
+        facts[SHOWS_FIELD] = True
     return kept | found, facts
 
 

@@ -10,7 +10,37 @@ from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.surfels import Surfels
 
 _RENDERED = "rendered_"
+_LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
 
+
+@dataclass(frozen=True, slots=True)
+class LeftOutEvidence:
+    """What stays, as it is proven without a few training scans that judge what others make of it."""
+
+    judges: np.ndarray
+    """(j,) int64: numbers of those scans among the training ones, ascending."""
+    standing: Surfels
+    """In the fields' voxels."""
+    rendered: Surfels | None = None
+    """In the voxels of `SceneEvidence.rendered`; None where that is None."""
+
+    @property
+    def for_rendering(self) -> Surfels:
+        """Surfels for the renderer that learns nothing."""
+        return self.standing if self.rendered is None else self.rendered
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Named arrays that `from_arrays` reads back."""
+        own = {} if self.rendered is None else _prefixed(_LEFT_OUT_RENDERED, self.rendered)
+        return {"left_out_scans": self.judges} | _prefixed(_LEFT_OUT, self.standing) | own
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, np.ndarray]) -> "LeftOutEvidence | None":
+        """Read back what `to_arrays` gave; None where no scan was left out."""
+        standing = _surfels(_LEFT_OUT, arrays)
+        if standing is None:
+            return None
+        return LeftOutEvidence(arrays["left_out_scans"], standing, _surfels(_LEFT_OUT_RENDERED, arrays))
 
 @dataclass(frozen=True, slots=True)
 class SceneEvidence:
@@ -33,6 +63,8 @@ class SceneEvidence:
     """What was measured where the sensor stood or crawled; None where it never did."""
     rendered: Surfels | None = None
     """Of what stays, in voxels of the size that suits the renderer that learns nothing; None = `standing`."""
+    left_out: LeftOutEvidence | None = None
+    """For judging what is learned of the scene; None where there are too few scans to leave any out."""
 
     @property
     def standing(self) -> Surfels:
@@ -48,9 +80,9 @@ class SceneEvidence:
         """Named arrays that `from_arrays` reads back."""
         moving = {} if self.dynamic is None else self.dynamic.to_arrays()
         at_rest = {} if self.at_rest is None else self.at_rest.to_arrays()
-        own = {} if self.rendered is None else self.rendered.to_arrays()
-        rendered = {_RENDERED + name: value for name, value in own.items()}
-        return self.surfels.to_arrays() | moving | at_rest | rendered | {
+        rendered = {} if self.rendered is None else _prefixed(_RENDERED, self.rendered)
+        left_out = {} if self.left_out is None else self.left_out.to_arrays()
+        return self.surfels.to_arrays() | moving | at_rest | rendered | left_out | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -60,12 +92,21 @@ class SceneEvidence:
     def from_arrays(arrays: dict[str, np.ndarray]) -> "SceneEvidence":
         """Read back what `to_arrays` gave."""
         a = arrays
-        has_own = all(_RENDERED + name in a for name in Surfels.ARRAYS)
-        rendered = {name: a[_RENDERED + name] for name in Surfels.ARRAYS} if has_own else None
         prior = DropPrior(a["prior_time_s"], a["prior_fraction"], a["prior_is_hit"])
         return SceneEvidence(
             surfels=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
             dynamic=DynamicEvidence.from_arrays(a), at_rest=AtRest.from_arrays(a),
-            rendered=None if rendered is None else Surfels.from_arrays(rendered),
+            rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
         )  # fmt: skip
+
+
+def _prefixed(prefix: str, surfels: Surfels) -> dict[str, np.ndarray]:
+    return {prefix + name: value for name, value in surfels.to_arrays().items()}
+
+
+def _surfels(prefix: str, arrays: dict[str, np.ndarray]) -> Surfels | None:
+    """Surfels under names with a prefix; None where they are not all there."""
+    if not all(prefix + name in arrays for name in Surfels.ARRAYS):
+        return None
+    return Surfels.from_arrays({name: arrays[prefix + name] for name in Surfels.ARRAYS})

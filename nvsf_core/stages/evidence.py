@@ -13,13 +13,13 @@ from nvsf_core.evidence.find_moving import find_moving
 from nvsf_core.evidence.moving import MovingObjects
 from nvsf_core.evidence.objects import prove_objects
 from nvsf_core.evidence.returns import TimedReturns
-from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 from nvsf_core.stages.profile import scene_profile
 from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
-from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, choose_voxel_m
+from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_table
@@ -160,7 +160,8 @@ def _prove(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         intensity=sweeps.even_intensity(used), scan=np.repeat(np.arange(sweeps.count), lengths)[used],
         stays=stays[used],
     )  # fmt: skip
-    rendered, tried = _best_for_rendering(rays, float(sweeps.table.max_range_m))
+    choice = choose_voxel_m(rays, far_m=float(sweeps.table.max_range_m), threads=_THREADS)
+    best_m = FIELD_VOXEL_M if choice is None else choice.best_m
     evidence = SceneEvidence(
         surfels=build_surfels(
             rays.origin_m, rays.direction, rays.range_m, rays.intensity,
@@ -173,18 +174,22 @@ def _prove(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_intensity=a["own_vehicle_intensity"],
         dynamic=None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays),
         at_rest=_keep_at_rest(sweeps, of_training, prior),
-        rendered=rendered,
+        rendered=None if best_m == FIELD_VOXEL_M else rays.surfels(best_m, _THREADS),
+        left_out=None if choice is None else _without_judges(choice, training),
     )  # fmt: skip
+    tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
+    for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
+        tried[f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm"] = error_m
     return evidence, tried
 
 
-def _best_for_rendering(rays: ScanRays, far_m: float) -> tuple[Surfels | None, dict[str, Scalar]]:
-    """Surfels of the size that left-out scans choose, None where it is the fields'; and what was tried."""
-    errors_m = choose_voxel_m(rays, far_m=far_m, threads=_THREADS)
-    best_m = min(errors_m, key=lambda voxel_m: errors_m[voxel_m]) if errors_m else FIELD_VOXEL_M
-    tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
-    tried |= {f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm": found for voxel_m, found in errors_m.items()}
-    return None if best_m == FIELD_VOXEL_M else rays.surfels(best_m, _THREADS), tried
+def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:
+    """What stays without the judges, in the fields' voxels and in the chosen ones; `training` (n,) scans."""
+    return LeftOutEvidence(
+        judges=np.searchsorted(training, choice.judges),
+        standing=choice.surfels[FIELD_VOXEL_M],
+        rendered=None if choice.best_m == FIELD_VOXEL_M else choice.surfels[choice.best_m],
+    )
 
 
 def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> AtRest | None:
@@ -266,6 +271,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="6",
+    version="7",
     run=_run,
 )

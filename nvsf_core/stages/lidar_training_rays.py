@@ -15,7 +15,7 @@ from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 
 
 def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarField) -> LidarRays:
-    """Returns and drops of all training scans, each with the vote of the other scans and their objects.
+    """Returns and drops of all training scans but the judges, each with the others' vote and their objects.
 
     Raises:
         DataError: There is no ray at all.
@@ -23,7 +23,10 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
     sweeps, evidence = lidar.sweeps, lidar.evidence
     alone = len(evidence.prior.time_s) == 1
     parts = []
+    judges = [] if evidence.left_out is None else evidence.left_out.judges.tolist()
     for number, scan in enumerate(np.flatnonzero(sweeps.is_training)):
+        if number in judges:
+            continue
         time_s = float(sweeps.arrays["time_s"][scan])
         votes = evidence.prior.nearest_scans(
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s

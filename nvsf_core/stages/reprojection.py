@@ -6,10 +6,10 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
-from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
+from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import evidence_renderer
 from nvsf_core.stages.evidence import Sweeps
-from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.recording import LidarRecording, Recording
 
 _DEPTH_SCANS = 10
 """Training scans around a view whose returns give the warped images their depth."""
@@ -19,17 +19,16 @@ _SAME_INSTANT_S = 0.03
 
 def reprojection(recording: Recording) -> SceneModel:
     """The baseline of a scene, the same for every recipe."""
-    spec = EvidenceSpec()
-    lidar = None
-    if recording.lidar is not None:
-        lidar = evidence_renderer(
-            recording.lidar.evidence.for_rendering,
-            recording.lidar.moving(),
-            most=spec.lidar_candidates,
-            far_m=recording.lidar.far_m,
-        )
+    lidar = None if recording.lidar is None else carrying_renderer(recording.lidar)
     camera = warping_renderer(recording) if recording.cameras else None
-    return SceneModel(lidar=lidar, camera=camera, votes=spec.votes)
+    return SceneModel(lidar=lidar, camera=camera, votes=EvidenceSpec().votes)
+
+
+def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
+    """The evidence of what stays and of what moves, looked at along the asked rays."""
+    return evidence_renderer(
+        lidar.evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
+    )
 
 
 def warping_renderer(recording: Recording) -> ImageRenderer:

@@ -16,7 +16,9 @@ from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.reprojection import carrying_renderer
 from nvsf_core.stages.residual_camera import LEARNED, camera_renderer
+from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
 from nvsf_core.stores.checkpoints import load_tensors
 
@@ -60,6 +62,8 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
 def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     """The fields as the stage `field` published them in `folder`, ready to render.
 
+    What did not beat `reproject` when it was judged is shown by that.
+
     Raises:
         StoreError: The weights cannot be read.
         RecipeError: The recipe beside them is of another version.
@@ -69,7 +73,10 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     tensors, facts = load_tensors(folder / "weights.safetensors")
     fields = make_fields(recipe, recording, 0)
     lidar = camera = pano = None
-    if fields.lidar is not None and recording.lidar is not None:
+    if recording.lidar is not None and not facts.get(SHOWS_FIELD, True):
+        # Its pano is the projection of its scan, as the baseline's.
+        lidar = carrying_renderer(recording.lidar)
+    elif fields.lidar is not None and recording.lidar is not None:
         fields.lidar.load_state_dict(_named(tensors, "lidar."))
         lidar = field_renderer(
             fields.lidar,

@@ -10,6 +10,7 @@ from nvsf_core.stages.fitting import Trained, fit
 from nvsf_core.stages.lidar_training_rays import training_rays
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import LEARNED, train_camera
+from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import CORRECTED, train_pano
 from nvsf_core.stages.stage import Scalar, Task
@@ -24,6 +25,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
     fields = make_fields(recipe, recording, task.config.seed)
     states: dict[str, TrainingState] = {}
     metadata: dict[str, Scalar] = {}
+    facts: dict[str, object] = {}
     seconds = time.perf_counter() - started
     if fields.lidar is not None and recording.lidar is not None:
         field, evidence, far_m = fields.lidar, recording.lidar.evidence, recording.lidar.far_m
@@ -34,8 +36,12 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
             task, work, "lidar", _state(task, field, recipe.lidar_training, 0), recipe.lidar_training,
             lambda _, generator: [lidar_step(field, evidence.standing, rays, recipe, far_m, generator)],
         )  # fmt: skip
-    facts: dict[str, object] = {}
-    if fields.pano is not None and fields.lidar is not None and recording.lidar is not None:
+        judging = time.perf_counter()
+        facts[SHOWS_FIELD], verdict = judge(field, recipe, recording.lidar)
+        seconds += time.perf_counter() - judging
+        metadata |= verdict
+        task.progress(f"[{task.scene.name}] field, lidar: shows {verdict['lidar_shows']}")
+    if facts.get(SHOWS_FIELD) and fields.pano and fields.lidar and recording.lidar:
         expected = train_pano(task, work, fields.pano, fields.lidar, recipe, recording.lidar)
         states |= expected.states
         seconds += expected.preparation_seconds

@@ -46,7 +46,25 @@ class ScanRays:
         )  # fmt: skip
 
 
-def choose_voxel_m(rays: ScanRays, *, far_m: float, threads: int) -> dict[float, float]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VoxelChoice:
+    """What the judges say of each size that was tried, the fields' always among them."""
+
+    errors_m: dict[float, float]
+    """Size to mean absolute range error along the judges' recorded rays, metres, each ray's at most 1 m and
+    1 m where there is no answer."""
+    judges: np.ndarray
+    """(2,) int64 numbers of the scans that judged."""
+    surfels: dict[float, Surfels]
+    """Size to what stays, as all other scans prove it."""
+
+    @property
+    def best_m(self) -> float:
+        """The size with the smallest error."""
+        return min(self.errors_m, key=lambda voxel_m: self.errors_m[voxel_m])
+
+
+def choose_voxel_m(rays: ScanRays, *, far_m: float, threads: int) -> VoxelChoice | None:
     """Score sizes on two training scans that the evidence is built without; coarser while it gets better.
 
     Args:
@@ -55,25 +73,25 @@ def choose_voxel_m(rays: ScanRays, *, far_m: float, threads: int) -> dict[float,
         threads: Of the walk.
 
     Returns:
-        Size to mean absolute range error along the recorded rays, metres, each ray's at most 1 m and 1 m
-        where there is no answer; only sizes that were tried. Empty where there is too little to judge.
+        Only sizes that were tried. None where there is too little to judge.
     """
     scans = np.flatnonzero(np.bincount(rays.scan))
     if len(scans) < _FEWEST_SCANS:
-        return {}
+        return None
     judges = scans[(np.arange(1, _JUDGES + 1) * len(scans)) // (_JUDGES + 1)]
     judged = np.isin(rays.scan, judges)
     asked = np.flatnonzero(judged & rays.stays)
     if len(asked) == 0:
-        return {}
+        return None
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, _JUDGES * _RAYS_A_JUDGE).astype(np.int64))]
     errors_m: dict[float, float] = {}
+    surfels: dict[float, Surfels] = {}
     for voxel_m in CANDIDATES_M:
-        surfels = rays.surfels(voxel_m, threads, ~judged)
-        errors_m[voxel_m] = _error_m(surfels, rays, asked, far_m)
+        surfels[voxel_m] = rays.surfels(voxel_m, threads, ~judged)
+        errors_m[voxel_m] = _error_m(surfels[voxel_m], rays, asked, far_m)
         if errors_m[voxel_m] > min(errors_m.values()):
             break
-    return errors_m
+    return VoxelChoice(errors_m=errors_m, judges=judges, surfels=surfels)
 
 
 def _error_m(surfels: Surfels, rays: ScanRays, asked: np.ndarray, far_m: float) -> float:

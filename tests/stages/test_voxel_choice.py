@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from nvsf_core.stages.voxel_choice import CANDIDATES_M, ScanRays, choose_voxel_m
+from nvsf_core.stages.voxel_choice import (
+    CANDIDATES_M,
+    FIELD_VOXEL_M,
+    ScanRays,
+    VoxelChoice,
+    choose_voxel_m,
+)
 
 FAR_M = 50.0
 
@@ -26,31 +32,33 @@ def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> Sca
     )
 
 
-def best_m(errors_m: dict[float, float]) -> float:
-    return min(errors_m, key=lambda voxel_m: errors_m[voxel_m])
+def chosen(rays: ScanRays) -> VoxelChoice:
+    choice = choose_voxel_m(rays, far_m=FAR_M, threads=1)
+    assert choice is not None
+    return choice
 
 
 def test_what_is_seen_densely_and_is_not_flat_gets_the_finest_voxels() -> None:
-    errors_m = choose_voxel_m(wall_seen_from_one_place(8, 4000, 0.1), far_m=FAR_M, threads=1)
-    assert best_m(errors_m) == CANDIDATES_M[0]
-    assert all(0.0 < found < 1.0 for found in errors_m.values())
+    choice = chosen(wall_seen_from_one_place(8, 4000, 0.1))
+    assert choice.best_m == CANDIDATES_M[0]
+    assert all(0.0 < found < 1.0 for found in choice.errors_m.values())
 
 
 def test_what_is_seen_sparsely_gets_coarse_ones_whose_gaps_are_closed() -> None:
-    errors_m = choose_voxel_m(wall_seen_from_one_place(8, 25, 0.0), far_m=FAR_M, threads=1)
-    assert list(errors_m) == list(CANDIDATES_M) and best_m(errors_m) == CANDIDATES_M[-1]
+    choice = chosen(wall_seen_from_one_place(8, 25, 0.0))
+    assert list(choice.errors_m) == list(CANDIDATES_M) and choice.best_m == CANDIDATES_M[-1]
 
 
 def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
-    assert choose_voxel_m(rays, far_m=FAR_M, threads=1) == choose_voxel_m(rays, far_m=FAR_M, threads=1)
-    assert choose_voxel_m(wall_seen_from_one_place(5, 400, 0.1), far_m=FAR_M, threads=1) == {}
+    assert chosen(rays).errors_m == chosen(rays).errors_m
+    assert choose_voxel_m(wall_seen_from_one_place(5, 400, 0.1), far_m=FAR_M, threads=1) is None
 
 
 def test_moving_objects_do_not_vote_on_the_size() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     rays.stays[:] = False
-    assert choose_voxel_m(rays, far_m=FAR_M, threads=1) == {}
+    assert choose_voxel_m(rays, far_m=FAR_M, threads=1) is None
 
 
 def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
@@ -60,3 +68,11 @@ def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
     assert surfels.index.voxel_m == 0.3
     assert int(surfels.hits.sum()) == int(rays.stays.sum())
     assert surfels.mean_m[:, 0] == pytest.approx(10.0, abs=1e-3)
+
+
+def test_what_judges_are_judged_by_is_proven_by_the_others_alone() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    choice = chosen(rays)
+    assert len(choice.judges) == 2 and FIELD_VOXEL_M in choice.surfels
+    for surfels in choice.surfels.values():
+        assert int(surfels.hits.sum()) == int((~np.isin(rays.scan, choice.judges)).sum())

@@ -1,0 +1,116 @@
+"""The residual recipes' LiDAR: its field, judged by training scans that it was never shown."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.evidence.scene_evidence import LeftOutEvidence
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.metrics.point_cloud import point_cloud_metrics
+from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
+from nvsf_core.metrics.range import range_image_metrics
+from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.scan import recorded_scan
+from nvsf_core.simulation.scene_model import RayRenderer
+from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer, fire_sweep
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.stages.recording import LidarRecording
+from nvsf_core.stages.stage import Scalar
+
+SHOWS_FIELD = "lidar_shows_field"
+"""Name of the fact: whether the field beat `reproject` on left-out scans."""
+_METRICS = ("chamfer_m2", "f_score", "range_psnr_db")
+_PANO = LinearPano(quirks=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scores:
+    """Of one renderer, means over the judges: Chamfer in m2, F, range PSNR in dB, as in `lidar4d_scan`."""
+
+    chamfer_m2: float
+    f_score: float
+    range_psnr_db: float
+
+    def beats(self, other: "_Scores") -> bool:
+        """Whether it is better in most of the three; what is undefined is not better."""
+        wins = (
+            self.chamfer_m2 < other.chamfer_m2,
+            self.f_score > other.f_score,
+            self.range_psnr_db > other.range_psnr_db,
+        )
+        return sum(wins) >= 2
+
+
+def judge(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording
+) -> tuple[bool, dict[str, Scalar]]:
+    """Whether the field shows left-out scans better than `reproject` does, and the figures that say so.
+
+    Neither renderer's evidence holds a return of a judge, neither its objects nor its votes, and the field
+    was not trained on one of its rays. Where no scan could be left out, the field is shown.
+    """
+    left_out = lidar.evidence.left_out
+    if left_out is None:
+        return True, {"lidar_shows": "field: too few scans to judge it by"}
+    scores = []
+    for number in left_out.judges.tolist():
+        renderers = _renderers(field, recipe, lidar, left_out, number)
+        truth = _recorded(lidar, number)
+        scores.append([_score(render, recipe, lidar, number, truth) for render in renderers])
+    ours, reproject = (_Scores(*values) for values in np.mean(scores, axis=0).tolist())
+    shows_field = ours.beats(reproject)
+    metadata: dict[str, Scalar] = {
+        "lidar_shows": "field" if shows_field else "reproject: learning did not beat it"
+    }
+    for name in _METRICS:
+        for whose, found in (("", ours), ("reproject_", reproject)):
+            value = getattr(found, name)
+            metadata[f"lidar_judged_{whose}{name}"] = "undefined" if math.isnan(value) else value
+    return shows_field, metadata
+
+
+def _renderers(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence, number: int
+) -> tuple[RayRenderer, RayRenderer]:
+    """The field's and the baseline's, as they would be without a training scan."""
+    dynamic = lidar.evidence.dynamic
+    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=number)
+    return (
+        field_renderer(
+            field, left_out.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
+        ),
+        evidence_renderer(
+            left_out.for_rendering, moving, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
+        ),
+    )
+
+
+def _recorded(lidar: LidarRecording, number: int) -> PanoImage:
+    """A training scan as it was recorded, on the papers' pano."""
+    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
+    part = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[number]))
+    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
+    return project_scan(_PANO, scan)
+
+
+def _score(
+    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int, truth: PanoImage
+) -> list[float]:
+    """Chamfer in m2, F and range PSNR in dB of a training scan that is simulated without its own votes."""
+    sweeps, evidence = lidar.sweeps, lidar.evidence
+    time_s = float(evidence.prior.time_s[number])
+    plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
+    rays, answers = fire_sweep(
+        plan, time_s, evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table,
+        recipe.evidence.votes, leave_out_s=time_s,
+    )  # fmt: skip
+    points_m, intensity, laser = recorded_scan(rays, answers)
+    shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
+    found = {
+        **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),
+        **range_image_metrics(shown.range_m, truth.range_m),
+    }
+    return [found[name].value for name in _METRICS]
