@@ -22,7 +22,8 @@ RESULTS = _ROOT / "benchmarks" / "results" / "stability.json"
 DOCUMENT = _ROOT / "docs" / "numerical_stability.md"
 THEMES = (
     "activation", "transmittance", "ranges", "evidence", "encoders", "many_points", "many_encoded",
-    "far_poses", "rotations", "panorama", "cameras", "clouds", "metrics", "sampling", "optimiser", "long_run",
+    "far_poses", "shifted_drives", "rotations", "panorama", "cameras", "clouds", "metrics", "sampling",
+    "optimiser", "long_run",
 )  # fmt: skip
 
 

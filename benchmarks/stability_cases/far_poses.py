@@ -15,8 +15,8 @@ from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_rays import sweep_rays
 
 TITLE = "Poses far out"
-KITTI_360_M = (1_000.0, 3_700.0, 100.0)
-"""About where KITTI-360's drives lie: 3.8 km from the origin."""
+KITTI_360_M = (1_000.0, 3_700.0, 115.0)
+"""Where the first sweep of both real drives lies, in KITTI-360's coordinates: 3.8 km from the origin."""
 FAR_M = (5e6, -5e6, 5e6)
 """As in UTM, and 8,660 km from the origin."""
 _PERIOD_S = 0.1
