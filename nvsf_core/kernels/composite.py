@@ -18,6 +18,9 @@ RANGE_UNIT_M = 50.0
 N_MEANS = 4
 _COSINE, _BRIGHTNESS = 1, 4
 _LEAST_TOTAL = float(np.finfo(np.float32).eps)
+OWN_VOTE_SHARE = 0.2
+"""Of a ray's weight: where surfaces with votes of their own have as much, the ray ends among them.
+A wheel that most rays pass by would vanish from a scan whose every ray takes its likeliest end."""
 
 
 @njit(inline="always")
@@ -61,11 +64,14 @@ def _forward(first, logit, range_m, features, facts, surface_vote, vote):  # typ
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
             asked[ray] = own_vote / max(moving, _LEAST_TOTAL) if moving > 0.5 * total else vote[ray]
-            so_far = 0.0
+            is_own = moving > 0.0 and moving >= OWN_VOTE_SHARE * total
+            half, so_far = 0.5 * (moving if is_own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
+                if is_own and surface_vote[i] < 0.0:
+                    continue
                 so_far += weights[i]
-                if so_far >= 0.5 * total:
+                if so_far >= half:
                     median[ray] = i
                     break
     return weights, summary, median, asked
@@ -147,8 +153,9 @@ def composite_rays(
 
     Returns:
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
-        of the ray's weight up to it (of a ray without surfaces its `first`); votes (n,): the surfaces' mean
-        where those with votes of their own have more than half of the weight, else `vote`.
+        of the ray's weight up to it (of a ray without surfaces its `first`), of the surfaces with votes of
+        their own alone where these have at least `OWN_VOTE_SHARE` of it; votes (n,): the surfaces' mean where
+        those with votes of their own have more than half of the weight, else `vote`.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_vote, vote

@@ -76,6 +76,8 @@ def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
 def answer_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RayAnswers:
     """The weighted median surface, the hit probability and the intensity of each ray.
 
+    Where moving objects have a fifth of the weight the median is theirs alone.
+
     Raises:
         DivergedError: The field's opacities are NaN.
     """

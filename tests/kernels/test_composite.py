@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.kernels.composite import composite_rays
+from nvsf_core.kernels.composite import OWN_VOTE_SHARE, composite_rays
 from nvsf_core.rendering.weights import weights_from_opacity_logits
 
 COUNTS = np.array([0, 1, 5, 24, 3, 0, 2, 12] * 40)
@@ -110,3 +110,25 @@ def test_a_hidden_surface_has_no_gradient_and_none_is_infinite() -> None:
     (weights.sum() + summary.sum()).backward()
     assert logit.grad is not None and torch.isfinite(logit.grad).all()
     assert logit.grad.abs().max() < 1e-20
+
+
+def test_a_ray_ends_on_what_moves_where_that_has_a_fifth_of_its_weight() -> None:
+    surfaces = some_surfaces()
+    is_own = torch.rand(SURFACES, generator=torch.Generator().manual_seed(3)) < 0.3
+    _, _, likeliest, _ = composited(*surfaces)
+    weights, _, median, _ = composited(*surfaces, surface_vote=torch.where(is_own, 0.75, -1.0))
+    begin, decided = 0, 0
+    for ray, count in enumerate(COUNTS):
+        part = slice(begin, begin + int(count))
+        own = np.where(is_own[part].numpy(), weights[part].numpy().astype(np.float64), 0.0)
+        begin += int(count)
+        share = own.sum() / max(float(weights[part].sum()), 1e-30)
+        if share < OWN_VOTE_SHARE - 1e-6:
+            assert median[ray] == likeliest[ray]
+        elif share > OWN_VOTE_SHARE + 1e-6:
+            chosen = int(median[ray]) - part.start
+            assert own[chosen] > 0.0
+            assert own[: chosen + 1].sum() >= 0.5 * own.sum() - 1e-7
+            assert own[:chosen].sum() < 0.5 * own.sum() + 1e-7
+            decided += int(median[ray] != likeliest[ray])
+    assert decided > 10
