@@ -29,9 +29,9 @@ _LEAN = replace(
     name="lean",
     lidar_training=TrainingSpec(steps=10_000, rays=4096),
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
-    camera=replace(_QUICK.camera, refinements=5),
+    camera=replace(_QUICK.camera, refinements=5, varied=True),
     depth_training=replace(_QUICK.depth_training, steps=300),
-    camera_training=replace(_QUICK.camera_training, steps=800),
+    camera_training=replace(_QUICK.camera_training, steps=1200),
     losses=replace(_QUICK.losses, structure=0.1),
 )
 _SMOKE = replace(

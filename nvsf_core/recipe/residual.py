@@ -63,6 +63,9 @@ class CameraSpec:
     0 = believed depths stay as they are."""
     refined_channels: int = 24
     """Width of the network that compares them."""
+    varied: bool = False
+    """Every step's image, and its sources with it, in other colours and another light, every second in a
+    mirror: so long trainings learn the few images by heart later. It does not pay in short ones."""
     judge_every: int = 9
     """Of so many training images one is never learned from but decides whether learning beat `reproject`."""
 

@@ -1,7 +1,7 @@
 """A view before the networks look at it: which images show it, the LiDAR's depth, and what moves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -33,6 +33,10 @@ class ShownImages:
     full: Tensor
     middle: Tensor
     small: Tensor
+
+    def mirrored(self) -> "ShownImages":
+        """With left and right exchanged."""
+        return ShownImages(self.full.flip(-1), self.middle.flip(-1), self.small.flip(-1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +87,20 @@ class CameraView:
         """The view's among all images, of whatever size."""
         chosen = tuple(images[index] for index in self.chosen)
         return Sources(chosen, self.motion, self.nearness, self.moved)
+
+    def mirrored(self) -> "CameraView":
+        """The same scene with x exchanged for -x in every camera's frame, and what is then seen of it."""
+        flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0]))
+        return replace(
+            self,
+            pinhole=replace(self.pinhole, cx=self.pinhole.width - 1 - self.pinhole.cx),
+            inverse=self.inverse.flip(-1),
+            gap_px=self.gap_px.flip(-1),
+            images=self.images.mirrored(),
+            motion=flip @ self.motion @ flip,
+            moved=None if self.moved is None else flip @ self.moved @ flip,
+            label=None if self.label is None else self.label.flip(-1),
+        )
 
     def thinned(self, image: Tensor, factor: int) -> Tensor:
         """An image's (H, W) middle pixel of each of those that are `factor` times as large."""

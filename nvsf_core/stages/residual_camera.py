@@ -32,7 +32,8 @@ from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
 from nvsf_core.stages.stage import Scalar, Task
-from nvsf_core.training.camera_step import LeftOut, camera_step, depth_step
+from nvsf_core.training.camera_step import camera_step, depth_step
+from nvsf_core.training.left_out import LeftOut
 from nvsf_core.training.loop import TrainingState, make_optimiser
 
 LEARNED = "learned_cameras"

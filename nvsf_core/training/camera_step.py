@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import torch
 from torch import Tensor
@@ -10,34 +10,21 @@ from torch import Tensor
 from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork
 from nvsf_core.losses.structure import structure
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.rendering.camera_view import CameraView, Window, middle_factor
+from nvsf_core.recipe import CameraSpec, ResidualRecipe
+from nvsf_core.rendering.camera_view import Window, middle_factor
 from nvsf_core.rendering.learned_warp import blend_sources, planes_of, scaled
 from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses
+from nvsf_core.training.left_out import LeftOut
 
 _MARGIN = 6
 """Shrunk pixels at a window's rim whose depth is not looked through: their surroundings are cut off."""
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A training image and what the others know of it."""
-
-    view: CameraView
-    """Without the image itself, and without the scan of its instant."""
-    truth: Tensor
-    """(3, H, W) uint8."""
-    middle_truth: Tensor
-    """(3, h, w) float32 in 0..1, of the size on which depths are refined."""
-    small_truth: Tensor
-    """(3, h, w) float32 in 0..1, of the size on which planes are compared."""
 
 
 def depth_step(
     network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
     """Compare a window's planes, weighted by what is believed of them, with a left-out image."""
-    example = _drawn(examples, generator)
+    example = _drawn(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = draw_window(shape, recipe.depth_training.rays, generator)
     probability, colour = planes_of(network, example.view, recipe.camera, window)
@@ -48,7 +35,7 @@ def camera_step(
     networks: CameraNetworks, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
     """Show a window of a left-out image by both networks, and compare; the planes go on being compared."""
-    example = _drawn(examples, generator)
+    example = _drawn(examples, recipe.camera, generator)
     view = example.view
     shape = (view.small.height, view.small.width)
     around = draw_window(shape, recipe.camera_training.rays, generator)
@@ -111,8 +98,9 @@ def draw_window(shape: tuple[int, int], pixels: int, generator: torch.Generator)
     return slice(row, row + height), slice(column, column + width)
 
 
-def _drawn(examples: Sequence[LeftOut], generator: torch.Generator) -> LeftOut:
-    return examples[int(torch.randint(len(examples), (), generator=generator))]
+def _drawn(examples: Sequence[LeftOut], spec: CameraSpec, generator: torch.Generator) -> LeftOut:
+    example = examples[int(torch.randint(len(examples), (), generator=generator))]
+    return example.varied(generator) if spec.varied else example
 
 
 def _shown(images: Tensor, window: Window) -> Tensor:

@@ -12,7 +12,8 @@ from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSp
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
 from nvsf_core.rendering.learned_warp import believe_depth
 from nvsf_core.rendering.warping import to_float
-from nvsf_core.training.camera_step import LeftOut, camera_step, depth_step, draw_window
+from nvsf_core.training.camera_step import camera_step, depth_step, draw_window
+from nvsf_core.training.left_out import LeftOut
 from nvsf_core.training.loop import make_optimiser
 
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)

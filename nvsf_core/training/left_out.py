@@ -1,0 +1,59 @@
+"""A training image that the others show, and variants of it: a drive has few to learn from."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from nvsf_core.rendering.camera_view import CameraView, ShownImages
+
+_GAINS = (0.7, 1.3)
+"""From and to how much light, of the recorded one."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A training image and what the others know of it."""
+
+    view: CameraView
+    """Without the image itself, and without the scan of its instant."""
+    truth: Tensor
+    """(3, H, W) uint8."""
+    middle_truth: Tensor
+    """(3, h, w) float32 in 0..1, of the size on which depths are refined."""
+    small_truth: Tensor
+    """(3, h, w) float32 in 0..1, of the size on which planes are compared."""
+
+    def varied(self, generator: torch.Generator) -> "LeftOut":
+        """The same in other colours and another light, sources alike, and as often as not in a mirror.
+
+        Nothing that says which depths agree and how to blend depends on either.
+        """
+        channels = torch.randperm(3, generator=generator)
+        gain = _GAINS[0] + (_GAINS[1] - _GAINS[0]) * float(torch.rand((), generator=generator))
+
+        def lit(image: Tensor, most: float) -> Tensor:
+            return (image[channels].float() * gain).clamp_max(most)
+
+        def sources(images: Tensor) -> Tensor:
+            chosen = images[self.view.chosen]
+            return torch.cat([(chosen[:, channels] * gain).clamp_max(1.0), chosen[:, 3:]], dim=1)
+
+        images = self.view.images
+        seen = ShownImages(sources(images.full), sources(images.middle), sources(images.small))
+        other = LeftOut(
+            view=replace(self.view, images=seen, chosen=list(range(len(self.view.chosen)))),
+            truth=lit(self.truth, 255.0).round().to(torch.uint8),
+            middle_truth=lit(self.middle_truth, 1.0),
+            small_truth=lit(self.small_truth, 1.0),
+        )
+        return other.mirrored() if float(torch.rand((), generator=generator)) < 0.5 else other
+
+    def mirrored(self) -> "LeftOut":
+        """The scene with left and right exchanged, as the same camera mirrored shows it."""
+        return LeftOut(
+            view=self.view.mirrored(),
+            truth=self.truth.flip(-1),
+            middle_truth=self.middle_truth.flip(-1),
+            small_truth=self.small_truth.flip(-1),
+        )
