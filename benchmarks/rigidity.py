@@ -6,7 +6,9 @@ prints a table and writes benchmarks/results/rigidity.json. Training scans only.
 Each scan's returns of a moving object are laid, by its rigid path, over those of the 4 scans nearest in time
 (as many as the renderer uses) and compared with the plane through the 8 nearest of them. The same is done
 with returns of what stands, at the same distances from the sensor and heights above the ground, and with the
-moving object's returns as if it had stood still.
+moving object's returns as if it had stood still. A limb that swings lies between its other places, and hardly
+off them: so the same rays are also answered by surfels of those 4 scans, as the renderer does, and ranges
+compared: what blurs shows there.
 """
 
 import argparse
@@ -14,7 +16,7 @@ import itertools
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,8 +24,10 @@ from scipy.spatial import cKDTree
 from benchmarks.machine import commit, machine
 from nvsf_core.evidence.find_moving import STANDING_M
 from nvsf_core.evidence.ground import build_ground
-from nvsf_core.evidence.objects import NEAREST_SCANS, ObjectEvidence
+from nvsf_core.evidence.objects import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.evidence import read_evidence, read_sweeps, training_returns
 from nvsf_core.stores.scene_store import SceneStore
 
@@ -39,6 +43,9 @@ _UNSEEN_M = 0.5
 """Without a return so near in the other scans a place was not seen by them: no surface to compare with."""
 _HIGHEST_M = 2.5
 _STANDING_A_SCAN = 4000
+_RENDERED_EVERY = 4
+"""Of the scans of what stands: surfels of a whole street take longer than those of an object."""
+_MOST_SURFACES = 24
 _NEAR_M, _FAR_M = 4.0, 40.0
 
 
@@ -77,31 +84,73 @@ def object_distances_m(one: ObjectEvidence, *, is_moved: bool) -> tuple[np.ndarr
     return np.concatenate([[], *distances]), np.concatenate([[], *ranges])
 
 
-def standing_distances_m(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> np.ndarray:
-    """(n, 2) of returns of what stands: distance to its surface, and range.
+def object_range_errors_m(one: ObjectEvidence) -> tuple[np.ndarray, np.ndarray]:
+    """Of an object's returns: range error of what its nearest other scans' surfels answer, and range."""
+    rays, errors, ranges = one.rays, [], []
+    for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
+        mine = rays.is_hit & (rays.scan == scan)
+        surfels = one.surfels_from(one.scans_near(float(time_s), leave_out=int(scan)))
+        if mine.any() and surfels is not None:
+            errors.append(
+                _range_error_m(surfels, rays.origin_m[mine], rays.direction[mine], rays.range_m[mine])
+            )
+            ranges.append(rays.range_m[mine])
+    return np.concatenate([[], *errors]), np.concatenate([[], *ranges])
 
-    As high above the ground as people and vehicles are; what moves is left out, and what is near its path.
-    """
+
+def _range_error_m(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray
+) -> np.ndarray:
+    """Absolute range errors (r,) of answers by evidence alone; NaN where it has none."""
+    answered = reproject_rays(
+        surfels, origin_m, direction, np.ones(len(range_m), np.float32), most=_MOST_SURFACES, far_m=2 * _FAR_M
+    )
+    error = np.abs(answered.range_m - range_m)
+    return np.where(np.isfinite(error), error, np.nan)
+
+
+class Standing(NamedTuple):
+    """Returns of what stands, as high above the ground as people and vehicles are; (n, 2) each."""
+
+    distance_m: np.ndarray
+    """Distance to its surface as 4 other scans show it, and range."""
+    error_m: np.ndarray
+    """Range error of what these scans' surfels answer, and range."""
+
+
+def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> Standing:
+    """Figures of what stands; what moves is left out, and what is near its path."""
     sweeps = read_sweeps(store)
     assert sweeps is not None
     returns = training_returns(sweeps)
-    range_m = np.linalg.norm(returns.recorded_m, axis=1)
-    height_m = build_ground(returns.point_m[~returns.is_own_vehicle]).above(returns.point_m)
-    used = ~returns.is_own_vehicle & (height_m > STANDING_M) & (height_m < _HIGHEST_M)
-    used &= (range_m > _NEAR_M) & (range_m < _FAR_M)
-    scan = returns.scan_of(np.arange(len(range_m)))
+    kept = np.repeat(sweeps.is_training, np.diff(sweeps.arrays["offsets"]))
+    a = {name: sweeps.arrays[name][kept] for name in ("origin_m", "direction", "range_m", "intensity")}
+    scan = returns.scan_of(np.arange(len(kept[kept])))
+    stands = ~returns.is_own_vehicle
+    height_m = build_ground(returns.point_m[stands]).above(returns.point_m)
     for one in objects:
         local = one.path.to_object(returns.point_m.astype(np.float64), returns.time_s)
-        used &= ~np.all((local > one.path.low_m - 0.3) & (local < one.path.high_m + 0.3), axis=1)
-    random, found = np.random.default_rng(0), []
+        stands &= ~np.all((local > one.path.low_m - 0.3) & (local < one.path.high_m + 0.3), axis=1)
+    used = stands & (height_m > STANDING_M) & (height_m < _HIGHEST_M)
+    used &= (a["range_m"] > _NEAR_M) & (a["range_m"] < _FAR_M)
+    random, distances, errors = np.random.default_rng(0), [np.zeros((0, 2))], [np.zeros((0, 2))]
     for k in range(returns.scan_count):
-        near = np.argsort(np.abs(np.arange(returns.scan_count) - k), kind="stable")[1 : NEAREST_SCANS + 1]
-        mine = np.flatnonzero(used & (scan == k))
+        others = np.argsort(np.abs(np.arange(returns.scan_count) - k), kind="stable")[1 : NEAREST_SCANS + 1]
+        near, mine = np.isin(scan, others), np.flatnonzero(used & (scan == k))
+        if len(mine) == 0 or (used & near).sum() < _NEIGHBOURS:
+            continue
         mine = random.choice(mine, min(len(mine), _STANDING_A_SCAN), replace=False)
-        seen = returns.point_m[used & np.isin(scan, near)].astype(np.float64)
-        if len(seen) >= _NEIGHBOURS and len(mine):
-            found.append(np.stack([surface_distance_m(returns.point_m[mine], seen), range_m[mine]], axis=1))
-    return np.concatenate([np.zeros((0, 2)), *found])
+        seen = returns.point_m[used & near].astype(np.float64)
+        off_m = surface_distance_m(returns.point_m[mine], seen)
+        distances.append(np.stack([off_m, a["range_m"][mine]], axis=1))
+        if k % _RENDERED_EVERY == 0:
+            surfels = build_surfels(
+                a["origin_m"][near], a["direction"][near], a["range_m"][near], a["intensity"][near],
+                voxel_m=OBJECT_VOXEL_M, threads=1, is_surface=stands[near],
+            )  # fmt: skip
+            off_m = _range_error_m(surfels, *(a[name][mine] for name in ("origin_m", "direction", "range_m")))
+            errors.append(np.stack([off_m, a["range_m"][mine]], axis=1))
+    return Standing(np.concatenate(distances), np.concatenate(errors))
 
 
 def figures(distance_m: np.ndarray) -> dict[str, float]:
@@ -122,59 +171,100 @@ def like(standing: np.ndarray, range_m: np.ndarray) -> np.ndarray:
     return np.concatenate([random.choice(part, count, replace=False) for part in parts if len(part)])
 
 
+class Moved(NamedTuple):
+    """Of one moving object, or of all of a kind."""
+
+    distance_m: np.ndarray
+    """(n,) to its surface, by its rigid path."""
+    still_m: np.ndarray
+    """(n,) to its surface as if it had stood still."""
+    range_m: np.ndarray
+    """(n,)."""
+    error_m: np.ndarray
+    """(m,) range errors."""
+    error_range_m: np.ndarray
+    """(m,)."""
+
+
 def measure(store: SceneStore) -> dict[str, Any]:
     """All figures of a scene whose evidence lies published."""
     evidence = read_evidence(store)
     if evidence is None or evidence.dynamic is None:
         raise SystemExit(f"scene {store.scene}: nothing was seen to move")
     objects = evidence.dynamic.objects
-    standing = standing_distances_m(store, objects)
+    standing = standing_returns(store, objects)
     total = int(evidence.prior.is_hit.sum())
-    rows, kinds = [], dict[str, list[tuple[np.ndarray, ...]]]()
+    rows, kinds = [], dict[str, list[Moved]]()
     for number, one in enumerate(objects):
         moved, range_m = object_distances_m(one, is_moved=True)
-        still, _ = object_distances_m(one, is_moved=False)
+        if len(moved) == 0:
+            continue
+        found = Moved(moved, object_distances_m(one, is_moved=False)[0], range_m, *object_range_errors_m(one))
         size_m = one.path.high_m - one.path.low_m
         kind = "vehicle" if size_m[:2].max() >= VEHICLE_M else "person"
-        if len(moved):
-            kinds.setdefault(kind, []).append((moved, still, range_m))
+        kinds.setdefault(kind, []).append(found)
         if len(moved) >= FEWEST_RETURNS:
-            rows.append(_row(f"object {number}, {kind}", (moved, still, range_m), standing) | {
+            rows.append(_row(f"object {number}, {kind}", found, standing, total) | {
                 "size_m": [round(float(side), 2) for side in size_m], "scans": len(one.path.scan),
             })  # fmt: skip
     for kind, parts in kinds.items():
-        columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-        rows.append(_row(f"all of kind {kind}", columns, standing) | {"objects": len(parts)})
-    for row in rows:
-        excess = row["rigid"]["far_off_share"] - row["standing"]["far_off_share"]
-        row["excess_share_of_all_returns"] = max(0.0, excess) * row["rigid"]["returns"] / total
-    return {"scene": store.scene, "returns": total, "standing": figures(standing[:, 0]), "rows": rows}
+        joined = Moved(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        rows.append(_row(f"all of kind {kind}", joined, standing, total) | {"objects": len(parts)})
+    return {"scene": store.scene, "returns": total, "rows": rows}
 
 
-def _row(name: str, columns: tuple[np.ndarray, ...], standing: np.ndarray) -> dict[str, Any]:
-    moved, still, range_m = columns
-    return {
-        "name": name, "range_m": float(np.median(range_m)), "rigid": figures(moved),
-        "if_it_stood": figures(still), "standing": figures(like(standing, range_m)),
+def _row(name: str, moved: Moved, standing: Standing, total: int) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "name": name, "range_m": float(np.median(moved.range_m)),
+        "rigid": figures(moved.distance_m), "if_it_stood": figures(moved.still_m),
+        "standing": figures(like(standing.distance_m, moved.range_m)),
+        "rendered": figures(moved.error_m),
+        "standing_rendered": figures(like(standing.error_m, moved.error_range_m)),
     }  # fmt: skip
+    excess = row["rendered"]["far_off_share"] - row["standing_rendered"]["far_off_share"]
+    row["excess_share_of_all_returns"] = max(0.0, excess) * len(moved.error_m) / total
+    return row
 
 
 def table(found: dict[str, Any]) -> str:
     """Markdown of what `measure` gave."""
     lines = [
-        "| what | returns | range m | rigid: median / p90 m | > 10 cm | standing, same range: median / p90 m "
-        "| > 10 cm | as if it stood: median m | excess over 10 cm, of all returns |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| what | returns | range m | to its surface: rigid | standing | as if it stood | range: rigid "
+        "| standing | > 10 cm, rigid | standing | excess, of all returns |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in found["rows"]:
-        rigid, stands = row["rigid"], row["standing"]
+        distances = " | ".join(_both(row[name]) for name in ("rigid", "standing", "if_it_stood"))
+        errors = " | ".join(_both(row[name]) for name in ("rendered", "standing_rendered"))
+        shares = " | ".join(f"{row[name]['far_off_share']:.1%}" for name in ("rendered", "standing_rendered"))
         lines.append(
-            f"| {row['name']} | {rigid['returns']} | {row['range_m']:.1f} "
-            f"| {rigid['median_m']:.3f} / {rigid['p90_m']:.3f} | {rigid['far_off_share']:.1%} "
-            f"| {stands['median_m']:.3f} / {stands['p90_m']:.3f} | {stands['far_off_share']:.1%} "
-            f"| {row['if_it_stood']['median_m']:.3f} | {row['excess_share_of_all_returns']:.3%} |"
+            f"| {row['name']} | {row['rigid']['returns']} | {row['range_m']:.1f} | {distances} | {errors} "
+            f"| {shares} | {row['excess_share_of_all_returns']:.3%} |"
         )
     return "\n".join(lines)
+
+
+def section(found: dict[str, Any]) -> list[str]:
+    """Lines of docs/lean_ablation.md."""
+    return [
+        f"## What no rigid motion explains: {found['scene']}",
+        "",
+        "From `benchmarks/results/rigidity.json` (`python -m benchmarks.rigidity`). Returns of moving things",
+        "in training scans against what the 4 scans nearest in time show of the same thing, laid over each",
+        "other by its rigid path: median / 90th percentile, in mm, of the distance to its surface, and of",
+        "the error of the range that those scans' surfels answer. `standing`: the same of what stands, at",
+        "the same distances. `excess`: returns whose range is off by more than 10 cm, beyond the share of",
+        "what stands.",
+        f"{found['machine']}; commit {found['commit']}.",
+        "",
+        table(found),
+        "",
+    ]
+
+
+def _both(one: dict[str, float]) -> str:
+    """Median / 90th percentile in millimetres."""
+    return f"{1e3 * one['median_m']:.0f} / {1e3 * one['p90_m']:.0f}"
 
 
 def main() -> None:
