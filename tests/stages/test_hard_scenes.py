@@ -199,7 +199,7 @@ def test_where_nothing_moves_nothing_is_found_moving(
     outcomes = _run(layout, compensate=False)
     _never_silent(layout)
     assert outcomes["evidence"].metadata["moving_objects"] == 0
-    # A world that is alike all along itself does not tell where it was seen from: said, and no pose is blamed.
+    # A world alike all along itself does not tell where it was seen from: said, and no pose is blamed.
     laid = next(check for check in outcomes["sweeps"].checks if check.name == SHAPES[0])
     assert laid.passed and "nothing can be said along" in laid.detail
 
