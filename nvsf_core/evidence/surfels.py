@@ -5,10 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.evidence.planes import fit_planes, moments_of
 from nvsf_core.evidence.voxels import VoxelIndex, index_points
 from nvsf_core.kernels.voxel_march import count_passes, find_candidates
 
+MIN_PLANE_RETURNS = 5
+PLANE_EIGENVALUE_RATIO = 4.0
 MISSED_PLANE_SHARE = 0.1
 STOP_TRANSMITTANCE = 0.005
 
@@ -100,8 +101,8 @@ def build_surfels(
     index, voxel = index_points(points, voxel_m)
     count = index.count
     hits = np.bincount(voxel, minlength=count)
-    moments = moments_of(points, voxel, hits)
-    normal, thickness = fit_planes(moments, index.origin_m, voxel_m)
+    mean, covariance = _moments(points, voxel, hits)
+    normal, thickness = _planes(covariance, hits)
     passes = count_passes(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
@@ -115,7 +116,7 @@ def build_surfels(
     )
     return Surfels(
         index=index,
-        mean_m=moments.mean_m.astype(np.float32),
+        mean_m=mean.astype(np.float32),
         normal=normal,
         thickness_m=thickness,
         intensity=(np.bincount(voxel, weights=intensity[kept], minlength=count) / hits).astype(np.float32),
@@ -146,3 +147,27 @@ def candidates_of(
         most,
     )
     return Candidates(range_m, voxel, opacity, cosine)
+
+
+def _moments(points: np.ndarray, voxel: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (v, 3) and covariance (v, 3, 3) of each voxel's points, in float64 about the voxel's mean."""
+    count = len(hits)
+    mean = (
+        np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1)
+        / hits[:, None]
+    )
+    centred = points - mean[voxel]
+    covariance = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / hits
+            covariance[:, a, b] = covariance[:, b, a] = moment
+    return mean, covariance
+
+
+def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (v, 3) float32, 0 where the returns are too few or too round, and thickness (v,) metres."""
+    values, vectors = np.linalg.eigh(covariance)
+    planar = (hits >= MIN_PLANE_RETURNS) & (values[:, 1] > PLANE_EIGENVALUE_RATIO * values[:, 0])
+    normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
+    return normal, np.sqrt(np.maximum(values[:, 0], 0.0)).astype(np.float32)
