@@ -22,6 +22,7 @@ from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sampling.error_map import LIDAR_CELL_PX, ErrorMap
 from nvsf_core.sampling.patches import patch_pixels, uniform_corners
+from nvsf_core.stages.lidar_training_rays import learned_scans
 from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.training.lidar_rays import LidarRays
 
@@ -89,10 +90,10 @@ def ray_grid(lidar: LidarRecording, rays: LidarRays) -> RayGrid:
     Raises:
         ShapeError: The rays are not this recording's.
     """
-    scans = [_cells_of(lidar, number, int(scan)) for number, scan in enumerate(_training(lidar))]
+    scans = [_cells_of(lidar, number, scan) for number, scan in learned_scans(lidar)]
     count = sum(len(laser) for laser, _ in scans)
     if count != len(rays):
-        raise ShapeError(f"ray grid: expected {count} rays of {len(scans)} training scans, found {len(rays)}")
+        raise ShapeError(f"ray grid: expected {count} rays of {len(scans)} scans, found {len(rays)}")
     lasers = len(lidar.evidence.lasers) + len(lidar.evidence.lasers) % 2
     ray = np.full((len(scans), lasers, lidar.evidence.prior.fraction.shape[1]), -1, np.int64)
     first = 0
@@ -109,10 +110,6 @@ def ray_grid(lidar: LidarRecording, rays: LidarRays) -> RayGrid:
     mask_y[:, -1] = False
     rows = (len(scans) * lasers, ray.shape[2])
     return RayGrid(ray.reshape(rows), lasers, *(x.reshape(rows) for x in (range_m, mask_x, mask_y)))
-
-
-def _training(lidar: LidarRecording) -> np.ndarray:
-    return np.flatnonzero(lidar.sweeps.is_training)
 
 
 def _cells_of(lidar: LidarRecording, number: int, scan: int) -> tuple[np.ndarray, np.ndarray]:

@@ -23,16 +23,13 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
     sweeps, evidence = lidar.sweeps, lidar.evidence
     alone = len(evidence.prior.time_s) == 1
     parts = []
-    judges = [] if evidence.left_out is None else evidence.left_out.judges.tolist()
-    for number, scan in enumerate(np.flatnonzero(sweeps.is_training)):
-        if number in judges:
-            continue
+    for number, scan in learned_scans(lidar):
         time_s = float(sweeps.arrays["time_s"][scan])
         votes = evidence.prior.nearest_scans(
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
         )
         both = (
-            _returned_rays(lidar, int(scan), votes),
+            _returned_rays(lidar, scan, votes),
             dropped_rays(
                 sweeps.table, evidence.prior, number, evidence.lasers, sweeps.trajectory, sweeps.period_s,
                 votes,
@@ -46,6 +43,14 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
             "return that is not the own vehicle's, and no firing that was dropped"
         )
     return joined
+
+
+def learned_scans(lidar: LidarRecording) -> list[tuple[int, int]]:
+    """Training scans but the judges: the number among training scans, and among all."""
+    left_out = lidar.evidence.left_out
+    judges = [] if left_out is None else left_out.judges.tolist()
+    training = np.flatnonzero(lidar.sweeps.is_training).tolist()
+    return [(number, scan) for number, scan in enumerate(training) if number not in judges]
 
 
 def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
