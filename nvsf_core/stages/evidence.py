@@ -271,6 +271,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="7",
+    version="9",
     run=_run,
 )
