@@ -3,17 +3,17 @@
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 
 FITTED_ON = "2 cores of an AMD EPYC"
-# Fitted to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297), idle machine, and, for
-# what only `lean` has, to its run on k360_street, which ran beside other work.
+# Fitted on an idle machine to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297) and, for
+# what only `lean` has, to its run on k360_street (commit 13a69bd).
 _PREPARATION_S = 12.5
 _SECONDS_A_SAMPLE = 1.2e-6
 """One surface of one LiDAR ray in one step, forward, backward and Adam's share."""
 _SECONDS_A_PLANE_PIXEL = 30e-6
 _SECONDS_A_BLENDED_PIXEL = 65e-6
-_SECONDS_A_REFINED_DEPTH = 11.4e-6
+_SECONDS_A_REFINED_DEPTH = 8.9e-6
 """One depth that is compared once more at one blended pixel."""
-_SECONDS_A_PANO_CELL = 6e-6
-_SECONDS_A_PANO_TURN = 0.8
+_SECONDS_A_PANO_CELL = 1.7e-6
+_SECONDS_A_PANO_TURN = 0.6
 """One turn that is fired to make what the pano learns from."""
 _CAMERA_PARAMETERS = 111_000
 """Of the camera's networks in these runs: larger ones cost in proportion."""

@@ -146,8 +146,8 @@ def test_more_steps_or_larger_networks_cost_more_and_a_sensor_that_is_absent_not
     # Measured: 115 s on k360_street, 111 s on demo.
     assert expected_seconds(quick, both, 6.5) == pytest.approx(113.0, rel=0.15)
     assert expected_memory_mb(quick, both, 3_900_000) == pytest.approx(2683.0, rel=0.05)
-    # Measured beside other work on k360_street: 871 s and 3058 MB.
+    # Measured on k360_street: 864 s and 2972 MB.
     whole = {"lidar": 1_990_000, "camera": 120_000, "pano": 10_500}
-    assert expected_seconds(lean, whole, 6.36) == pytest.approx(871.0, rel=0.1)
-    assert expected_memory_mb(lean, whole, 3_900_000) == pytest.approx(3058.0, rel=0.05)
+    assert expected_seconds(lean, whole, 6.36) == pytest.approx(864.0, rel=0.1)
+    assert expected_memory_mb(lean, whole, 3_900_000) == pytest.approx(2972.0, rel=0.05)
     assert expected_memory_mb(lean, lidar, 3_900_000) < expected_memory_mb(lean, whole, 3_900_000)
