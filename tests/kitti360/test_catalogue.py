@@ -42,7 +42,7 @@ def test_the_demo_lies_in_the_home_and_asks_for_four_views() -> None:
     demo = next(e for e in catalogue_from_environment({"NVSF_HOME": "/somewhere"}) if e.name == "demo")
     assert demo.root == Path("/somewhere/drives/demo") and demo.recipe == "quick"
     near, far, vlp16, between = demo.views
-    assert (near.name, near.shift_m, len(near.frames)) == ("shift_1m", (0.0, 1.0, 0.0), 4)
+    assert (near.name, near.shift_m, len(near.frames)) == ("shift_1m", (0.0, 1.0, 0.0), 2)
     assert (far.name, far.shift_m, len(far.frames)) == ("shift_3m", (0.0, 3.0, 0.0), 2)
     assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
