@@ -3,8 +3,8 @@
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 
 FITTED_ON = "2 cores of an AMD EPYC"
-# Fitted on an idle machine to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297) and, for
-# what only `lean` has, to its run on k360_street (commit 13a69bd).
+# Fitted on an idle machine to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297) and,
+# for what only `lean` has, to its run on k360_street (commit 13a69bd).
 _PREPARATION_S = 12.5
 _SECONDS_A_SAMPLE = 1.2e-6
 """One surface of one LiDAR ray in one step, forward, backward and Adam's share."""
