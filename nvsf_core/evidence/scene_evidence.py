@@ -42,6 +42,7 @@ class LeftOutEvidence:
             return None
         return LeftOutEvidence(arrays["left_out_scans"], standing, _surfels(_LEFT_OUT_RENDERED, arrays))
 
+
 @dataclass(frozen=True, slots=True)
 class SceneEvidence:
     """One scene's evidence, scene-local metres."""

@@ -4,19 +4,11 @@ import numpy as np
 import pytest
 
 from nvsf_core.clouds.mesh import Mesh, mesh_rays, poisson_mesh
-from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.clouds.poisson import poisson_surface
-from nvsf_core.errors import DataError, MissingLibraryError
+from nvsf_core.errors import DataError
 
+pytestmark = pytest.mark.usefixtures("open3d")
 DOWN = np.array([0.0, 0.0, -1.0], np.float32)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _need_open3d() -> None:
-    try:
-        load_open3d()
-    except MissingLibraryError as error:
-        pytest.skip(str(error))
 
 
 def _floor(has_hole: bool) -> np.ndarray:

@@ -5,22 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.open3d_room import load_open3d, read_cloud, write_pcd
+from nvsf_core.clouds.open3d_room import read_cloud, write_pcd
 from nvsf_core.clouds.ply import read_ply, write_ply
-from nvsf_core.errors import DataError, MissingLibraryError, ShapeError
+from nvsf_core.errors import DataError, ShapeError
 
 
 def _cloud(count: int = 500) -> tuple[np.ndarray, np.ndarray]:
     generator = np.random.default_rng(3)
     points_m = generator.normal(0.0, 20.0, (count, 3)).astype(np.float32)
     return points_m, generator.random(count).astype(np.float32)
-
-
-def _need_open3d() -> None:
-    try:
-        load_open3d()
-    except MissingLibraryError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("count", [0, 1, 500])
@@ -66,8 +59,8 @@ def test_intensity_must_belong_to_the_points(tmp_path: Path) -> None:
         write_ply(tmp_path / "a.ply", points_m, intensity[1:])
 
 
+@pytest.mark.usefixtures("open3d")
 def test_open3d_reads_our_ply_and_its_own_pcd(tmp_path: Path) -> None:
-    _need_open3d()
     points_m, intensity = _cloud()
     write_ply(tmp_path / "a.ply", points_m, intensity)
     write_pcd(tmp_path / "a.pcd", points_m, intensity)

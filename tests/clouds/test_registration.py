@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.clouds.registration import LEAST_ACROSS, register, slippage
-from nvsf_core.errors import MissingLibraryError
 from nvsf_core.geometry.se3 import exp_so3
 
 
@@ -19,15 +17,8 @@ def _box(draws: np.random.Generator, half_m: tuple[float, float, float], sides: 
     return np.concatenate(parts)
 
 
-def _require_open3d() -> None:
-    try:
-        load_open3d()
-    except MissingLibraryError as error:
-        pytest.skip(str(error))
-
-
+@pytest.mark.usefixtures("open3d")
 def test_a_known_motion_is_found() -> None:
-    _require_open3d()
     target_m = _box(np.random.default_rng(1), (10.0, 10.0, 5.0), "xyz")[:, :3]
     turn = exp_so3(np.array([0.0, 0.0, np.radians(0.8)]))
     found = register(target_m @ turn.T + np.array([0.2, 0.1, 0.05]), target_m)
@@ -37,9 +28,9 @@ def test_a_known_motion_is_found() -> None:
     assert len(found.free_shifts) == len(found.free_turns) == 0
 
 
+@pytest.mark.usefixtures("open3d")
 @pytest.mark.parametrize("noise_m", [0.0, 0.02])
 def test_a_plane_tells_its_height_and_its_slope_alone(noise_m: float) -> None:
-    _require_open3d()
     draws = np.random.default_rng(2)
     plane_m = draws.uniform(-20.0, 20.0, (4000, 3)) * (1.0, 1.0, 0.0)
     lifted = plane_m + np.array([0.4, -0.3, 0.2]) + draws.normal(0.0, noise_m, plane_m.shape)
@@ -50,8 +41,8 @@ def test_a_plane_tells_its_height_and_its_slope_alone(noise_m: float) -> None:
     np.testing.assert_allclose(found.free_turns, [[0.0, 0.0, 1.0]], atol=0.02)
 
 
+@pytest.mark.usefixtures("open3d")
 def test_clouds_that_nowhere_meet_match_nothing() -> None:
-    _require_open3d()
     target_m = _box(np.random.default_rng(3), (2.0, 2.0, 2.0), "xyz")[:, :3]
     found = register(target_m + 100.0, target_m)
     assert (found.matched, found.shift_m, found.turn_deg) == (0.0, 0.0, 0.0)
