@@ -23,6 +23,8 @@ MODEL_COLOUR, BASELINE_COLOURS = (
 RANGE_TICKS_M = (0, 5, 20, 45, 80)
 """Ticks of the range scale, which is linear in the square root."""
 _ROW_REPEAT = 2
+_LABEL_PT = (70.0, 10.0)
+"""What a point's name takes: wide and high, in points."""
 _MISSED, _INVENTED, _LEVELS = 254, 255, 252
 
 
@@ -110,12 +112,8 @@ def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
     all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, points) in zip(all_axes, panels, strict=True):
         finite = [p for p in points if math.isfinite(p.seconds) and math.isfinite(p.error)]
-        for rank, point in enumerate(sorted(finite, key=lambda p: p.error)):
+        for point in finite:
             axes.scatter(point.seconds, point.error, s=60, color=point.colour, zorder=3, edgecolor="white")
-            axes.annotate(
-                point.label, (point.seconds, point.error), textcoords="offset points",
-                xytext=(8, 5 if rank % 2 else -11), fontsize=8, color=point.colour,
-            )  # fmt: skip
         axes.set(xlabel="seconds of training", title=title)
         axes.set_xscale("symlog", linthresh=1.0)
         longest = max((p.seconds for p in finite), default=1.0)
@@ -126,7 +124,26 @@ def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
         axes.minorticks_off()
         axes.margins(y=0.25)
         _tidy(axes)
+        _label(axes, finite)
     return _png(figure)
+
+
+def _label(axes: Axes, points: Sequence[CostPoint]) -> None:
+    """Each point's name on its right; from the lowest up, none on another: one is lifted where two meet."""
+    points_per_pixel = 72.0 / axes.figure.dpi
+    named: list[tuple[float, float]] = []
+    for point in sorted(points, key=lambda point: point.error):
+        right, height = axes.transData.transform((point.seconds, point.error)) * points_per_pixel
+        label = height - 4.0
+        # In the order of their heights a label that was lifted stands highest of its neighbours.
+        for other_right, other in named:
+            if abs(right - other_right) < _LABEL_PT[0]:
+                label = max(label, other + _LABEL_PT[1])
+        named.append((right, label))
+        axes.annotate(
+            point.label, (point.seconds, point.error), textcoords="offset points",
+            xytext=(8, label - height), fontsize=8, color=point.colour,
+        )  # fmt: skip
 
 
 def method_colour(recipe: str) -> str:

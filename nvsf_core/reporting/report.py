@@ -159,10 +159,7 @@ def _provenance(scene: SceneOutputs) -> str:
 
 
 def _how_to_read() -> str:
-    methods = "".join(
-        f"<li><code>{name}</code>: {escape(METHOD_WORDS[name])}.</li>"
-        for name in BASELINES
-    )
+    methods = "".join(f"<li><code>{name}</code>: {escape(METHOD_WORDS[name])}.</li>" for name in BASELINES)
     protocols = "".join(
         f"<li><code>{name}</code>: {escape(words)}.</li>" for name, words in PROTOCOLS.items()
     )
@@ -363,7 +360,10 @@ def _stages(scene: SceneOutputs) -> str:
         rows.append([escape(record.stage), number(record.seconds, 1), bar, state + details])
     rows.append(["<b>together</b>", f"<b>{number(total, 1)}</b>", "", ""])
     table = plain_table(["stage", "seconds", "", "checks"], rows, words=(2, 3))
-    return f"<h3>Where the time went</h3><p>Seconds of each stage when it last ran.</p>{table}"
+    note = (
+        "Seconds of each stage when it last ran; a training that was resumed counts from there."
+    )
+    return f"<h3>Where the time went</h3><p>{note}</p>{table}"
 
 
 def _scale(png: bytes, ticks: Sequence[tuple[float, str]]) -> str:
