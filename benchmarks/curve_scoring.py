@@ -167,7 +167,7 @@ class Judge:
         sweeps, started = lidar.sweeps, time.perf_counter()
         simulate_sweep(
             plan, float(plan.time_s[0]), lidar.evidence, model.lidar, sweeps.trajectory, sweeps.period_s,
-            sweeps.table, model.votes, as_recorded=model.as_recorded,
+            sweeps.table, model.votes, correct=model.correct, as_recorded=model.as_recorded,
         )  # fmt: skip
         return time.perf_counter() - started
 

@@ -19,7 +19,7 @@ from nvsf_core.recipe.paper import (
     RefinementSpec,
     TimeGridSpec,
 )
-from nvsf_core.recipe.residual import PanoSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recipe.slower import full_name, share_of, slower
 
 _QUICK = ResidualRecipe(name="quick")
@@ -28,6 +28,7 @@ _LEAN = replace(
     _QUICK,
     name="lean",
     lidar_training=TrainingSpec(steps=10_000, rays=4096),
+    hits=HitsSpec(training=TrainingSpec(steps=600, rays=17_000)),
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, refinements=5, varied=True),
     depth_training=replace(_QUICK.depth_training, steps=300),
@@ -38,6 +39,7 @@ _SMOKE = replace(
     _QUICK,
     name="smoke",
     lidar_training=TrainingSpec(steps=20, rays=256, checkpoint_s=1.0),
+    hits=HitsSpec(frames=2, training=TrainingSpec(steps=5, rays=512, checkpoint_s=1.0)),
     depth_training=TrainingSpec(steps=10, rays=512, checkpoint_s=1.0),
     camera_training=TrainingSpec(steps=10, rays=512, checkpoint_s=1.0),
 )

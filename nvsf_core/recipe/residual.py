@@ -136,6 +136,23 @@ class PanoSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HitsSpec:
+    """The network over the recording sensor's own grid of lasers and firings: what returns."""
+
+    channels: int = 16
+    """Width of the network over cells; of 20 the convolutions take three times as long."""
+    layers: int = 3
+    """Layers of that width."""
+    share: float = 0.6
+    """Its weight beside the ray head's answer, as logits: where both err independently, their mean errs
+    least, and the network, which never saw a scan's own returns, is the one to be trusted more."""
+    frames: int = 28
+    """Most training frames that the network learns from; evenly spread."""
+    training: TrainingSpec
+    """`rays` are a step's cells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualRecipe(Recipe):
     """Evidence first; what is left is learned."""
 
@@ -151,3 +168,5 @@ class ResidualRecipe(Recipe):
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
     """None = the pano is the projection of the simulated scan."""
+    hits: HitsSpec | None = None
+    """None = the ray head alone says what returns."""

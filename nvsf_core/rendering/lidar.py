@@ -58,6 +58,8 @@ class _Rays(NamedTuple):
     """(r,)."""
     intensity_logit: Tensor
     """(r,)."""
+    vote: Tensor
+    """(r,): share of the scans that returned, on a moving object those that saw its place."""
 
 
 def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
@@ -69,7 +71,7 @@ def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
     prior_intensity = torch.logit(summary[:, -1].clamp(0.01, 0.99))
     hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
     total = summary[:, features.shape[1]]
-    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness)
+    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, vote)
 
 
 @torch.no_grad()
@@ -90,4 +92,5 @@ def answer_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RayAnsw
         range_m=range_m.numpy(),
         hit=torch.where(answered, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),
+        vote=rays.vote.numpy(),
     )

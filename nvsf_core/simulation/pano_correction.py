@@ -6,14 +6,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.pano_network import FEATURES, PanoNetwork
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.recipe import PanoSpec
 from nvsf_core.simulation.pano_estimate import PanoEstimate
 from nvsf_core.simulation.pano_neighbours import Neighbours
 
 PARTS = ("hit", "intensity")
-"""What a network may correct, each by itself."""
+"""What a network may correct, each by itself: its outputs."""
+FEATURES = 16
+"""Channels that describe a cell."""
 _HIT_LIMIT = 0.01
 _INTENSITY_LIMIT = 0.01
+
+
+def pano_network(spec: PanoSpec, generator: torch.Generator) -> CellNetwork:
+    """Untrained; weights are drawn from `generator`."""
+    return CellNetwork(FEATURES, len(PARTS), generator, channels=spec.channels, layers=spec.layers)
 
 
 def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:
@@ -56,21 +64,19 @@ def intensity_prior(estimate: PanoEstimate) -> Tensor:
 
 @torch.no_grad()
 def corrected_pano(
-    network: PanoNetwork, estimate: PanoEstimate, neighbours: Neighbours, parts: Collection[str] = PARTS
+    network: CellNetwork, estimate: PanoEstimate, neighbours: Neighbours, parts: Collection[str] = PARTS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Range in metres, intensity and hit probability (h, w) float32, some `parts` as the network has them.
 
     The others are the phases': the expected hit, the mean intensity, and always the median range.
     """
     range_m, intensity, hit = phases_alone(estimate)
-    correction = network(cell_features(estimate, neighbours)[None])
+    hit_logit, intensity_logit = network(cell_features(estimate, neighbours)[None])[0]
     is_shown = range_m > 0.0
     if "intensity" in parts:
-        intensity = (
-            torch.sigmoid(intensity_prior(estimate) + correction.intensity_logit[0]).numpy() * is_shown
-        )
+        intensity = torch.sigmoid(intensity_prior(estimate) + intensity_logit).numpy() * is_shown
     if "hit" in parts:
-        hit = torch.sigmoid(hit_prior(estimate) + correction.hit_logit[0]).numpy() * is_shown
+        hit = torch.sigmoid(hit_prior(estimate) + hit_logit).numpy() * is_shown
     return range_m, intensity, hit
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.answers import RayAnswers, RenderedImage
+from nvsf_core.simulation.lidar_rays import SweepRays
 
 VOTES = 6
 """Training scans whose drops vote, for a model that does not say how many it was trained with."""
@@ -25,6 +26,19 @@ class RayRenderer(Protocol):
             direction: (r, 3) float32 unit, scene-local axes.
             vote: (r,) float32, 0..1: share of the nearest training scans in which this firing returned.
             time_s: (r,) float64 seconds since the first frame: when each ray is fired.
+        """
+
+
+class TurnCorrector(Protocol):
+    """Corrects a whole turn of the recording sensor: rays beside each other tell more than each alone."""
+
+    def __call__(self, rays: SweepRays, answers: RayAnswers, near: np.ndarray, /) -> RayAnswers:
+        """Corrected answers.
+
+        Args:
+            rays: Of the turn.
+            answers: Of a `RayRenderer`, intensities with their lasers' gain.
+            near: (k,) the training scans that vote, nearest in time first.
         """
 
 
@@ -62,6 +76,8 @@ class SceneModel:
     """None where the drive has no LiDAR."""
     camera: ImageRenderer | None
     """None where the drive has no camera."""
+    correct: TurnCorrector | None = None
+    """None where each ray's answer stands by itself."""
     pano: PanoRenderer | None = None
     """None where a pano is the projection of the simulated scan, and not a view of its own."""
     votes: int = VOTES

@@ -19,7 +19,7 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_vehicle, recorded_scan
-from nvsf_core.simulation.scene_model import RayRenderer
+from nvsf_core.simulation.scene_model import RayRenderer, TurnCorrector
 from nvsf_core.simulation.view_plan import SweepPlan
 
 _CHUNK_RAYS = 65536
@@ -115,9 +115,12 @@ def _parts(rays: int, most: int) -> list[slice]:
 def _joined(parts: list[RayAnswers]) -> RayAnswers:
     if len(parts) == 1:
         return parts[0]
-    return RayAnswers(
-        *(np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity"))
+    votes = [part.vote for part in parts if part.vote is not None]
+    range_m, hit, intensity = (
+        np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity")
     )
+    vote = np.concatenate(votes) if len(votes) == len(parts) else None
+    return RayAnswers(range_m, hit, intensity, vote)
 
 
 def simulate_sweep(
@@ -130,12 +133,14 @@ def simulate_sweep(
     recorded_table: LaserTable,
     votes: int,
     *,
+    correct: TurnCorrector | None = None,
     as_recorded: bool = False,
 ) -> SimulatedSweep:
     """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
     rays, answers = fire_sweep(
-        plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes, as_recorded=as_recorded
-    )
+        plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes, correct=correct,
+        as_recorded=as_recorded,
+    )  # fmt: skip
     points, intensity, laser = recorded_scan(rays, answers)
     pano = LinearPano(quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
@@ -160,6 +165,7 @@ def fire_sweep(
     recorded_table: LaserTable,
     votes: int,
     *,
+    correct: TurnCorrector | None = None,
     phase: float = 0.5,
     leave_out_s: float | None = None,
     as_recorded: bool = False,
@@ -167,7 +173,8 @@ def fire_sweep(
     """All rays of one turn of the plan's sensor around `time_s`, answered; the own vehicle is put back.
 
     `phase` says where the turn starts against its firings; the training scan at `leave_out_s` is silent;
-    `as_recorded` is `SceneModel`'s.
+    `as_recorded` is `SceneModel`'s, and so is `correct`, which is asked where the recording sensor is in its
+    own place.
     """
     near = evidence.prior.nearest_scans(time_s, votes, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
@@ -185,6 +192,8 @@ def fire_sweep(
     vote = evidence.prior.vote(voter, rays.fraction, near)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
     answers = by_lasers(answers, rays.laser, plan.table, as_recorded=as_recorded)
+    if correct is not None and plan.is_recorded_sensor and plan.mount is None:
+        answers = correct(rays, answers, near)
     if plan.is_recorded_sensor and plan.mount is None and not as_recorded:
         answers = measured_at_rest(
             answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,

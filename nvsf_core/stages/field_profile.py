@@ -26,9 +26,11 @@ def field_profile(recipe: Recipe, recording: Recording) -> dict[str, Scalar]:
     fields = make_fields(recipe, recording, 0)
     parameters = {
         sensor: sum(value.numel() for value in model.state_dict().values())
-        for sensor, model in (("lidar", fields.lidar), ("camera", fields.camera), ("pano", fields.pano))
+        for sensor, model in (
+            ("lidar", fields.lidar), ("camera", fields.camera), ("hits", fields.hits), ("pano", fields.pano),
+        )
         if model is not None
-    }
+    }  # fmt: skip
     found: dict[str, Scalar] = {f"{sensor}_parameters": count for sensor, count in parameters.items()}
     evidence, samples, returns, rays, size = None, 0.0, 0, "", ""
     if recording.lidar is not None and fields.lidar is not None:

@@ -8,16 +8,19 @@ import torch
 from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.pano_network import PanoNetwork
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.simulation.pano_correction import pano_network
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
+from nvsf_core.simulation.turn_hits import hits_network
 from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import carrying_renderer
 from nvsf_core.stages.residual_camera import LEARNED, camera_renderer
+from nvsf_core.stages.residual_hits import HITS_CORRECTED, turn_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
 from nvsf_core.stores.checkpoints import load_tensors
@@ -29,12 +32,14 @@ class ResidualFields:
 
     lidar: LidarField | None
     camera: CameraNetworks | None
-    pano: PanoNetwork | None = None
+    hits: CellNetwork | None = None
+    """Corrects what returns in the LiDAR's own grid; None where the recipe has none."""
+    pano: CellNetwork | None = None
     """Corrects the LiDAR's panos; None where the recipe has none."""
 
     def tensors(self) -> dict[str, Tensor]:
         """All weights, by sensor and name."""
-        models = {"lidar": self.lidar, "camera": self.camera, "pano": self.pano}
+        models = {"lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano}
         return {
             f"{sensor}.{name}": value
             for sensor, model in models.items()
@@ -45,18 +50,20 @@ class ResidualFields:
 
 def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
     """Untrained fields of this scene's size."""
-    lidar = camera = pano = None
+    lidar = camera = hits = pano = None
     if recording.lidar is not None:
         surfels = recording.lidar.evidence.surfels
         mean = surfels.mean_m
         bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
         spec = needed_field(recipe.lidar_field, surfels)
         lidar = LidarField(spec, bounds, torch.Generator().manual_seed(seed))
+        if recipe.hits is not None:
+            hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
         if recipe.pano is not None and recipe.pano.training is not None:
-            pano = PanoNetwork(recipe.pano, torch.Generator().manual_seed(seed + 2))
+            pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
     if recording.cameras:
         camera = CameraNetworks(recipe.camera, torch.Generator().manual_seed(seed + 1))
-    return ResidualFields(lidar=lidar, camera=camera, pano=pano)
+    return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
 
 
 def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
@@ -72,7 +79,7 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     torch.set_num_threads(recipe.lidar_training.threads)
     tensors, facts = load_tensors(folder / "weights.safetensors")
     fields = make_fields(recipe, recording, 0)
-    lidar = camera = pano = None
+    lidar = camera = correct = pano = None
     if recording.lidar is not None and not facts.get(SHOWS_FIELD, True):
         # Its pano is the projection of its scan, as the baseline's.
         lidar = carrying_renderer(recording.lidar)
@@ -85,15 +92,20 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             most=recipe.evidence.lidar_candidates,
             far_m=recording.lidar.far_m,
         )
+        if recipe.hits is not None and fields.hits is not None and facts.get(HITS_CORRECTED):
+            fields.hits.load_state_dict(_named(tensors, "hits."))
+            correct = turn_hits(fields.hits, recipe.hits, recording.lidar)
         if recipe.pano is not None:
             if fields.pano is not None:
                 fields.pano.load_state_dict(_named(tensors, "pano."))
             votes, corrected = recipe.evidence.votes, facts.get(CORRECTED, ())
-            pano = pano_renderer(recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected)
+            pano = pano_renderer(recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct)
     if fields.camera is not None:
         fields.camera.load_state_dict(_named(tensors, "camera."))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED])
-    return SceneModel(lidar=lidar, camera=camera, pano=pano, votes=recipe.evidence.votes)
+    return SceneModel(
+        lidar=lidar, camera=camera, correct=correct, pano=pano, votes=recipe.evidence.votes
+    )
 
 
 def _named(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

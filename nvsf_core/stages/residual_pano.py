@@ -10,8 +10,8 @@ import torch
 
 from nvsf_core.errors import RecipeError
 from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.pano_network import PanoNetwork
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.intensity import intensity_image_metrics
@@ -29,17 +29,19 @@ from nvsf_core.simulation.pano_correction import (
 from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
 from nvsf_core.simulation.scan import HIT_THRESHOLD
-from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer
+from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, TurnCorrector
 from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
-from nvsf_core.training.pano_step import PanoExample, pano_step
 
 CORRECTED = "pano_corrected"
 """Name of the fact: parts of the pano that the network shows better than the phases do."""
+_TYPICAL_RANGE_M, _LEAST_COST = 20.0, 0.2
+"""A wrong hit costs its range in units of the first, and the second beside."""
 _FEWEST_SCANS = 3
 """With fewer, a pano that is left out has hardly others to be expected from."""
 
@@ -55,14 +57,16 @@ class LeftOutPano:
     true_intensity: np.ndarray
     """(66, 1030)."""
 
-    def example(self) -> PanoExample:
-        """For training."""
-        return PanoExample(
+    def example(self) -> CellExample:
+        """For training: a wrong hit errs by its whole range."""
+        returned, expected_m = self.true_range_m > 0.0, self.estimate.median_m
+        cost = np.where(returned, self.true_range_m, expected_m) / _TYPICAL_RANGE_M + _LEAST_COST
+        return CellExample(
             features=cell_features(self.estimate, self.neighbours),
             hit_logit=hit_prior(self.estimate),
             intensity_logit=intensity_prior(self.estimate),
-            range_m=torch.from_numpy(self.estimate.median_m),
-            true_range_m=torch.from_numpy(self.true_range_m),
+            weight=torch.from_numpy(np.where(expected_m > 0.0, cost, 0.0).astype(np.float32)),
+            returned=torch.from_numpy(returned),
             true_intensity=torch.from_numpy(self.true_intensity),
         )
 
@@ -81,14 +85,16 @@ class TrainedPano:
 def train_pano(
     task: Task,
     work: Path,
-    network: PanoNetwork,
+    network: CellNetwork,
     field: LidarField,
     recipe: ResidualRecipe,
     lidar: LidarRecording,
+    correct: TurnCorrector | None,
 ) -> TrainedPano:
     """Train on panos of training frames, each expected without its own scan's votes; then ask the judges."""
     spec = recipe.pano
-    if spec is None or spec.training is None:
+    training = None if spec is None else spec.training
+    if spec is None or training is None:
         raise RecipeError(f"recipe {recipe.name}: expected a pano with training, found none")
     panos = recorded_panos(lidar)
     if len(panos.time_s) < _FEWEST_SCANS:
@@ -98,16 +104,16 @@ def train_pano(
     scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
     left_out = []
     for scan in scans.tolist():
-        left_out.append(leave_out(field, recipe, lidar, panos, scan))
+        left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
         task.progress(f"[{task.scene.name}] field, pano: expected {len(left_out)} of {len(scans)}")
     judged = judges(len(left_out), spec)
     examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
     preparation = time.perf_counter() - started
     generator = torch.Generator().manual_seed(task.config.seed * 5 + 3)
-    state = TrainingState(network, make_optimiser(network, spec.training), generator)
+    state = TrainingState(network, make_optimiser(network, training), generator)
     fit(
-        task, work, "pano", state, spec.training,
-        lambda _, drawn: [pano_step(network, examples, spec, recipe.losses, drawn)],
+        task, work, "pano", state, training,
+        lambda _, drawn: [cell_step(network, examples, training, recipe.losses, drawn)],
     )  # fmt: skip
     verdict, corrected = judge(network, [left_out[number] for number in judged])
     return TrainedPano(
@@ -120,7 +126,7 @@ def judges(panos: int, spec: PanoSpec) -> range:
     return range(min(spec.judge_every // 2, panos // 2), panos, spec.judge_every)
 
 
-def judge(network: PanoNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
+def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
     """What the network does better than the phases, part by part, and the figures that say so.
 
     A corrected hit must raise the range image's PSNR without losing hits, a corrected intensity must raise
@@ -154,8 +160,9 @@ def pano_renderer(
     spec: PanoSpec,
     render: RayRenderer,
     votes: int,
-    network: PanoNetwork | None,
+    network: CellNetwork | None,
     corrected: Sequence[str] = (),
+    correct: TurnCorrector | None = None,
 ) -> PanoRenderer:
     """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
 
@@ -166,6 +173,7 @@ def pano_renderer(
         votes: Scans that vote.
         network: Trained; None where there is none.
         corrected: What it corrects.
+        correct: Of the model: corrects the turns that the pano is made of.
     """
     panos = recorded_panos(lidar) if network is not None and corrected else None
 
@@ -175,7 +183,8 @@ def pano_renderer(
         recorded[:3, :3], recorded[:3, 3] = rotation[0], position[0]
         mount = invert_pose(recorded) @ pose
         is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
-        estimate = expected_pano(lidar, spec, render, votes, time_s, None if is_there else mount)
+        place = None if is_there else mount
+        estimate = expected_pano(lidar, spec, render, votes, time_s, place, correct=correct)
         if network is None or panos is None or not is_there:
             return phases_alone(estimate)
         neighbours = _neighbours(lidar, panos, spec, estimate, time_s)
@@ -192,6 +201,7 @@ def expected_pano(
     time_s: float,
     mount: np.ndarray | None,
     *,
+    correct: TurnCorrector | None,
     leave_out_s: float | None = None,
 ) -> PanoEstimate:
     """The pano at a time, from the phases; the training scan at `leave_out_s` does not vote."""
@@ -200,15 +210,16 @@ def expected_pano(
     return estimate_pano(
         lambda phase: fire_sweep(
             plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, votes,
-            phase=phase, leave_out_s=leave_out_s,
+            correct=correct, phase=phase, leave_out_s=leave_out_s,
         ),
         LinearPano(quirks=True), spec.phases, parts=spec.parts,
     )  # fmt: skip
 
 
 def leave_out(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, panos: RecordedPanos, scan: int
-) -> LeftOutPano:
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, panos: RecordedPanos, scan: int,
+    correct: TurnCorrector | None,
+) -> LeftOutPano:  # fmt: skip
     """A training pano (`scan` counts training scans) as the field and all other scans' votes have it."""
     assert recipe.pano is not None
     dynamic, time_s = lidar.evidence.dynamic, float(panos.time_s[scan])
@@ -217,7 +228,7 @@ def leave_out(
         field, lidar.evidence.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
     )
     estimate = expected_pano(
-        lidar, recipe.pano, render, recipe.evidence.votes, time_s, None, leave_out_s=time_s
+        lidar, recipe.pano, render, recipe.evidence.votes, time_s, None, correct=correct, leave_out_s=time_s
     )
     return LeftOutPano(
         estimate=estimate,

@@ -10,6 +10,7 @@ from nvsf_core.stages.fitting import Trained, fit
 from nvsf_core.stages.lidar_training_rays import training_rays
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import LEARNED, train_camera
+from nvsf_core.stages.residual_hits import HITS_CORRECTED, train_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import CORRECTED, train_pano
@@ -41,8 +42,17 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
         seconds += time.perf_counter() - judging
         metadata |= verdict
         task.progress(f"[{task.scene.name}] field, lidar: shows {verdict['lidar_shows']}")
+    correct = None
+    if facts.get(SHOWS_FIELD) and fields.hits and fields.lidar and recording.lidar:
+        hits = train_hits(task, work, fields.hits, fields.lidar, recipe, recording.lidar)
+        states |= hits.states
+        seconds += hits.preparation_seconds
+        metadata |= hits.metadata
+        correct = hits.correct
+        facts[HITS_CORRECTED] = correct is not None
+        task.progress(f"[{task.scene.name}] field, hits: shows {hits.metadata['hits_shown']}")
     if facts.get(SHOWS_FIELD) and fields.pano and fields.lidar and recording.lidar:
-        expected = train_pano(task, work, fields.pano, fields.lidar, recipe, recording.lidar)
+        expected = train_pano(task, work, fields.pano, fields.lidar, recipe, recording.lidar, correct)
         states |= expected.states
         seconds += expected.preparation_seconds
         metadata |= expected.metadata

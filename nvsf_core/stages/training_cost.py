@@ -14,7 +14,7 @@ _SECONDS_A_REFINED_DEPTH = 8.9e-6
 """One depth that is compared once more at one blended pixel."""
 _SECONDS_A_PANO_CELL = 1.7e-6
 _SECONDS_A_PANO_TURN = 0.6
-"""One turn that is fired to make what the pano learns from."""
+"""One turn that is fired to make what the pano, or the network of hits, learns from."""
 _CAMERA_PARAMETERS = 111_000
 """Of the camera's networks in these runs: larger ones cost in proportion."""
 _BASE_MB = 1060.0
@@ -28,7 +28,8 @@ def expected_seconds(recipe: ResidualRecipe, parameters: dict[str, int], samples
 
     Args:
         recipe: To be trained.
-        parameters: Numbers of each part that is trained: `lidar`, `camera`, `pano`; absent = not trained.
+        parameters: Numbers of each part that is trained: `lidar`, `camera`, `hits`, `pano`; absent = not
+            trained.
         samples: Mean surfaces that a ray looks at.
     """
     total = _PREPARATION_S
@@ -43,6 +44,9 @@ def expected_seconds(recipe: ResidualRecipe, parameters: dict[str, int], samples
     if "pano" in parameters and recipe.pano is not None and recipe.pano.training is not None:
         total += recipe.pano.frames * recipe.pano.phases * _SECONDS_A_PANO_TURN
         total += _drawn(recipe.pano.training) * _SECONDS_A_PANO_CELL
+    if "hits" in parameters and recipe.hits is not None:
+        total += recipe.hits.frames * _SECONDS_A_PANO_TURN
+        total += _drawn(recipe.hits.training) * _SECONDS_A_PANO_CELL
     return total
 
 

@@ -34,6 +34,7 @@ def sweep_arrays(
                 recorded.period_s,
                 recorded.table,
                 model.votes,
+                correct=model.correct,
                 as_recorded=model.as_recorded,
             )
         )

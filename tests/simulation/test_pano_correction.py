@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.pano_network import PanoNetwork
+from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.recipe import PanoSpec
-from nvsf_core.simulation.pano_correction import PARTS, cell_features, corrected_pano, phases_alone
+from nvsf_core.simulation.pano_correction import (
+    PARTS,
+    cell_features,
+    corrected_pano,
+    pano_network,
+    phases_alone,
+)
 from nvsf_core.simulation.pano_estimate import PanoEstimate
 from nvsf_core.simulation.pano_neighbours import Neighbours
 
@@ -26,8 +32,8 @@ def expected() -> tuple[PanoEstimate, Neighbours]:
     return estimate, Neighbours(*(rng.uniform(0, 1, (6, *SHAPE)).astype(np.float32)))
 
 
-def network(*, learned: bool) -> PanoNetwork:
-    made = PanoNetwork(PanoSpec(), torch.Generator().manual_seed(0))
+def network(*, learned: bool) -> CellNetwork:
+    made = pano_network(PanoSpec(), torch.Generator().manual_seed(0))
     if learned:
         with torch.no_grad():
             made.layers[-1].weight.normal_(std=9.0, generator=torch.Generator().manual_seed(6))

@@ -62,7 +62,7 @@ def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Rec
     assert names and not [name for name in names if any(w in name for w in ("time", "flow", "dynamic"))]
     said = field_profile(recipe, recording)
     total = sum(value.numel() for value in names.values())
-    assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera"))
+    assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera", "hits"))
     assert str(said["needs"]).startswith(f"static street: no time branch; {total / 1e6:.1f} M parameters in ")
     assert 0.0 < float(said["samples_a_ray"]) <= recipe.evidence.lidar_candidates
     assert float(said["expected_seconds"]) > 0.0 and float(said["expected_memory_mb"]) > 0.0
@@ -150,4 +150,5 @@ def test_more_steps_or_larger_networks_cost_more_and_a_sensor_that_is_absent_not
     whole = {"lidar": 1_990_000, "camera": 120_000, "pano": 10_500}
     assert expected_seconds(lean, whole, 6.36) == pytest.approx(864.0, rel=0.1)
     assert expected_memory_mb(lean, whole, 3_900_000) == pytest.approx(2972.0, rel=0.05)
+    assert expected_seconds(lean, whole | {"hits": 6_800}, 6.36) > expected_seconds(lean, whole, 6.36)
     assert expected_memory_mb(lean, lidar, 3_900_000) < expected_memory_mb(lean, whole, 3_900_000)

@@ -1,8 +1,7 @@
-"""A small network over the cells of a pano: what returns, and how brightly."""
+"""A small network over the cells of a turn, whose columns go round: corrections of what each cell answers."""
 
 import itertools
 import math
-from dataclasses import dataclass
 from typing import cast
 
 import torch
@@ -10,34 +9,29 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nvsf_core.fields.layers import undrawn
-from nvsf_core.recipe import PanoSpec
-
-FEATURES = 16
-"""Channels that describe a cell."""
 
 
-@dataclass(frozen=True, slots=True)
-class PanoCorrection:
-    """Corrections of panos (b, h, w)."""
-
-    hit_logit: Tensor
-    """(b, h, w), added to the logit of the expected hit."""
-    intensity_logit: Tensor
-    """(b, h, w), added to the logit of the expected intensity."""
-
-
-class PanoNetwork(nn.Module):
+class CellNetwork(nn.Module):
     """Convolutions of 3 x 3 with ReLU between them; columns go round, rows end in copies of themselves.
 
-    Silent before training: the corrections are 0. To choose another range than the median of what a cell
-    shows was tried too: the network never did, as no other errs less.
+    Silent before training: the corrections are 0. To choose another range than the median of what a pano's
+    cell shows was tried too: the network never did, as no other errs less.
     """
 
-    def __init__(self, spec: PanoSpec, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`."""
+    def __init__(
+        self, features: int, outputs: int, generator: torch.Generator, *, channels: int, layers: int
+    ) -> None:
+        """Draw all weights from `generator`.
+
+        Args:
+            features: Channels that describe a cell.
+            outputs: Corrections of a cell.
+            generator: The only source of randomness.
+            channels: Width.
+            layers: Layers of that width.
+        """
         super().__init__()
-        width = spec.channels
-        sizes = (FEATURES, *[width] * spec.layers, 2)
+        sizes = (features, *[channels] * layers, outputs)
         self.layers = nn.ModuleList(
             undrawn(nn.Conv2d, fan_in, fan_out, 3) for fan_in, fan_out in itertools.pairwise(sizes)
         )
@@ -49,12 +43,12 @@ class PanoNetwork(nn.Module):
                 cast(Tensor, convolution.bias).zero_()
             cast(nn.Conv2d, self.layers[-1]).weight.zero_()
 
-    def forward(self, features: Tensor) -> PanoCorrection:
-        """Corrections of panos with `features` (b, FEATURES, h, w)."""
+    def forward(self, features: Tensor) -> Tensor:
+        """Corrections (b, outputs, h, w), added to logits, of turns with `features` (b, features, h, w)."""
         x = features
         for number, layer in enumerate(self.layers):
             x = functional.pad(x, (1, 1, 0, 0), mode="circular")
             x = layer(functional.pad(x, (0, 0, 1, 1), mode="replicate"))
             if number + 1 < len(self.layers):
                 x = functional.relu(x)
-        return PanoCorrection(x[:, 0], x[:, 1])
+        return x

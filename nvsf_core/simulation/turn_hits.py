@@ -1,0 +1,165 @@
+"""What returns, in the recording sensor's own grid of lasers and firings, as the other scans lead to expect.
+
+The ray head of a field has seen the training scans: there its hits look better than elsewhere, and what
+learned to correct them would trust them too much. So the network here is told nothing of them. It starts
+from the vote, and from what other turns recorded where a ray is expected to end, all of which is of other
+scans at training and at rendering alike. The two answers err independently, and are averaged as logits.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.errors import ShapeError
+from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.kernels.seen_again import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
+from nvsf_core.recipe import HitsSpec
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.lidar_rays import SweepRays
+
+FEATURES = 14
+"""Channels that describe a cell."""
+_BESIDE = 2
+"""Of the scans that are asked, those nearest in time: told by themselves, too."""
+_VOTE_LIMIT, _HIT_LIMIT = 0.02, 0.003
+_MOMENTS = 256
+"""Parts of a turn at which the sensor's pose is looked up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedTurns:
+    """The training scans in the grid of lasers and firings, and how their sensor moved."""
+
+    prior: DropPrior
+    lasers: np.ndarray
+    """(l,) int64: those that ever returned, from the top."""
+    range_m: np.ndarray
+    """(n, lasers, f) float32 along the laser's ray, without its bias; 0 = no return."""
+    intensity: np.ndarray
+    """(n, lasers, f) float32 as recorded."""
+    trajectory: Trajectory
+    table: LaserTable
+    period_s: float
+    turn_up_rad: float
+    """How far recorded directions are turned up on their way into the world."""
+
+    def ask(self, points_m: np.ndarray, scans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (r, 5) float32 of what scans say of points (r, 3) float32, of the first two and of all."""
+        table, rows = self.table, self.lasers
+        shift_rad = (table.phase_steps - table.firing_shift_steps)[rows] * table.step_rad
+        lasers = Lasers(
+            rows, table.elevation_rad[rows], table.vertical_offset_m[rows], table.horizontal_offset_m[rows],
+            shift_rad, self.turn_up_rad,
+        )  # fmt: skip
+        moments = (np.arange(_MOMENTS) + 0.5) / _MOMENTS - 0.5
+        found = np.zeros((len(points_m), 5), np.float32)
+        beside = found
+        for number, scan in enumerate(scans.tolist()):
+            if number == _BESIDE:
+                beside = found.copy()
+            rotation, position = self.trajectory.at(self.prior.time_s[scan] + moments * self.period_s)
+            fraction = self.prior.fraction[scan][: self.prior.firings_of(scan)]
+            turn = Turn(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
+            see_again(points_m, lasers, turn, found)
+        return beside, found
+
+
+def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
+    """Untrained; weights are drawn from `generator`."""
+    return CellNetwork(FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
+
+
+@dataclass(frozen=True, slots=True)
+class TurnHits:
+    """Corrects the hits of the recording sensor's own turns."""
+
+    network: CellNetwork
+    """Trained."""
+    spec: HitsSpec
+    turns: RecordedTurns
+
+    @torch.no_grad()
+    def __call__(self, rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+        """The same answers with other hits; `near` (k,) are the scans that vote, nearest in time first."""
+        cells = turn_cells(self.turns, rays, answers, near)
+        learned = cells.vote_logit + self.network(cells.features[None])[0, 0]
+        back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
+        own = torch.logit(torch.from_numpy(answers.hit), eps=_HIT_LIMIT)
+        hit = torch.sigmoid(self.spec.share * back + (1.0 - self.spec.share) * own).numpy()
+        return replace(answers, hit=np.where(np.isfinite(answers.range_m), hit, answers.hit))
+
+
+@dataclass(frozen=True, slots=True)
+class TurnCells:
+    """A turn of the recording sensor, as the network is told of it; one azimuth is one column."""
+
+    column: Tensor
+    """(l, f) int64: which firing of its laser a cell is."""
+    features: Tensor
+    """(FEATURES, l, f) float32, each about -1..1."""
+    vote_logit: Tensor
+    """(l, f) float32: of the share of scans that returned."""
+    is_answered: Tensor
+    """(l, f) bool: whether a return can be expected at all."""
+
+
+def turn_cells(turns: RecordedTurns, rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> TurnCells:
+    """What is told of a turn's cells; arguments as of `TurnHits`. The ray head's hits are not asked.
+
+    Raises:
+        ShapeError: The answers do not tell the votes.
+    """
+    if answers.vote is None:
+        raise ShapeError("turn_cells: expected answers with votes, found none; a field's renderer gives them")
+    lasers, firings = rays.shape
+    is_answered = np.isfinite(answers.range_m)
+    range_m = np.where(is_answered, answers.range_m, 0.0).astype(np.float32)
+    points_m = rays.origin_m + rays.direction * answers.range_m[:, None]
+    beside, asked = turns.ask(points_m.astype(np.float32), near)
+    share = asked / np.float32(len(near))
+    share_beside = beside / np.float32(min(len(near), _BESIDE))
+    shine = asked[:, SHINE] / np.maximum(asked[:, SAME], 1.0)
+    level = np.repeat(np.linspace(-1.0, 1.0, lasers, dtype=np.float32), firings)
+    channels = (
+        answers.vote - 0.5,
+        turns.prior.vote(rays.laser, rays.fraction, near[:_BESIDE]) - 0.5,
+        is_answered - 0.5,
+        np.log1p(range_m) / 2.0 - 1.0,
+        range_m / 40.0,
+        share[:, SAME] - 0.5,
+        share[:, THROUGH],
+        share[:, EMPTY],
+        share[:, BESIDE] - 0.5,
+        share_beside[:, SAME] - 0.5,
+        share_beside[:, EMPTY],
+        shine,
+        answers.intensity,
+        level,
+    )
+    assert len(channels) == FEATURES
+    column = torch.from_numpy(_upright(turns.table, rays))
+    stacked = torch.from_numpy(np.stack(channels).astype(np.float32)).reshape(FEATURES, lasers, firings)
+    vote = torch.from_numpy(answers.vote).reshape(lasers, firings)
+    return TurnCells(
+        column=column,
+        features=torch.gather(stacked, 2, column.expand(FEATURES, -1, -1)),
+        vote_logit=torch.logit(torch.gather(vote, 1, column), eps=_VOTE_LIMIT),
+        is_answered=torch.gather(torch.from_numpy(is_answered).reshape(lasers, firings), 1, column),
+    )
+
+
+def _upright(table: LaserTable, rays: SweepRays) -> np.ndarray:
+    """(l, f) int64: each laser's firings in the order that puts one azimuth into one column.
+
+    Lasers that fire together look apart, by up to a twentieth of a turn.
+    """
+    _, firings = rays.shape
+    shift_steps = (table.phase_steps - table.firing_shift_steps)[rays.laser[::firings]]
+    ahead = np.rint(shift_steps * firings / table.lattice_steps).astype(np.int64)
+    columns: np.ndarray = (np.arange(firings)[None, :] + ahead[:, None]) % firings
+    return columns

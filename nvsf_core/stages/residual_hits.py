@@ -1,0 +1,168 @@
+"""The residual recipes' hits in the sensor's own grid: what trains the network there, and who judges it."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from nvsf_core.evidence.drop_prior import find_cells
+from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.recipe import HitsSpec, ResidualRecipe
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.simulation.lidar_rays import SweepRays
+from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.scene_model import TurnCorrector
+from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
+from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, turn_cells
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.stages.fitting import fit
+from nvsf_core.stages.lidar_training_rays import learned_scans
+from nvsf_core.stages.recording import LidarRecording
+from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.training.cell_step import CellExample, cell_step
+from nvsf_core.training.loop import TrainingState, make_optimiser
+
+HITS_CORRECTED = "hits_corrected"
+"""Name of the fact: whether the network says better what returns than the ray head alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedHits:
+    """What training gave beside the network's weights."""
+
+    states: dict[str, TrainingState]
+    preparation_seconds: float
+    metadata: dict[str, Scalar]
+    correct: TurnHits | None
+    """None where the network is not used."""
+
+
+def train_hits(
+    task: Task, work: Path, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
+    lidar: LidarRecording,
+) -> TrainedHits:  # fmt: skip
+    """Train on scans that the field learned from, each told by the others; then ask the judges.
+
+    Without judges nobody could say whether it helps: nothing is trained.
+    """
+    spec, left_out = recipe.hits, lidar.evidence.left_out
+    assert spec is not None
+    if left_out is None:
+        few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to judge a network by"}
+        return TrainedHits(states={}, preparation_seconds=0.0, metadata=few, correct=None)
+    started = time.perf_counter()
+    turns = recorded_turns(lidar)
+    learned = [number for number, _ in learned_scans(lidar)]
+    chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
+    examples = []
+    for index in chosen.tolist():
+        examples.append(_example(field, recipe, lidar, turns, learned[index]))
+        task.progress(f"[{task.scene.name}] field, hits: expected {len(examples)} of {len(chosen)}")
+    preparation = time.perf_counter() - started
+    generator = torch.Generator().manual_seed(task.config.seed * 5 + 4)
+    state = TrainingState(network, make_optimiser(network, spec.training), generator)
+    fit(
+        task, work, "hits", state, spec.training,
+        lambda _, drawn: [cell_step(network, examples, spec.training, recipe.losses, drawn)],
+    )  # fmt: skip
+    judging = time.perf_counter()
+    correct = TurnHits(network, spec, turns)
+    judged = (left_out.judges.tolist(), left_out.standing)
+    alone, corrected = (_accuracy(field, recipe, lidar, *judged, hits) for hits in (None, correct))
+    is_better = corrected > alone
+    metadata: dict[str, Scalar] = {
+        "hits_judged_accuracy": corrected,
+        "hits_judged_ray_head_accuracy": alone,
+        "hits_shown": "network and ray head" if is_better else "ray head: learning did not beat it",
+    }
+    preparation += time.perf_counter() - judging
+    return TrainedHits(
+        states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
+        correct=correct if is_better else None,
+    )  # fmt: skip
+
+
+def turn_hits(network: CellNetwork, spec: HitsSpec, lidar: LidarRecording) -> TurnHits:
+    """A trained network, ready to correct turns."""
+    return TurnHits(network, spec, recorded_turns(lidar))
+
+
+def recorded_turns(lidar: LidarRecording) -> RecordedTurns:
+    """All training scans in the grid that the drop prior has."""
+    sweeps, a, prior = lidar.sweeps, lidar.sweeps.arrays, lidar.evidence.prior
+    ranges, shine = (np.zeros(prior.is_hit.shape, np.float32) for _ in range(2))
+    for number, scan in enumerate(np.flatnonzero(sweeps.is_training).tolist()):
+        part = sweeps.returns_of(scan)
+        laser, offsets = a["laser"][part], np.array([0, part.stop - part.start])
+        _, cells = find_cells(
+            laser, a["firing"][part], a["sweep_fraction"][part], offsets, a["firings"][scan : scan + 1],
+            nominal_firings=sweeps.table.firings_per_turn,
+        )  # fmt: skip
+        known = cells.is_known
+        cell = (number, laser[known], cells.column[known])
+        ranges[cell], shine[cell] = a["range_m"][part][known], a["intensity"][part][known]
+    return RecordedTurns(
+        prior, lidar.evidence.lasers.astype(np.int64), ranges, shine, sweeps.trajectory, sweeps.table,
+        sweeps.period_s, sweeps.elevation_correction_rad,
+    )  # fmt: skip
+
+
+def _example(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns, number: int
+) -> CellExample:
+    """A training scan as the others lead to expect it; where no surface was proven nothing is learned."""
+    told: list[TurnCells] = []
+
+    def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+        told.append(turn_cells(turns, rays, answers, near))
+        return answers
+
+    rays, _ = _fire(field, recipe, lidar, lidar.evidence.standing, number, listen)
+    (cells,), prior = told, lidar.evidence.prior
+    lasers, firings = rays.shape
+    recorded = prior.nearest_firing(number, rays.fraction[:firings])[cells.column.numpy()]
+    is_hit = prior.is_hit[number, rays.laser[::firings, None], recorded]
+    return CellExample(
+        features=cells.features,
+        hit_logit=cells.vote_logit,
+        intensity_logit=torch.zeros(lasers, firings),
+        weight=cells.is_answered.float(),
+        returned=torch.from_numpy(is_hit),
+        true_intensity=torch.zeros(lasers, firings),
+    )
+
+
+def _accuracy(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, judges: Sequence[int],
+    standing: Surfels, correct: TurnHits | None,
+) -> float:  # fmt: skip
+    """Share of the judges' firings whose return, or its absence, is expected from what others prove."""
+    prior, found = lidar.evidence.prior, []
+    for number in judges:
+        rays, answers = _fire(field, recipe, lidar, standing, number, correct)
+        expected = np.isfinite(answers.range_m) & (answers.hit >= HIT_THRESHOLD)
+        firing = prior.nearest_firing(number, rays.fraction)
+        found.append(float((expected == prior.is_hit[number, rays.laser, firing]).mean()))
+    return float(np.mean(found))
+
+
+def _fire(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, standing: Surfels, number: int,
+    correct: TurnCorrector | None,
+) -> tuple[SweepRays, RayAnswers]:  # fmt: skip
+    """A training scan as the field, some evidence of what stays, and all other scans have it."""
+    sweeps, dynamic = lidar.sweeps, lidar.evidence.dynamic
+    time_s = float(lidar.evidence.prior.time_s[number])
+    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=number)
+    render = field_renderer(field, standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
+    plan = SweepPlan("hits", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
+    return fire_sweep(
+        plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table,
+        recipe.evidence.votes, correct=correct, leave_out_s=time_s,
+    )  # fmt: skip
