@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
-from nvsf_core.evidence.object_votes import ObjectVotes
+from nvsf_core.evidence.object_votes import NearVotes, ObjectVotes
 from nvsf_core.evidence.surfels import Candidates, Surfels, build_surfels, candidates_of
 
 OBJECT_VOXEL_M = 0.1
@@ -66,8 +66,22 @@ class ObjectSurfels:
 
     path: MovingObject
     surfels: Surfels
-    vote: np.ndarray
-    """(v,) float32: share of its nearest scans that returned at each surfel."""
+    votes: NearVotes
+    """Its nearest scans, to be asked whether they returned at a place on it."""
+
+    def vote(
+        self, found: Candidates, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
+    ) -> np.ndarray:
+        """Share (r,) float32 of its nearest scans that returned where rays (r, 3) end on it.
+
+        Asked for at the ray's own place and not at its voxel's: a window's edge is finer than a voxel.
+        `found` are its surfaces along the rays, at least one each; the weighted median one is asked about.
+        """
+        far = np.cumsum(found.weights, axis=1)
+        row = np.arange(len(far))
+        range_m = found.range_m[row, (far >= 0.5 * far[:, -1:]).argmax(axis=1)]
+        point = origin_m + direction * range_m[:, None]
+        return self.votes.share(self.path.to_object(point.astype(np.float64), time_s))
 
 
 def prove_objects(
@@ -128,8 +142,7 @@ def objects_at(
         scans = one.scans_near(time_s, leave_out=leave_out)
         surfels = one.surfels_from(scans)
         if surfels is not None:
-            vote = votes.share(one.path, surfels.mean_m, scans)
-            there.append(ObjectSurfels(one.path, surfels, vote))
+            there.append(ObjectSurfels(one.path, surfels, votes.near(one.path, scans, time_s)))
     return tuple(there)
 
 

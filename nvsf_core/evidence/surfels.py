@@ -80,6 +80,13 @@ class Candidates:
     cosine: np.ndarray
     """(r, k) float32: |cos| of the angle between ray and normal."""
 
+    @property
+    def weights(self) -> np.ndarray:
+        """(r, k) float32 w_i = a_i * prod_{j<i} (1 - a_j) with opacities a."""
+        light = np.cumprod(1.0 - self.opacity, axis=1)
+        before = np.concatenate([np.ones_like(light[:, :1]), light[:, :-1]], axis=1)
+        return np.asarray(self.opacity * before)
+
 
 def build_surfels(
     origin_m: np.ndarray,

@@ -59,7 +59,7 @@ class ObjectSurfaces:
     intensity: np.ndarray
     """(t,) float32 of the surfel."""
     vote: np.ndarray
-    """(t,) float32: share of the object's nearest scans that returned there."""
+    """(t,) float32: share of the object's nearest scans that returned where the ray ends on it."""
     place_m: np.ndarray
     """(t, 3) float32: where it lies in the field's cube."""
 
@@ -94,16 +94,17 @@ def object_surfaces(
     rays, columns = [np.zeros(0, np.int64)], [_nothing()]
     for one in objects:
         met, found = candidates_on(one, origin_m, direction, time_s, near_m=near_m, far_m=far_m)
-        row, _ = np.nonzero(found.voxel >= 0)
         there = found.voxel >= 0
+        row, _ = np.nonzero(there)
         voxel, range_m, ray = found.voxel[there], found.range_m[there], met[row]
         point = origin_m[ray] + direction[ray] * range_m[:, None]
+        vote = one.vote(found, origin_m[met], direction[met], time_s[met])
         surfels = one.surfels
         rays.append(ray)
         columns.append({
             "range_m": range_m, "opacity": found.opacity[there], "cosine": found.cosine[there],
             "is_planar": surfels.is_planar[voxel], "hits": surfels.hits[voxel],
-            "intensity": surfels.intensity[voxel].astype(np.float32), "vote": one.vote[voxel],
+            "intensity": surfels.intensity[voxel].astype(np.float32), "vote": vote[row],
             "place_m": (one.path.to_object(point, time_s[ray]) + places[one.path]).astype(np.float32),
         })  # fmt: skip
     ray = np.concatenate(rays)

@@ -18,7 +18,7 @@ RANGE_UNIT_M = 50.0
 N_MEANS = 4
 _COSINE, _BRIGHTNESS = 1, 4
 _LEAST_TOTAL = float(np.finfo(np.float32).eps)
-OWN_VOTE_SHARE = 0.2
+OWN_VOTE_SHARE = 0.3
 """Of a ray's weight: where surfaces with votes of their own have as much, the ray ends among them.
 A wheel that most rays pass by would vanish from a scan whose every ray takes its likeliest end."""
 
@@ -63,8 +63,8 @@ def _forward(first, logit, range_m, features, facts, surface_vote, vote):  # typ
             summary[ray, width + 1] = distance / divisor / RANGE_UNIT_M
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
-            asked[ray] = own_vote / max(moving, _LEAST_TOTAL) if moving > 0.5 * total else vote[ray]
             is_own = moving > 0.0 and moving >= OWN_VOTE_SHARE * total
+            asked[ray] = own_vote / moving if is_own else vote[ray]
             half, so_far = 0.5 * (moving if is_own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
@@ -155,7 +155,7 @@ def composite_rays(
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
         of the ray's weight up to it (of a ray without surfaces its `first`), of the surfaces with votes of
         their own alone where these have at least `OWN_VOTE_SHARE` of it; votes (n,): the surfaces' mean where
-        those with votes of their own have more than half of the weight, else `vote`.
+        those with votes of their own decide where the ray ends, else `vote`.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_vote, vote

@@ -20,13 +20,6 @@ NEAR_M = 0.9
 """Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""
 
 
-def composite(candidates: Candidates) -> np.ndarray:
-    """Weights (r, k) float32 of a ray's candidates: w_i = a_i * prod_{j<i} (1 - a_j)."""
-    light = np.cumprod(1.0 - candidates.opacity, axis=1)
-    before = np.concatenate([np.ones_like(light[:, :1]), light[:, :-1]], axis=1)
-    return np.asarray(candidates.opacity * before)
-
-
 def reproject_rays(
     surfels: Surfels,
     origin_m: np.ndarray,
@@ -54,7 +47,11 @@ def reproject_rays(
     if len(rays) > 0:
         found = candidates_of(surfels, origin_m[rays], direction[rays], most=most, near_m=NEAR_M, far_m=far_m)
         found = merge_objects(found, rays, surfels.index.count, objects, met)
-        for name, value in _answers_with_objects(surfels, found, vote[rays], objects).items():
+        own_votes = [
+            (np.searchsorted(rays, ray), one.vote(own, origin_m[ray], direction[ray], time_s[ray]))
+            for one, (ray, own) in zip(objects, met, strict=True)
+        ]
+        for name, value in _answers_with_objects(surfels, found, vote[rays], objects, own_votes).items():
             getattr(answers, name)[rays] = value
     return answers
 
@@ -91,30 +88,43 @@ def _answers_of_what_stands(
 
 
 def _answers_with_objects(
-    surfels: Surfels, found: Candidates, vote: np.ndarray, objects: tuple[ObjectSurfels, ...]
+    surfels: Surfels,
+    found: Candidates,
+    vote: np.ndarray,
+    objects: tuple[ObjectSurfels, ...],
+    own_votes: list[tuple[np.ndarray, np.ndarray]],
 ) -> dict[str, np.ndarray]:
-    """The same three answers of rays (m,) whose candidates are the objects' too; each has at least one."""
+    """The same three answers of rays (m,) whose candidates are the objects' too; each has at least one.
+
+    `own_votes` are of each object: rays (k,) int64 of the m that met it, and their votes (k,).
+    """
     shine = np.concatenate([surfels.intensity, *(one.surfels.intensity for one in objects)])
-    weights = composite(found)
+    weights = found.weights
     chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
     return {
         "range_m": found.range_m[np.arange(len(weights)), chosen],
-        "hit": _votes_with_objects(vote, weights, found.voxel - surfels.index.count, objects),
+        "hit": _votes_with_objects(surfels, found, vote, objects, own_votes),
         "intensity": (weights * shine[found.voxel]).sum(axis=1) / weights.sum(axis=1),
     }
 
 
 def _votes_with_objects(
-    vote: np.ndarray, weights: np.ndarray, voxel: np.ndarray, objects: tuple[ObjectSurfels, ...]
+    surfels: Surfels,
+    found: Candidates,
+    vote: np.ndarray,
+    objects: tuple[ObjectSurfels, ...],
+    own_votes: list[tuple[np.ndarray, np.ndarray]],
 ) -> np.ndarray:
-    """Votes (r,) where rays that end on an object, by more than half, ask the object's surfels.
-
-    `voxel` (r, k) counts the objects' voxels from 0; the background's are negative.
-    """
-    own = np.where(voxel >= 0, weights, 0.0)
-    on_object = own.sum(axis=1)
-    rows = np.flatnonzero(on_object > 0.5 * weights.sum(axis=1))
-    share = np.concatenate([one.vote for one in objects])
-    asked = vote.copy()
-    asked[rows] = (own[rows] * share[np.maximum(voxel[rows], 0)]).sum(axis=1) / on_object[rows]
+    """Votes (r,) where rays that end on objects, by more than half, ask those; arguments as above."""
+    weights, first = found.weights, surfels.index.count
+    on_objects, own = np.zeros(len(vote)), np.zeros(len(vote))
+    for one, (rays, share) in zip(objects, own_votes, strict=True):
+        is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.index.count)
+        on_it = np.where(is_its, weights[rays], 0.0).sum(axis=1)
+        on_objects[rays] += on_it
+        own[rays] += on_it * share
+        first += one.surfels.index.count
+    asked: np.ndarray = vote.copy()
+    rows = np.flatnonzero(on_objects > 0.5 * weights.sum(axis=1))
+    asked[rows] = own[rows] / on_objects[rows]
     return asked

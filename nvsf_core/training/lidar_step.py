@@ -1,16 +1,18 @@
 """One training step on LiDAR rays."""
 
 import torch
+from torch import Tensor
 
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.losses.depth import depth_loss
 from nvsf_core.losses.intensity import intensity_loss
+from nvsf_core.losses.likelihood import surface_likelihood
 from nvsf_core.losses.raydrop import raydrop_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.rendering.lidar import render_lidar
+from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.training.lidar_rays import LidarRays
 
@@ -39,7 +41,7 @@ def lidar_step(
     returned = (true_range_m > 0) & batch.is_there[:, 0]
     seen = batch.is_there[:, 0]
     terms = {
-        "depth": depth_loss(rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]),
+        "depth": _depth(rendered, batch, returned, true_range_m),
         "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
         "intensity": intensity_loss(
             rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[drawn])[returned]
@@ -47,3 +49,16 @@ def lidar_step(
     }
     weights = recipe.losses
     return total_loss(terms, {"depth": weights.depth, "hit": weights.hit, "intensity": weights.intensity})
+
+
+def _depth(rendered: LidarRender, batch: SurfaceBatch, returned: Tensor, true_range_m: Tensor) -> Tensor:
+    """Of each ray that `returned` (r,) bool: how far its surfaces are off, or on what moves how unlikely.
+
+    A moving object is thin, seen by few rays and mostly edge: there weights must stay shares of the rays.
+    """
+    answers = rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]
+    off_m = depth_loss(*answers)
+    if not bool((batch.vote >= 0.0).any()):
+        return off_m
+    meets = batch.spread((batch.vote >= 0.0).float()[:, None])[returned, :, 0].any(dim=1)
+    return torch.where(meets, surface_likelihood(*answers), off_m)

@@ -68,14 +68,30 @@ def votes_of(is_hit: np.ndarray) -> ObjectVotes:
 ALWAYS = votes_of(np.ones((64, 400), bool))
 
 
-def test_surfels_that_the_near_scans_never_got_back_are_dropped(passing) -> None:
+def test_a_place_votes_as_the_near_scans_returned_there(passing) -> None:
     dynamic, _ = passing
     is_hit = np.ones((64, 400), bool)
     is_hit[(HDL_64E.elevation_rad + HDL_64E.vertical_offset_m / PLATE_M) < 0.0] = False
     (plate,) = objects_at(dynamic.objects, 0.25, votes_of(is_hit))
-    height = plate.surfels.mean_m[:, 2]
-    assert plate.vote[height < -0.1].max() == 0.0
-    assert plate.vote[(height > 0.1) & (height < 0.3)].min() == 1.0
+    ahead, height = np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.4, 0.4, 33))
+    place = np.column_stack([0.0 * ahead.ravel(), ahead.ravel(), height.ravel()])
+    share = plate.votes.share(place)
+    assert share[place[:, 2] < -0.06].max() == 0.0
+    assert share[place[:, 2] > 0.06].min() == 1.0
+    # Between the last laser that returns and the first that does not it falls evenly.
+    between = share.reshape(height.shape)[(height[:, 0] > -0.02) & (height[:, 0] < 0.02)]
+    assert np.all(np.diff(share.reshape(height.shape), axis=0) >= -1e-6)
+    assert between.min() > 0.0 and between.max() < 1.0
+
+
+def test_the_nearest_scan_in_time_counts_most(passing) -> None:
+    dynamic, _ = passing
+    votes, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
+    for silent, low, high in ((2, 0.5, 0.6), (0, 0.85, 0.95)):
+        votes.prior.is_hit[...] = True
+        votes.prior.is_hit[silent] = False
+        (plate,) = objects_at(dynamic.objects, 0.2, votes)
+        assert low < plate.votes.share(place)[0] < high
 
 
 def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:

@@ -6,7 +6,7 @@ import pytest
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.surfels import build_surfels, candidates_of
 from nvsf_core.evidence.voxels import index_points
-from nvsf_core.rendering.reproject import composite, reproject_rays
+from nvsf_core.rendering.reproject import reproject_rays
 
 WALL_X_M = 10.03
 
@@ -118,6 +118,6 @@ def test_candidates_come_in_order_and_weights_never_exceed_one(wall) -> None:
     there = found.voxel >= 0
     ascending = np.diff(np.where(there, found.range_m, 1e9), axis=1)
     assert (ascending[there[:, 1:]] >= -1e-5).all()
-    weights = composite(found)
+    weights = found.weights
     assert (weights.sum(axis=1) <= 1 + 1e-6).all()
     assert (weights[~there] == 0).all()

@@ -98,7 +98,8 @@ def test_only_rays_that_end_on_what_moves_ask_it() -> None:
     surfaces = some_surfaces()
     own = torch.where(torch.rand(SURFACES, generator=torch.Generator().manual_seed(2)) < 0.5, 0.75, -1.0)
     weights, _, _, votes = composited(*surfaces, surface_vote=own)
-    moving = padded(weights * (own >= 0)).sum(dim=1) > 0.5 * padded(weights).sum(dim=1)
+    on_own = padded(weights * (own >= 0)).sum(dim=1)
+    moving = (on_own > 0.0) & (on_own >= OWN_VOTE_SHARE * padded(weights).sum(dim=1))
     assert 20 < moving.sum() < RAYS - 20
     assert torch.allclose(votes, torch.where(moving, 0.75, 0.25))
 

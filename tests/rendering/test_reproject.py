@@ -5,7 +5,7 @@ import torch
 
 from nvsf_core.evidence.surfels import build_surfels, candidates_of
 from nvsf_core.rendering.accumulate import weighted_median_index
-from nvsf_core.rendering.reproject import NEAR_M, composite, reproject_rays
+from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 
 
 def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_candidates() -> None:
@@ -22,7 +22,7 @@ def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_can
     vote = generator.uniform(0.0, 1.0, 5000).astype(np.float32)
     answers = reproject_rays(surfels, *rays, vote, most=24, far_m=50.0)
     found = candidates_of(surfels, *rays, most=24, near_m=NEAR_M, far_m=50.0)
-    weights = composite(found)
+    weights = found.weights
     median = weighted_median_index(torch.from_numpy(weights)).numpy()
     there = found.voxel[:, 0] >= 0
     assert 0.9 < there.mean() < 1.0 and (median > 3).any()
