@@ -9,10 +9,14 @@ type as it is.
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import preset
 from nvsf_core.stages.flow import plan_run, run_named_stage
+from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.residual_hits import recorded_turns
 
 _STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
 """They call every kernel; later stages render with the same ones."""
@@ -37,6 +41,10 @@ def compile_kernels() -> None:
         run = plan_run(scene, Path(folder) / "home", recipe=preset("smoke"))
         for name in _STAGES:
             run_named_stage(name, run, lambda _: None)
+        lidar = read_recording(run.store).lidar
+        assert lidar is not None
+        # So small a field may lose against `reproject`, and then nobody asks recorded turns.
+        recorded_turns(lidar).ask(np.zeros((1, 3), np.float32), np.zeros(1, np.int64))
 
 
 if __name__ == "__main__":
