@@ -46,13 +46,14 @@ class DepthNetwork(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(d, h, w) logits from `features` (VOLUME_FEATURES, d, h, w)."""
-        volume = features[None]
-        wide = functional.relu(self.down(volume))
-        deep = functional.relu(self.deepest(functional.relu(self.deep(wide))))
-        wide = functional.relu(self.join(wide + _resized(self.raise_deep(deep), wide)))
-        full = functional.relu(self.near(volume) + _resized(self.raise_join(wide), volume))
-        logits: Tensor = self.logit(full)[0, 0]
-        return logits
+        volume = features.transpose(0, 1).contiguous(memory_format=torch.channels_last)
+        wide = functional.relu(_by_plane(self.down, volume))
+        deep = functional.relu(_by_plane(self.deepest, functional.relu(_by_plane(self.deep, wide))))
+        raised = _resized_planes(_by_plane(self.raise_deep, deep), wide)
+        wide = functional.relu(_by_plane(self.join, wide + raised))
+        raised = _resized_planes(_by_plane(self.raise_join, wide), volume)
+        full = functional.relu(_by_plane(self.near, volume) + raised)
+        return _by_plane(self.logit, full)[:, 0]
 
 
 class RefineNetwork(nn.Module):
@@ -85,6 +86,7 @@ class RefineNetwork(nn.Module):
         is_lidar[-1] = 1.0
         spread, pair, shown = (x.reshape(HYPOTHESES, -1, *x.shape[1:]) for x in (spread, pair, shown))
         x = torch.cat([4.0 * spread, 4.0 * pair, shown.mean(dim=1, keepdim=True), believed, is_lidar], dim=1)
+        x = x.contiguous(memory_format=torch.channels_last)
         x = functional.relu(self.wide(functional.relu(self.first(x))))
         logits = self.out(x) + believed.log()
         return logits.flatten(0, 1).softmax(dim=0)
@@ -148,6 +150,7 @@ class BlendNetwork(nn.Module):
     def _network(self, x: Tensor) -> Tensor:
         height, width = x.shape[-2:]
         x = functional.pad(x, (0, -width % _SHRINKS_BY, 0, -height % _SHRINKS_BY), mode="replicate")
+        x = x.contiguous(memory_format=torch.channels_last)
         wide = functional.relu(self.second(functional.relu(self.first(x))))
         mixed = functional.relu(self.mixed(functional.relu(self.down(wide))))
         deep = functional.relu(self.deepest(functional.relu(self.deep(mixed))))
@@ -170,6 +173,30 @@ class CameraNetworks(nn.Module):
 
 def _resized(x: Tensor, like: Tensor) -> Tensor:
     return functional.interpolate(x, like.shape[2:], mode="nearest")
+
+
+def _by_plane(layer: nn.Conv3d, x: Tensor) -> Tensor:
+    """A 3-D convolution of planes (d, c, h, w): 2-D ones of each and its neighbours, added.
+
+    They are two to three times as fast on a CPU.
+    """
+    weight, step = layer.weight, layer.stride[0]
+    if weight.shape[2] == 1:
+        return functional.conv2d(x, weight[:, :, 0], layer.bias)
+    sideways = layer.stride[1:]
+    own = functional.conv2d(x[::step], weight[:, :, 1], layer.bias, sideways, padding=1)
+    before, after = x[step - 1 :: step][: len(own) - 1], x[1::step]
+    nearer = functional.conv2d(before, weight[:, :, 0], None, sideways, padding=1)
+    farther = functional.conv2d(after, weight[:, :, 2], None, sideways, padding=1)
+    # Beyond the first and the last plane there is nothing, which adds 0.
+    nearer = functional.pad(nearer, (0, 0, 0, 0, 0, 0, 1, 0))
+    return own + nearer + functional.pad(farther, (0, 0, 0, 0, 0, 0, 0, len(own) - len(after)))
+
+
+def _resized_planes(x: Tensor, like: Tensor) -> Tensor:
+    """Planes (d, c, h, w) repeated to the number and size of others'."""
+    volume = x.transpose(0, 1)[None]
+    return functional.interpolate(volume, (len(like), *like.shape[2:]), mode="nearest")[0].transpose(0, 1)
 
 
 def _drawn(layer: _Layer, generator: torch.Generator) -> _Layer:

@@ -63,6 +63,9 @@ class CameraSpec:
     0 = believed depths stay as they are."""
     refined_channels: int = 24
     """Width of the network that compares them."""
+    aligned: bool = False
+    """The images' poses are corrected until LiDAR returns look alike in neighbouring images. The networks
+    learn with the poses as given: a wanted view's own error stays, and they are to reckon with it."""
     varied: bool = False
     """Every step's image, and its sources with it, in other colours and another light, every second in a
     mirror: so long trainings learn the few images by heart later. It does not pay in short ones."""

@@ -28,7 +28,7 @@ class PlaneVolume:
     """What k sources show on d depth planes of a view."""
 
     colour: Tensor
-    """(k, d, 3, h, w) in 0..1."""
+    """(k, 3, d, h, w) in 0..1."""
     seen: Tensor
     """(k, d, h, w) bool."""
 
@@ -39,24 +39,25 @@ class PlaneVolume:
             The mean distance of all sources to their mean and that of the two nearest to each other, both
             (d, h, w) in 0..1; the share of sources that show the plane (d, h, w); their mean (d, 3, h, w).
         """
-        shown = self.seen[:, :, None].float()
+        shown = self.seen[:, None].float()
         count = shown.sum(dim=0)
         mean = (self.colour * shown).sum(dim=0) / count.clamp_min(1e-6)
-        spread = ((self.colour - mean).abs() * shown).sum(dim=0) / count.clamp_min(1e-6)
-        count = count[:, 0]
-        spread = torch.where(count > 1.5, spread.mean(dim=1), _UNSEEN_DIFFERENCE)
+        spread = ((self.colour - mean).abs().mean(dim=1) * shown[:, 0]).sum(dim=0)
+        count = count[0]
+        spread = torch.where(count > 1.5, spread / count.clamp_min(1e-6), _UNSEEN_DIFFERENCE)
         pair = spread
         if len(shown) > 1:
-            difference = (self.colour[0] - self.colour[1]).abs().mean(dim=1)
+            difference = (self.colour[0] - self.colour[1]).abs().mean(dim=0)
             pair = torch.where(self.seen[0] & self.seen[1], difference, _UNSEEN_DIFFERENCE)
-        return spread, pair, count / len(shown), mean
+        return spread, pair, count / len(shown), mean.transpose(0, 1)
 
     def mean_colour(self) -> Tensor:
         """(d, 3, h, w), mostly of the two nearest sources; 0 where none shows a plane."""
         weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT)
         weight[:_NEAREST] = 1.0
-        weight = weight * self.seen[:, :, None]
-        return (weight * self.colour).sum(dim=0) / weight.sum(dim=0).clamp_min(1e-6)
+        weight = weight * self.seen[:, None]
+        mean = (weight * self.colour).sum(dim=0) / weight.sum(dim=0).clamp_min(1e-6)
+        return mean.transpose(0, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +97,7 @@ def plane_volume(
         label: (h, w), which moving object a pixel shows; None = nothing moves.
     """
     found = [look_up(sources, k, rays, inverses, pinhole, label) for k in range(len(sources.image))]
-    return PlaneVolume(
-        torch.stack([colour.transpose(0, 1) for colour, _ in found]), torch.stack([seen for _, seen in found])
-    )
+    return PlaneVolume(torch.stack([colour for colour, _ in found]), torch.stack([seen for _, seen in found]))
 
 
 def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:

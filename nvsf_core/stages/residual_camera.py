@@ -1,7 +1,7 @@
 """The residual recipes' camera: its networks trained by leaving images out, judged, and rendered with."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,10 +23,12 @@ from nvsf_core.rendering.camera_view import (
     shown_images,
     shrinking,
 )
+from nvsf_core.rendering.image_alignment import PoseCorrection
 from nvsf_core.rendering.learned_warp import render_view
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
+from nvsf_core.stages.aligned_drive import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.recording import Recording
@@ -38,6 +40,8 @@ from nvsf_core.training.loop import TrainingState, make_optimiser
 
 LEARNED = "learned_cameras"
 """Name of the fact: cameras whose networks beat `reproject` on left-out images."""
+ALIGNED = "camera_corrections"
+"""Name of the fact: by how much the images' poses are off, see `facts_of`."""
 _FEWEST_IMAGES = 3
 """With fewer, an image that is left out has no two others to be shown by."""
 
@@ -51,24 +55,29 @@ class TrainedCamera:
     metadata: dict[str, Scalar]
     learned: list[str]
     """Cameras that the networks show; the others stay with `reproject`."""
+    corrections: dict[str, dict[str, object]]
+    """Of the images' poses, by camera."""
 
 
 def train_camera(
     task: Task, work: Path, networks: CameraNetworks, recipe: ResidualRecipe, recording: Recording
 ) -> TrainedCamera:
-    """Train both networks on every image that is not a judge, then ask the judges."""
+    """Train both networks on every image that is not a judge, then ask the judges.
+
+    They say, too, whether images show a view better where they were aligned; else they stay as given.
+    """
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
-    world = MovingWorld(recording)
-    shown = {name: _shown(world, name, recipe.camera) for name in usable}
+    given = aligned_by(recording, {})
+    shown = {name: _shown(given.world, name, recipe.camera) for name in usable}
     examples = [
-        left_out(world, name, index, shown[name], recipe.camera)
+        left_out(given, name, index, shown[name], recipe.camera)
         for name in usable
         for index in range(_images(recording, name))
         if index not in judges(_images(recording, name), recipe.camera)
     ]
     if not examples:
-        return TrainedCamera({}, 0.0, {"camera_shows": "reproject: too few images to learn from"}, [])
+        return TrainedCamera({}, 0.0, {"camera_shows": "reproject: too few images to learn from"}, [], {})
     task.progress(f"[{task.scene.name}] field, camera: {len(examples)} images to learn from")
     preparation = time.perf_counter() - started
     depth = _fresh(task, networks.depth, recipe.depth_training, 1)
@@ -84,32 +93,47 @@ def train_camera(
     )  # fmt: skip
     metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
     learned = []
+    aligning = time.perf_counter()
+    aligned = align_drive(recording, usable if recipe.camera.aligned else ())
+    preparation += time.perf_counter() - aligning
+    kept = {}
     for name in usable:
-        shown_db, warped_db = judge(networks, world, name, shown[name], recipe.camera)
+        shown_db, warped_db = judge(networks, given, name, shown[name], recipe.camera)
+        if name in aligned.corrections:
+            aligned_db, _ = judge(networks, aligned, name, shown[name], recipe.camera)
+            metadata[f"{name}_judged_aligned_gain_db"] = aligned_db - shown_db
+            if aligned_db > shown_db:
+                shown_db, kept[name] = aligned_db, aligned.corrections[name]
         is_better = shown_db > warped_db
         metadata[f"{name}_judged_psnr_db"] = shown_db
         metadata[f"{name}_judged_reproject_psnr_db"] = warped_db
         metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
         if is_better:
             learned.append(name)
-    return TrainedCamera({"depth": depth, "camera": both}, preparation, metadata, learned)
+    states = {"depth": depth, "camera": both}
+    return TrainedCamera(states, preparation, metadata, learned, facts_of(kept))
 
 
 def camera_renderer(
-    networks: CameraNetworks, recording: Recording, spec: CameraSpec, learned: Sequence[str]
+    networks: CameraNetworks,
+    recording: Recording,
+    spec: CameraSpec,
+    learned: Sequence[str],
+    corrections: Mapping[str, PoseCorrection],
 ) -> ImageRenderer:
     """Images by the networks where they beat `reproject`, else by that."""
     warp = warping_renderer(recording)
-    world = MovingWorld(recording)
+    drive = aligned_by(recording, corrections)
+    world = drive.world
     shown = {name: _shown(world, name, spec) for name in learned}
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         if camera not in learned:
             return warp(camera, pinhole, pose, time_s)
-        one = recording.cameras[camera]
+        one = world.recording.cameras[camera]
         view = camera_view(
-            pose, pinhole, world.still_points(time_s), shown[camera], one.training.pose, spec,
-            things=world.things(time_s, one.training_time_s),
+            drive.pose_at(camera, pose, time_s), pinhole, world.still_points(time_s), shown[camera],
+            one.training.pose, spec, things=world.things(time_s, one.training_time_s),
         )  # fmt: skip
         return render_view(networks, view, spec)
 
@@ -122,18 +146,17 @@ def judges(images: int, spec: CameraSpec) -> range:
 
 
 def judge(
-    networks: CameraNetworks, world: MovingWorld, camera: str, images_shown: ShownImages, spec: CameraSpec
+    networks: CameraNetworks, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
 ) -> tuple[float, float]:
     """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
-    images = world.recording.cameras[camera].training
+    one = drive.given.cameras[camera]
+    images = one.training
     scores = []
     for index in judges(len(images.rgb), spec):
         truth = images.rgb[index][images.valid] / 255.0
         others = np.arange(len(images.rgb)) != index
-        shown = render_view(networks, _left_out_view(world, camera, index, images_shown, spec), spec)
-        points = depth_points(
-            world.recording, float(world.recording.cameras[camera].training_time_s[index]), leave_out=True
-        )
+        shown = render_view(networks, _left_out_view(drive, camera, index, images_shown, spec), spec)
+        points = depth_points(drive.given, float(one.training_time_s[index]), leave_out=True)
         warped = render_by_warping(
             images.pose[index], images.pinhole, points,
             images.rgb[others], images.pose[others], source_valid=images.valid,
@@ -144,11 +167,11 @@ def judge(
 
 
 def left_out(
-    world: MovingWorld, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
+    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> LeftOut:
     """A training image as the others know it; `images_shown` are all of the camera's."""
-    view = _left_out_view(world, camera, index, images_shown, spec)
-    truth = world.recording.cameras[camera].training.rgb[index]
+    view = _left_out_view(drive, camera, index, images_shown, spec)
+    truth = drive.given.cameras[camera].training.rgb[index]
     middle, small = (
         functional.avg_pool2d(to_float(truth[None]), by)[0]
         for by in (middle_factor(view.factor), view.factor)
@@ -157,13 +180,14 @@ def left_out(
 
 
 def _left_out_view(
-    world: MovingWorld, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
+    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> CameraView:
+    world = drive.world
     one = world.recording.cameras[camera]
     images, time_s = one.training, float(one.training_time_s[index])
     return camera_view(
-        images.pose[index], images.pinhole, world.still_points(time_s, leave_out=True), images_shown,
-        images.pose, spec, leave_out=index,
+        drive.left_out_pose(camera, index), images.pinhole, world.still_points(time_s, leave_out=True),
+        images_shown, images.pose, spec, leave_out=index,
         things=world.things(time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip
 

@@ -16,10 +16,11 @@ from nvsf_core.simulation.pano_correction import pano_network
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.simulation.turn_hits import hits_network
+from nvsf_core.stages.aligned_drive import corrections_from
 from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import carrying_renderer
-from nvsf_core.stages.residual_camera import LEARNED, camera_renderer
+from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, camera_renderer
 from nvsf_core.stages.residual_hits import HITS_CORRECTED, turn_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
@@ -102,7 +103,8 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             pano = pano_renderer(recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct)
     if fields.camera is not None:
         fields.camera.load_state_dict(_named(tensors, "camera."))
-        camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED])
+        corrections = corrections_from(facts.get(ALIGNED, {}))
+        camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
     return SceneModel(
         lidar=lidar, camera=camera, correct=correct, pano=pano, votes=recipe.evidence.votes
     )

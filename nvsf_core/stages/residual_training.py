@@ -9,7 +9,7 @@ from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 from nvsf_core.stages.fitting import Trained, fit
 from nvsf_core.stages.lidar_training_rays import training_rays
 from nvsf_core.stages.recording import Recording
-from nvsf_core.stages.residual_camera import LEARNED, train_camera
+from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, train_camera
 from nvsf_core.stages.residual_hits import HITS_CORRECTED, train_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import make_fields
@@ -63,6 +63,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
         seconds += trained.preparation_seconds
         metadata |= trained.metadata
         facts[LEARNED] = trained.learned
+        facts[ALIGNED] = trained.corrections
     for sensor, state in states.items():
         metadata[f"{sensor}_seconds"] = state.seconds
     return Trained(

@@ -36,8 +36,14 @@ class LeftOut:
             return (image[channels].float() * gain).clamp_max(most)
 
         def sources(images: Tensor) -> Tensor:
-            chosen = images[self.view.chosen]
-            return torch.cat([(chosen[:, channels] * gain).clamp_max(1.0), chosen[:, 3:]], dim=1)
+            other = torch.empty(len(self.view.chosen), *images.shape[1:])
+            for place, number in zip(other, self.view.chosen, strict=True):
+                place[3:] = images[number, 3:]
+                for channel, source in enumerate(channels.tolist()):
+                    torch.mul(images[number, source], gain, out=place[channel])
+            if gain > 1.0:
+                other[:, :3].clamp_max_(1.0)
+            return other
 
         images = self.view.images
         seen = ShownImages(sources(images.full), sources(images.middle), sources(images.small))

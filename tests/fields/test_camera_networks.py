@@ -1,6 +1,7 @@
 """Laws of the camera's networks."""
 
 import torch
+from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import HYPOTHESES, VOLUME_FEATURES, BlendNetwork, DepthNetwork
 from nvsf_core.recipe import CameraSpec
@@ -29,6 +30,21 @@ def test_depth_logits_have_the_shape_of_the_planes_whatever_the_window() -> None
     network = DepthNetwork(SPEC, seeded())
     for shape in ((48, 12, 17), (7, 5, 5)):
         assert network(torch.rand(VOLUME_FEATURES, *shape, generator=seeded(1))).shape == shape
+
+
+def test_depths_are_compared_as_by_3d_convolutions() -> None:
+    network = DepthNetwork(SPEC, seeded())
+    for shape in ((7, 6, 9), (8, 5, 4)):
+        given = torch.rand(VOLUME_FEATURES, *shape, generator=seeded(2))
+
+        def raised(x: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+            return functional.interpolate(x, like.shape[2:], mode="nearest")
+
+        wide = network.down(given[None]).relu()
+        deep = network.deepest(network.deep(wide).relu()).relu()
+        wide = network.join(wide + raised(network.raise_deep(deep), wide)).relu()
+        full = (network.near(given[None]) + raised(network.raise_join(wide), given[None])).relu()
+        torch.testing.assert_close(network(given), network.logit(full)[0, 0], atol=1e-5, rtol=1e-5)
 
 
 def test_an_untrained_blend_lies_between_the_colours_that_it_blends() -> None:

@@ -1,0 +1,224 @@
+"""Poses of a camera's images, corrected until LiDAR returns look alike in neighbouring images.
+
+A drive's poses are good to some millimetres and tenths of a milliradian, which is a pixel and more of a
+near hedge: enough to blur what several images show. A return of a scan lies where its own image sees it,
+whatever the pose; so what another image shows of it there tells how the two images really lie.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import exp_se3, invert_pose
+from nvsf_core.rendering.reproject_camera import nearest_sources
+
+_NEIGHBOURS = 4
+_BLUR_PX = 1.5
+"""Images are smoothed so far: a slope then leads to the right place from about as far away."""
+_ROUNDS = 8
+_PRIOR = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
+"""Standard deviation of a pose's error before images are looked at, metres and radians."""
+_NOISE = 0.03
+"""Difference of grey values, of 0..1, from which on a return rather shows something else."""
+_RETURNS_A_FACT = 20.0
+"""Neighbouring returns err together: so many say as much as one."""
+_CELL_PX, _MOST_RETURNS = 4, 12_000
+_NEAREST_M = 0.5
+_RIM_PX = 4
+_SMOOTH_S = 0.5
+"""Corrections of images within about this time are one: the errors of a pose come and go slowly."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseCorrection:
+    """What a camera's given poses are off by, told by its training images."""
+
+    time_s: np.ndarray
+    """(n,) ascending, of the training images."""
+    twist: np.ndarray
+    """(n, 6) metres and radians in the camera's own frame: corrected = given exp(twist)."""
+
+    def of_images(self, pose: np.ndarray) -> np.ndarray:
+        """The corrected poses (n, 4, 4) of the training images themselves, from the given ones."""
+        return pose @ exp_se3(self.twist)
+
+    def at(self, pose: np.ndarray, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
+        """A pose (4, 4) of any time, corrected as the images around it are.
+
+        Args:
+            pose: As given.
+            time_s: Its time; before the first and after the last image their corrections hold.
+            leave_out: Image that says nothing: the one that is shown.
+        """
+        time_s = float(np.clip(time_s, self.time_s[0], self.time_s[-1]))
+        weight = np.exp(-0.5 * ((self.time_s - time_s) / _SMOOTH_S) ** 2) + 1e-12
+        if leave_out is not None and len(weight) > 1:
+            weight[leave_out] = 0.0
+        weight /= weight.sum()
+        offset_s = self.time_s - time_s
+        # A line through them: the mean alone would lag at a drive's end, where all others are on one side.
+        middle_s = float(weight @ offset_s)
+        spread = float(weight @ (offset_s - middle_s) ** 2)
+        mean = weight @ self.twist
+        slope = (weight * (offset_s - middle_s)) @ self.twist / (spread + 1e-4)
+        corrected: np.ndarray = pose @ exp_se3(mean - slope * middle_s)
+        return corrected
+
+
+@dataclass(frozen=True, slots=True)
+class _Anchors:
+    """Returns of a scan in the frame of the camera whose image was taken with it."""
+
+    point_m: np.ndarray
+    """(m, 3)."""
+    grey: np.ndarray
+    """(m,) what the image shows of them, 0..1."""
+
+
+def align_images(
+    rgb: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Corrections (n, 6) of all poses; zeros where it does not make images agree better.
+
+    Minimises, by Gauss-Newton with Geman-McClure weights, over all images j and their nearest ones k, the
+    difference |I_k(project(T_k^-1 T_j p)) - I_j(project(p))| of the returns p of image j's scan, plus the
+    corrections' own squares over those of `_PRIOR`. The same brightness is expected but for an offset.
+
+    Args:
+        rgb: (n, h, w, 3) uint8.
+        pinhole: Of all images.
+        pose: (n, 4, 4) camera to scene-local, as given.
+        returns_m: n of (m, 3) scene-local: what stands still, by the scan that belongs to an image.
+    """
+    twist = np.zeros((len(pose), 6))
+    if len(pose) < 2:
+        return twist
+    seen = [_with_slopes(image) for image in rgb]
+    anchors = [
+        _anchors(image, pinhole, one, points)
+        for image, one, points in zip(seen, pose, returns_m, strict=True)
+    ]
+    pairs = [(j, k) for j in range(len(pose)) for k in _near(pose, j)]
+    for _ in range(_ROUNDS):
+        twist = _improved(twist, pose, pairs, anchors, seen, pinhole)
+    before, after = (
+        sum(_cost(_residual(anchors[j], motion, seen[k], pinhole)[0]) for j, k, motion in _motions(x, pairs))
+        for x in (pose, pose @ exp_se3(twist))
+    )
+    return twist if after < before else np.zeros_like(twist)
+
+
+def _improved(
+    twist: np.ndarray,
+    pose: np.ndarray,
+    pairs: Sequence[tuple[int, int]],
+    anchors: Sequence[_Anchors],
+    seen: Sequence[np.ndarray],
+    pinhole: Pinhole,
+) -> np.ndarray:
+    """One step of Gauss-Newton."""
+    count = len(pose)
+    normal, right = np.zeros((count, 6, count, 6)), np.zeros((count, 6))
+    for j, k, motion in _motions(pose @ exp_se3(twist), pairs):
+        residual, by_j, by_k = _residual(anchors[j], motion, seen[k], pinhole)
+        weight = 1.0 / (1.0 + (residual / _NOISE) ** 2) ** 2 / (_NOISE**2 * _RETURNS_A_FACT)
+        weighted_j, weighted_k = by_j * weight[:, None], by_k * weight[:, None]
+        normal[j, :, j] += weighted_j.T @ by_j
+        normal[k, :, k] += weighted_k.T @ by_k
+        mixed = weighted_j.T @ by_k
+        normal[j, :, k] += mixed
+        normal[k, :, j] += mixed.T
+        right[j] -= weighted_j.T @ residual
+        right[k] -= weighted_k.T @ residual
+    own = np.diag(np.tile(_PRIOR**-2.0, count))
+    step = np.linalg.solve(normal.reshape(6 * count, -1) + own, (right - twist * _PRIOR**-2.0).reshape(-1))
+    improved: np.ndarray = twist + step.reshape(count, 6)
+    return improved
+
+
+def _motions(pose: np.ndarray, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int, np.ndarray]]:
+    """Each pair with the motion (4, 4) from the first camera's frame to the second's."""
+    inverse = invert_pose(pose)
+    return [(j, k, inverse[k] @ pose[j]) for j, k in pairs]
+
+
+def _residual(
+    anchors: _Anchors, motion: np.ndarray, seen: np.ndarray, pinhole: Pinhole
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What another image shows of anchors, less what their own does, in grey values.
+
+    Returns:
+        (m,), and its derivatives (m, 6) by the twists of the anchors' own pose and of the other's.
+    """
+    point = anchors.point_m @ motion[:3, :3].T + motion[:3, 3]
+    column, row, inside = _projected(point, pinhole)
+    point, own = point[inside], anchors.point_m[inside]
+    found = _between(seen, column[inside], row[inside])
+    residual = found[:, 0] - anchors.grey[inside]
+    if len(residual):
+        residual = residual - np.median(residual)
+    # d I / d point, by the chain rule through u = fx x / z + cx, v = fy y / z + cy.
+    depth_m = point[:, 2]
+    across, down = found[:, 1] * pinhole.fx / depth_m, found[:, 2] * pinhole.fy / depth_m
+    slope = np.stack([across, down, -(across * point[:, 0] + down * point[:, 1]) / depth_m], axis=1)
+    turned = slope @ motion[:3, :3]
+    by_own = np.concatenate([turned, np.cross(own, turned)], axis=1)
+    by_other = -np.concatenate([slope, np.cross(point, slope)], axis=1)
+    return residual, by_own, by_other
+
+
+def _cost(residual: np.ndarray) -> float:
+    """Geman-McClure, less what as many that agree nowhere would cost."""
+    return -float((1.0 / (1.0 + (residual / _NOISE) ** 2)).sum())
+
+
+def _near(pose: np.ndarray, image: int) -> list[int]:
+    others = [index for index in range(len(pose)) if index != image]
+    return [others[index] for index in nearest_sources(pose[image], pose[others], _NEIGHBOURS)]
+
+
+def _with_slopes(image: np.ndarray) -> np.ndarray:
+    """(h, w, 3) float32: smoothed grey values in 0..1, and their slopes along columns and rows."""
+    grey = gaussian_filter(image.mean(axis=-1, dtype=np.float32) / 255.0, _BLUR_PX, mode="nearest")
+    down, across = np.gradient(grey)
+    return np.stack([grey, across, down], axis=-1).astype(np.float32)
+
+
+def _anchors(seen: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: np.ndarray) -> _Anchors:
+    """The returns that an image's camera sees: of each small cell the nearest, the others may be hidden."""
+    inverse = invert_pose(pose)
+    point = returns_m @ inverse[:3, :3].T + inverse[:3, 3]
+    column, row, inside = _projected(point, pinhole)
+    point, column, row = point[inside], column[inside], row[inside]
+    cell = (row // _CELL_PX).astype(np.int64) * pinhole.width + (column // _CELL_PX).astype(np.int64)
+    by_depth = np.argsort(point[:, 2], kind="stable")
+    _, first = np.unique(cell[by_depth], return_index=True)
+    kept = by_depth[first]
+    kept = kept[:: max(1, -(-len(kept) // _MOST_RETURNS))]
+    return _Anchors(point[kept], _between(seen, column[kept], row[kept])[:, 0])
+
+
+def _projected(point: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns and rows (m,) of points in the camera's frame, and whether they lie well inside the image."""
+    depth_m = np.maximum(point[:, 2], _NEAREST_M)
+    column = pinhole.fx * point[:, 0] / depth_m + pinhole.cx
+    row = pinhole.fy * point[:, 1] / depth_m + pinhole.cy
+    inside = (
+        (point[:, 2] > _NEAREST_M)
+        & (np.abs(column - 0.5 * (pinhole.width - 1)) < 0.5 * pinhole.width - _RIM_PX)
+        & (np.abs(row - 0.5 * (pinhole.height - 1)) < 0.5 * pinhole.height - _RIM_PX)
+    )
+    return column, row, inside
+
+
+def _between(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Values (m, c) of an image (h, w, c) between its pixels, all of which lie in it."""
+    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
+    right_share, lower_share = (column - left)[:, None], (row - top)[:, None]
+    upper = image[top, left] * (1.0 - right_share) + image[top, left + 1] * right_share
+    lower = image[top + 1, left] * (1.0 - right_share) + image[top + 1, left + 1] * right_share
+    values: np.ndarray = upper * (1.0 - lower_share) + lower * lower_share
+    return values
