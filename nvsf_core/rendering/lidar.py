@@ -36,7 +36,7 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> LidarR
         field: The scene.
         batch: Rays and proposed surfaces.
         vote: (r,) share of the nearest training scans that returned here: the prior of the hit. A ray
-            that ends on a moving object, by more than half, asks the object's surfaces instead.
+            that ends on a moving object asks the object's surfaces instead.
     """
     rays = _composite(field, batch, vote)
     both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
@@ -78,7 +78,7 @@ def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
 def answer_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RayAnswers:
     """The weighted median surface, the hit probability and the intensity of each ray.
 
-    Where moving objects have a fifth of the weight the median is theirs alone.
+    Where moving objects have 3 tenths of the weight the median is theirs alone.
 
     Raises:
         DivergedError: The field's opacities are NaN.
