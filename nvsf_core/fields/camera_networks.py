@@ -1,6 +1,7 @@
 """What the cameras learn: which depths to believe, and how to blend what recorded images show there."""
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import TypeVar, cast
 
 import torch
@@ -161,7 +162,7 @@ class BlendNetwork(nn.Module):
 
 
 class CameraNetworks(nn.Module):
-    """The networks of a drive, shared by its cameras."""
+    """One member of a drive's networks, all that shows a view; shared by the drive's cameras."""
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
         """Draw all weights from `generator`."""
@@ -169,6 +170,22 @@ class CameraNetworks(nn.Module):
         self.depth = DepthNetwork(spec, generator)
         self.blend = BlendNetwork(spec, generator)
         self.refine = RefineNetwork(spec, generator) if spec.refinements else None
+
+
+class CameraEnsemble(nn.Module):
+    """Members that learn the same, each from weights and windows of its own; a view shows their mean.
+
+    What each makes of the few images by chance is another thing for another, and the mean has less of it.
+    """
+
+    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
+        """Draw all weights from `generator`, a member's after the other's."""
+        super().__init__()
+        self.members = nn.ModuleList(CameraNetworks(spec, generator) for _ in range(spec.members))
+
+    def __iter__(self) -> Iterator[CameraNetworks]:
+        """The members, as ModuleList does not type them."""
+        return iter(cast(Iterable[CameraNetworks], self.members))
 
 
 def _resized(x: Tensor, like: Tensor) -> Tensor:

@@ -69,6 +69,9 @@ class CameraSpec:
     varied: bool = False
     """Every step's image, and its sources with it, in other colours and another light, every second in a
     mirror: so long trainings learn the few images by heart later. It does not pay in short ones."""
+    members: int = 1
+    """Networks that learn apart from each other and are shown together. Each costs as much again, in training
+    and in rendering."""
     judge_every: int = 9
     """Of so many training images one is never learned from but decides whether learning beat `reproject`."""
 

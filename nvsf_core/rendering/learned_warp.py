@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork, RefineNetwork
+from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks, DepthNetwork, RefineNetwork
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor
@@ -195,12 +195,19 @@ def blend_sources(
 
 
 @torch.no_grad()
-def render_view(networks: CameraNetworks, view: CameraView, spec: CameraSpec) -> RenderedImage:
-    """The whole view; a pixel is as far away as the depth that is believed most."""
-    blend = blend_sources(networks, view, believe_depth(networks.depth, view, spec), spec)
-    image = (blend.colour.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
-    found = blend.hypotheses
-    believed = found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
+def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> RenderedImage:
+    """The whole view, the mean of what the members show.
+
+    A pixel is as far away as the depth that a member believes most; of several members', the median.
+    """
+    colours, depths = [], []
+    for member in networks:
+        blend = blend_sources(member, view, believe_depth(member.depth, view, spec), spec)
+        found = blend.hypotheses
+        colours.append(blend.colour)
+        depths.append(found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0])
+    image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
+    believed = torch.stack(depths).median(dim=0).values
     return RenderedImage(
         image.permute(1, 2, 0).contiguous().numpy(), ray_length(believed, view.pinhole).numpy()
     )

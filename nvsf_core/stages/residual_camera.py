@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
@@ -60,9 +60,9 @@ class TrainedCamera:
 
 
 def train_camera(
-    task: Task, work: Path, networks: CameraNetworks, recipe: ResidualRecipe, recording: Recording
+    task: Task, work: Path, networks: CameraEnsemble, recipe: ResidualRecipe, recording: Recording
 ) -> TrainedCamera:
-    """Train both networks on every image that is not a judge, then ask the judges.
+    """Train all networks on every image that is not a judge, then ask the judges.
 
     They say, too, whether images show a view better where they were aligned; else they stay as given.
     """
@@ -80,16 +80,16 @@ def train_camera(
         return TrainedCamera({}, 0.0, {"camera_shows": "reproject: too few images to learn from"}, [], {})
     task.progress(f"[{task.scene.name}] field, camera: {len(examples)} images to learn from")
     preparation = time.perf_counter() - started
-    depth = _fresh(task, networks.depth, recipe.depth_training, 1)
+    depth = _fresh(task, nn.ModuleList(one.depth for one in networks), recipe.depth_training, 1)
     fit(
         task, work, "depth", depth, recipe.depth_training,
-        lambda _, generator: [depth_step(networks.depth, examples, recipe, generator)],
+        lambda _, generator: (depth_step(one.depth, examples, recipe, generator) for one in networks),
     )  # fmt: skip
     # Depths that planes alone are compared by start the networks well; both then learn for the image.
     both = _fresh(task, networks, recipe.camera_training, 2)
     fit(
         task, work, "camera", both, recipe.camera_training,
-        lambda _, generator: [camera_step(networks, examples, recipe, generator)],
+        lambda _, generator: (camera_step(one, examples, recipe, generator) for one in networks),
     )  # fmt: skip
     metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
     learned = []
@@ -115,7 +115,7 @@ def train_camera(
 
 
 def camera_renderer(
-    networks: CameraNetworks,
+    networks: CameraEnsemble,
     recording: Recording,
     spec: CameraSpec,
     learned: Sequence[str],
@@ -146,7 +146,7 @@ def judges(images: int, spec: CameraSpec) -> range:
 
 
 def judge(
-    networks: CameraNetworks, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
+    networks: CameraEnsemble, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
 ) -> tuple[float, float]:
     """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
     one = drive.given.cameras[camera]

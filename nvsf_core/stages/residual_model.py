@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
@@ -32,7 +32,7 @@ class ResidualFields:
     """What is learned of one scene, for each sensor that the drive has."""
 
     lidar: LidarField | None
-    camera: CameraNetworks | None
+    camera: CameraEnsemble | None
     hits: CellNetwork | None = None
     """Corrects what returns in the LiDAR's own grid; None where the recipe has none."""
     pano: CellNetwork | None = None
@@ -63,7 +63,7 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
         if recipe.pano is not None and recipe.pano.training is not None:
             pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
     if recording.cameras:
-        camera = CameraNetworks(recipe.camera, torch.Generator().manual_seed(seed + 1))
+        camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
     return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
 
 

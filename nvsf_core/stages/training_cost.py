@@ -41,7 +41,7 @@ def expected_seconds(recipe: ResidualRecipe, parameters: dict[str, int], samples
         size = parameters["camera"] / _CAMERA_PARAMETERS
         total += size * _drawn(recipe.depth_training) * _SECONDS_A_PLANE_PIXEL
         total += size * _drawn(recipe.camera_training) * _SECONDS_A_BLENDED_PIXEL
-        refined = _drawn(recipe.camera_training) * recipe.camera.refinements
+        refined = _drawn(recipe.camera_training) * recipe.camera.refinements * recipe.camera.members
         total += refined * _SECONDS_A_REFINED_DEPTH
     if "pano" in parameters and recipe.pano is not None and recipe.pano.training is not None:
         total += recipe.pano.frames * recipe.pano.phases * _SECONDS_A_PANO_TURN

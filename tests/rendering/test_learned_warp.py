@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraNetworks
+from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraEnsemble, CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import (
@@ -100,12 +100,33 @@ def test_two_separate_depths_of_a_pixel_are_both_found() -> None:
 
 
 def test_untrained_networks_show_the_wall_where_the_lidar_knows_it() -> None:
-    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
+    networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
     shown = render_view(networks, view(wall_points()), SPEC)
     error = np.abs(shown.rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
     assert np.median(error) < 12.0
     length_m = WALL_M / CAMERA.rays(CAMERA.pixels())[..., 2]
     assert np.median(np.abs(shown.range_m / length_m - 1.0)[8:-8, 16:-16]) < 0.01
+
+
+@torch.no_grad()
+def test_a_view_is_the_mean_of_what_its_members_show() -> None:
+    spec = replace(SPEC, members=3)
+    networks, one = CameraEnsemble(spec, torch.Generator().manual_seed(0)), view(wall_points())
+    for number, member in enumerate(networks):
+        assert member.blend.out.bias is not None
+        member.blend.out.bias += 0.1 * (number + 1) * torch.linspace(-1.0, 1.0, len(member.blend.out.bias))
+    alone = []
+    for member in networks:
+        single = CameraEnsemble(SPEC, torch.Generator())
+        single.members[0].load_state_dict(member.state_dict())
+        alone.append(render_view(single, one, SPEC))
+    together = render_view(networks, one, spec)
+    colours = np.stack([shown.rgb for shown in alone]).astype(float)
+    assert np.abs(colours[0] - colours[2]).max() > 3.0
+    # Members are rounded to whole levels here, their mean once.
+    assert np.abs(together.rgb - colours.mean(axis=0)).max() <= 1.0
+    median_m = np.median([shown.range_m for shown in alone], axis=0)
+    np.testing.assert_allclose(together.range_m, median_m, rtol=1e-5)
 
 
 @torch.no_grad()
@@ -174,7 +195,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
         pose(0.0), CAMERA, wall_points(), shown_images(images, VALID, 2, shadows), PLACES, SPEC, leave_out=1,
         things=[MovingThing(plate(0.0), moved)],
     )  # fmt: skip
-    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
+    networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
     error = np.abs(render_view(networks, one, SPEC).rgb.astype(float) - images[1]).max(axis=-1)
     middle = (slice(28, 36), slice(60, 68))
     assert error[middle].max() < 30.0

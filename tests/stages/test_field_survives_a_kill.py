@@ -13,7 +13,7 @@ import torch
 
 from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
+from nvsf_core.recipe import CameraSpec, FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
 from nvsf_core.stages import fitting, plan_run, residual_training, run_named_stage
 from nvsf_core.stores.checkpoints import load_tensors
 
@@ -29,6 +29,7 @@ RESIDUAL = replace(
     name="often_saved",
     lidar_field=FieldSpec(levels=2, log2_table=8),
     lidar_training=replace(_TRAINING, rays=64),
+    camera=CameraSpec(members=2),
     depth_training=_TRAINING,
     camera_training=_TRAINING,
     hits=HitsSpec(channels=4, layers=1, training=replace(_TRAINING, rays=64)),
@@ -42,7 +43,10 @@ PAPER = replace(
     optimiser=replace(PAPER.optimiser, steps=STEPS),
     refinement=replace(PAPER.refinement, steps=STEPS, panos=1, column_step=8),
 )
-PHASES = {"lidar": "lidar.", "hits": "hits.", "pano": "pano.", "depth": "camera.depth.", "camera": "camera."}
+PHASES = {
+    "lidar": "lidar.", "hits": "hits.", "pano": "pano.", "depth": "camera.members.1.depth.",
+    "camera": "camera.members.1.blend.",
+}  # fmt: skip
 """Of the residual recipes, in their order, and how the names of their weights begin."""
 PAPER_PHASES = {"field": "field.", "refinement": "unet."}
 """LiDAR and camera rays train the paper's field together."""
