@@ -144,7 +144,10 @@ CONTRACT: tuple[FileSpec, ...] = (
         "field", "field/<recipe>/<seed>/curve.parquet", "parquet",
         "Training curve; beside it `weights.safetensors` and `recipe.json`.",
         _columns(
-            ("sensor", "string", "", "`lidar` or `camera`"),
+            (
+                "sensor", "string", "",
+                "`lidar`, `hits`, `pano`, `depth`, `camera`; of the paper's recipes `field`, `refinement`",
+            ),
             ("step", "i8", "1", "optimiser step"),
             ("seconds", "f8", "s", "spent training so far"),
             ("loss", "f8", "1", "total, weighted; each term has a column of its own beside it, unweighted"),
