@@ -1,5 +1,6 @@
 """Whether a trained model can be used: its weights, its training, and a training scan rendered by it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -32,8 +33,9 @@ WEIGHTS = Law(
 )
 LOSS = Law(
     name="training_lowered_the_loss",
-    description="Each part's loss ends lower than it began, by the medians of the first and the last fifth "
-    "of its curve: single batches differ too much. Value: the worst part's last over its first.",
+    description="Each part's loss ends no higher than it began, by the medians of the first and the last "
+    "fifth of its curve and two standard errors of their difference: single batches differ much. Value: the "
+    "worst part's last, less these two, over its first.",
 )
 ANSWERS = Law(
     name="training_scan_is_rendered_within_limits",
@@ -55,6 +57,9 @@ INTENSITY = Law(
 LAWS = (WEIGHTS, LOSS, ANSWERS, HIT_RATE, INTENSITY)
 _OF_RENDERING = (ANSWERS, HIT_RATE, INTENSITY)
 _FIFTH = 5
+_NORMAL_MAD, _MEDIAN_ERROR = 1.4826, 1.2533
+"""Of a normal distribution: its standard deviation over its median absolute deviation, and the standard error
+of a median over that of a mean."""
 _MOST_LASERS = 8
 
 
@@ -72,13 +77,20 @@ def check_loss(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> Check:
     ends = {part: _ends([row["loss"] for row in curve]) for part, curve in curves.items() if len(curve) > 1}
     if not ends:
         return LOSS.not_run("no part was trained for long enough to tell")
-    detail = ", ".join(f"{part} {first:.4f} to {last:.4f}" for part, (first, last) in ends.items())
-    return LOSS.judged(max(last / max(first, 1e-12) for first, last in ends.values()), 1.0, detail)
+    detail = ", ".join(
+        f"{part} {first:.4f} to {last:.4f} ± {error:.4f}" for part, (first, last, error) in ends.items()
+    )
+    worst = max((last - 2.0 * error) / max(first, 1e-12) for first, last, error in ends.values())
+    return LOSS.judged(worst, 1.0, detail)
 
 
-def _ends(losses: Sequence[float]) -> tuple[float, float]:
+def _ends(losses: Sequence[float]) -> tuple[float, float, float]:
+    """Medians of a curve's first and last fifth, and the standard error of their difference."""
     fifth = max(1, len(losses) // _FIFTH)
-    return float(np.median(losses[:fifth])), float(np.median(losses[-fifth:]))
+    parts = np.array([losses[:fifth], losses[-fifth:]])
+    medians = np.median(parts, axis=1)
+    spread = _NORMAL_MAD * np.median(np.abs(parts - medians[:, None]), axis=1)
+    return float(medians[0]), float(medians[1]), float(_MEDIAN_ERROR * np.hypot(*spread) / math.sqrt(fifth))
 
 
 def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:

@@ -89,5 +89,13 @@ def test_noise_of_single_batches_is_no_rising_loss():
     assert check_loss({"lidar": falling[:1]}).detail.startswith("not run")
 
 
+def test_a_loss_that_scatters_about_its_best_holds_and_one_that_rises_above_its_scatter_does_not():
+    scatter = 0.02 + 0.01 * np.random.default_rng(0).standard_normal(60)
+    assert check_loss({"hits": [{"loss": value} for value in scatter]}).passed
+    assert check_loss({"hits": [{"loss": value} for value in scatter[::-1]]}).passed
+    risen = scatter + np.linspace(0.0, 0.05, 60)
+    assert not check_loss({"hits": [{"loss": value} for value in risen]}).passed
+
+
 def test_a_loss_that_is_not_a_number_does_not_hold():
     assert not check_loss({"lidar": [{"loss": 1.0}, {"loss": math.nan}]}).passed
