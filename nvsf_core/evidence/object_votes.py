@@ -6,6 +6,7 @@ import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving import MovingObject
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.kernels.grid_votes import read_grid
 from nvsf_core.sensors.beam_table import turn_up
 from nvsf_core.sensors.sweep import Trajectory
@@ -30,22 +31,22 @@ class ObjectVotes:
     def near(self, path: MovingObject, scans: np.ndarray, time_s: float) -> "NearVotes":
         """The votes of some of an object's `scans` (k,) about a time."""
         own_s = path.time_s[np.searchsorted(path.scan, scans)]
+        rotation, position = self.trajectory.at(own_s)
         return NearVotes(
-            self, path, scans, np.exp(-np.abs(own_s - time_s) / (_FORGOTTEN_FRAMES * path.frame_s))
+            self,
+            scans,
+            np.exp(-np.abs(own_s - time_s) / (_FORGOTTEN_FRAMES * path.frame_s)),
+            invert_pose(pose_from_parts(rotation, position)) @ path.matrix_at(own_s),
         )
 
-    def returned(self, path: MovingObject, place_o: np.ndarray, scan: int) -> np.ndarray:
-        """Share (v,) float32 of a scan's firings at places (v, 3) of the object's frame that returned.
+    def returned(self, point_m: np.ndarray, scan: int) -> np.ndarray:
+        """Share (v,) float32 of a scan's firings at points (v, 3) of its sensor's frame that returned.
 
-        The two lasers and two firings of each that look beside a place, at the object's own time then, are
-        weighted by how near to it they do.
+        The two lasers and two firings of each that look beside a point are weighted by how near to it
+        they do.
         """
-        time_s = path.time_s[path.scan == scan]
-        pose = path.matrix_at(time_s)[0]
-        rotation, position = self.trajectory.at(time_s)
-        in_sensor = (place_o @ pose[:3, :3].T + pose[:3, 3] - position[0]) @ rotation[0]
-        azimuth = np.arctan2(in_sensor[:, 1], in_sensor[:, 0])
-        recorded, _ = turn_up(in_sensor, in_sensor, azimuth, -self.elevation_correction_rad)
+        azimuth = np.arctan2(point_m[:, 1], point_m[:, 0])
+        recorded, _ = turn_up(point_m, point_m, azimuth, -self.elevation_correction_rad)
         flat_m = np.hypot(recorded[:, 0], recorded[:, 1])
         table = self.table
         found: np.ndarray = read_grid(
@@ -63,15 +64,16 @@ class NearVotes:
     """Some scans that saw an object, ready to be asked about any place on it."""
 
     votes: ObjectVotes
-    path: MovingObject
     scans: np.ndarray
     """(k,) int32 training scans."""
     weight: np.ndarray
     """(k,) float64 above 0."""
+    object_to_sensor: np.ndarray
+    """(k, 4, 4) float64: where each scan's sensor had the object."""
 
     def share(self, place_o: np.ndarray) -> np.ndarray:
         """Share (v,) float32 of the scans, by weight, that returned at places (v, 3) of its own frame."""
         total = np.zeros(len(place_o))
-        for scan, weight in zip(self.scans.tolist(), self.weight.tolist(), strict=True):
-            total += weight * self.votes.returned(self.path, place_o, scan)
+        for scan, weight, pose in zip(self.scans.tolist(), self.weight, self.object_to_sensor, strict=True):
+            total += weight * self.votes.returned(place_o @ pose[:3, :3].T + pose[:3, 3], scan)
         return (total / self.weight.sum()).astype(np.float32)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_se3, invert_pose
@@ -154,9 +154,9 @@ def _residual(
         (m,), and its derivatives (m, 6) by the twists of the anchors' own pose and of the other's.
     """
     point = anchors.point_m @ motion[:3, :3].T + motion[:3, 3]
-    column, row, inside = _projected(point, pinhole)
+    pixels, inside = _projected(point, pinhole)
     point, own = point[inside], anchors.point_m[inside]
-    found = _between(seen, column[inside], row[inside])
+    found = _between(seen, pixels[inside])
     residual = found[:, 0] - anchors.grey[inside]
     if len(residual):
         residual = residual - np.median(residual)
@@ -181,44 +181,36 @@ def _near(pose: np.ndarray, image: int) -> list[int]:
 
 
 def _with_slopes(image: np.ndarray) -> np.ndarray:
-    """(h, w, 3) float32: smoothed grey values in 0..1, and their slopes along columns and rows."""
+    """(3, h, w) float32: smoothed grey values in 0..1, and their slopes along columns and rows."""
     grey = gaussian_filter(image.mean(axis=-1, dtype=np.float32) / 255.0, _BLUR_PX, mode="nearest")
     down, across = np.gradient(grey)
-    return np.stack([grey, across, down], axis=-1).astype(np.float32)
+    return np.stack([grey, across, down]).astype(np.float32)
 
 
 def _anchors(seen: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: np.ndarray) -> _Anchors:
     """The returns that an image's camera sees: of each small cell the nearest, the others may be hidden."""
     inverse = invert_pose(pose)
     point = returns_m @ inverse[:3, :3].T + inverse[:3, 3]
-    column, row, inside = _projected(point, pinhole)
-    point, column, row = point[inside], column[inside], row[inside]
-    cell = (row // _CELL_PX).astype(np.int64) * pinhole.width + (column // _CELL_PX).astype(np.int64)
+    pixels, inside = _projected(point, pinhole)
+    point, pixels = point[inside], pixels[inside]
+    column, row = (pixels // _CELL_PX).astype(np.int64).T
+    cell = row * pinhole.width + column
     by_depth = np.argsort(point[:, 2], kind="stable")
     _, first = np.unique(cell[by_depth], return_index=True)
     kept = by_depth[first]
     kept = kept[:: max(1, -(-len(kept) // _MOST_RETURNS))]
-    return _Anchors(point[kept], _between(seen, column[kept], row[kept])[:, 0])
+    return _Anchors(point[kept], _between(seen[:1], pixels[kept])[:, 0])
 
 
-def _projected(point: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns and rows (m,) of points in the camera's frame, and whether they lie well inside the image."""
-    depth_m = np.maximum(point[:, 2], _NEAREST_M)
-    column = pinhole.fx * point[:, 0] / depth_m + pinhole.cx
-    row = pinhole.fy * point[:, 1] / depth_m + pinhole.cy
-    inside = (
-        (point[:, 2] > _NEAREST_M)
-        & (np.abs(column - 0.5 * (pinhole.width - 1)) < 0.5 * pinhole.width - _RIM_PX)
-        & (np.abs(row - 0.5 * (pinhole.height - 1)) < 0.5 * pinhole.height - _RIM_PX)
-    )
-    return column, row, inside
+def _projected(point: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (m, 2) of points in the camera's frame, and whether they lie well inside the image."""
+    pixels, _ = pinhole.project(point)
+    end = np.array([pinhole.width, pinhole.height]) - _RIM_PX - 0.5
+    well = ((pixels > _RIM_PX - 0.5) & (pixels < end)).all(axis=1)
+    return pixels, well & (point[:, 2] > _NEAREST_M)
 
 
-def _between(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Values (m, c) of an image (h, w, c) between its pixels, all of which lie in it."""
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right_share, lower_share = (column - left)[:, None], (row - top)[:, None]
-    upper = image[top, left] * (1.0 - right_share) + image[top, left + 1] * right_share
-    lower = image[top + 1, left] * (1.0 - right_share) + image[top + 1, left + 1] * right_share
-    values: np.ndarray = upper * (1.0 - lower_share) + lower * lower_share
-    return values
+def _between(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Values (m, c) of an image (c, h, w) between its pixels."""
+    places = pixels.T[::-1]
+    return np.stack([map_coordinates(one, places, np.float64, order=1) for one in image], axis=1)

@@ -1,7 +1,7 @@
 """The residual recipes' camera: its networks trained by leaving images out, judged, and rendered with."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,9 +98,10 @@ def train_camera(
     preparation += time.perf_counter() - aligning
     kept = {}
     for name in usable:
-        shown_db, warped_db = judge(networks, given, name, shown[name], recipe.camera)
+        shown_db = judge(networks, given, name, shown[name], recipe.camera)
+        warped_db = judge_reproject(recording, name, recipe.camera)
         if name in aligned.corrections:
-            aligned_db, _ = judge(networks, aligned, name, shown[name], recipe.camera)
+            aligned_db = judge(networks, aligned, name, shown[name], recipe.camera)
             metadata[f"{name}_judged_aligned_gain_db"] = aligned_db - shown_db
             if aligned_db > shown_db:
                 shown_db, kept[name] = aligned_db, aligned.corrections[name]
@@ -147,23 +148,40 @@ def judges(images: int, spec: CameraSpec) -> range:
 
 def judge(
     networks: CameraEnsemble, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
-) -> tuple[float, float]:
-    """Mean PSNR in dB of the judges' images: shown by the networks, and by `reproject`."""
-    one = drive.given.cameras[camera]
+) -> float:
+    """Mean PSNR in dB of the judges' images as the networks show them."""
+
+    def show(index: int) -> RenderedImage:
+        return render_view(networks, _left_out_view(drive, camera, index, images_shown, spec), spec)
+
+    return _judged(drive.given, camera, spec, show)
+
+
+def judge_reproject(recording: Recording, camera: str, spec: CameraSpec) -> float:
+    """Mean PSNR in dB of the judges' images as `reproject` shows them."""
+    one = recording.cameras[camera]
     images = one.training
-    scores = []
-    for index in judges(len(images.rgb), spec):
-        truth = images.rgb[index][images.valid] / 255.0
+
+    def show(index: int) -> RenderedImage:
         others = np.arange(len(images.rgb)) != index
-        shown = render_view(networks, _left_out_view(drive, camera, index, images_shown, spec), spec)
-        points = depth_points(drive.given, float(one.training_time_s[index]), leave_out=True)
-        warped = render_by_warping(
+        points = depth_points(recording, float(one.training_time_s[index]), leave_out=True)
+        return render_by_warping(
             images.pose[index], images.pinhole, points,
             images.rgb[others], images.pose[others], source_valid=images.valid,
         )  # fmt: skip
-        scores.append([psnr(image.rgb[images.valid] / 255.0, truth, 1.0).value for image in (shown, warped)])
-    shown_db, warped_db = np.mean(scores, axis=0)
-    return float(shown_db), float(warped_db)
+
+    return _judged(recording, camera, spec, show)
+
+
+def _judged(
+    recording: Recording, camera: str, spec: CameraSpec, show: Callable[[int], RenderedImage]
+) -> float:
+    images = recording.cameras[camera].training
+    scores = [
+        psnr(show(index).rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value
+        for index in judges(len(images.rgb), spec)
+    ]
+    return float(np.mean(scores))
 
 
 def left_out(
