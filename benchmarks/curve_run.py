@@ -271,7 +271,8 @@ def _model(
 def _of_clock(model: SceneModel, clock: str) -> SceneModel:
     """What a mark of a clock says something about."""
     if clock == LIDAR:
-        return replace(model, camera=None)
+        # What corrects a turn's hits is trained after the field: no mark but the end has it.
+        return replace(model, camera=None, correct=None)
     return replace(model, lidar=None) if clock == CAMERA else model
 
 

@@ -6,26 +6,22 @@ returns every fourth; of an image every fourth pixel of every fourth row, as it 
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.curve_lidar import SECTORS, SHARE, WHOLE, Answers, model_answers, quarter_of_rays, recorded
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
-from nvsf_core.metrics.protocols import MAX_RANGE_M, PanoImage, Scan, lidar4d, project_scan
+from nvsf_core.metrics.protocols import MAX_RANGE_M, PanoImage, lidar4d, project_scan
 from nvsf_core.metrics.range import ray_range_metrics
 from nvsf_core.recipe import EvidenceSpec, PaperRecipe, Recipe, ResidualRecipe
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.warping import shrunk
-from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import by_lasers, put_back_own_vehicle, recorded_scan
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
-from nvsf_core.simulation.sweep_simulation import answer_in_chunks, simulate_sweep
-from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.recording import LidarRecording, Recording
+from nvsf_core.simulation.sweep_simulation import simulate_sweep
+from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.view_camera import copied_images
 from nvsf_core.stages.view_lidar import copied_scans, warm_up
 from nvsf_core.stages.view_planning import View, held_out_view, reference_poses
@@ -38,47 +34,7 @@ LIDAR_METRICS = ("chamfer_m2", "f_score", "range_psnr_db", "hit_accuracy")
 RAW_METRICS = ("range_abs_error_median_m", "range_abs_error_p90_m")
 """Along the chosen recorded returns' own rays."""
 IMAGE_METRIC = "image_psnr_db"
-_BLOCK, _SHARE, _PIXEL_STEP = 32, 4, 4
-_ROUGH_RANGE_M = 20.0
-"""Where a ray is taken to end when it is asked which column it falls into."""
-
-
-class Sectors(LinearPano):
-    """Every fourth block of 32 columns of the pano."""
-
-    @property
-    def columns(self) -> np.ndarray:
-        """Columns of the whole pano that are looked at."""
-        every = np.arange(self.width)
-        chosen: np.ndarray = every[every // _BLOCK % _SHARE == 0]
-        return chosen
-
-    def directions(self) -> np.ndarray:
-        """(66, 262, 3) unit directions."""
-        return super().directions()[:, self.columns]
-
-    def points(self, range_m: np.ndarray) -> np.ndarray:
-        """Points of the filled cells of an image (66, 262)."""
-        filled = range_m > 0.0
-        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
-        return found
-
-    def cut(self, image: PanoImage) -> PanoImage:
-        """The chosen columns of a whole pano."""
-        return PanoImage(
-            range_m=image.range_m[:, self.columns], intensity=image.intensity[:, self.columns],
-            hit=image.hit[:, self.columns],
-        )  # fmt: skip
-
-
-_WHOLE, _SECTORS = LinearPano(quirks=True), Sectors(quirks=True)
-
-
-class Answers(Protocol):
-    """The LiDAR of a method: the scan of a frame, and ranges along recorded rays."""
-
-    def __call__(self, number: int, /) -> tuple[PanoImage, np.ndarray]:
-        """The frame's pano, whole, and the ranges along every fourth recorded ray."""
+_PIXEL_STEP = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +59,7 @@ class Judge:
         found: dict[str, float] = {}
         lidar, plan = self.recording.lidar, self.view.sweeps
         if model.lidar is not None and lidar is not None and plan is not None:
-            found |= self.lidar_errors(_model_answers(lidar, plan, model))
+            found |= self.lidar_errors(model_answers(lidar, plan, model))
         if model.camera is not None:
             shown = self._rendered(model.camera, thin_images)
             found |= self.image_errors(shown)
@@ -120,7 +76,7 @@ class Judge:
                 names = ("range_m", "intensity", "hit")
                 part = slice(*copies["ray_offsets"][number : number + 2].tolist())
                 pano = PanoImage(**{name: copies[f"pano_{name}"][number] for name in names})
-                return pano, copies["ray_range_m"][part][::_SHARE]
+                return pano, copies["ray_range_m"][part][::SHARE]
 
             found |= self.lidar_errors(answer)
         images = copied_images(self.recording, self.view.images)
@@ -133,10 +89,10 @@ class Judge:
         assert lidar is not None and plan is not None
         frames = []
         for number, frame in enumerate(plan.frame.tolist()):
-            scan, range_m = _recorded(lidar, frame)
+            scan, range_m = recorded(lidar, frame)
             predicted, answered_m = answers(number)
-            truth = _SECTORS.cut(project_scan(_WHOLE, scan))
-            pano = lidar4d(_SECTORS.cut(predicted), truth, _SECTORS, None)
+            truth = SECTORS.cut(project_scan(WHOLE, scan))
+            pano = lidar4d(SECTORS.cut(predicted), truth, SECTORS, None)
             near = (range_m > 0.0) & (range_m <= MAX_RANGE_M)
             rays = ray_range_metrics(answered_m[near], range_m[near])
             frames.append(
@@ -263,52 +219,3 @@ def thin_pinhole(pinhole: Pinhole) -> Pinhole:
     )  # fmt: skip
 
 
-def quarter_of_rays(lidar: LidarRecording, plan: SweepPlan, time_s: float, votes: int) -> SweepRays:
-    """The rays of one sweep that fall into the chosen columns."""
-    evidence, sweeps = lidar.evidence, lidar.sweeps
-    near = evidence.prior.nearest_scans(time_s, votes)
-    firings = round(float(evidence.firings[near].mean()))
-    lasers = evidence.lasers.astype(np.int64)
-    rays = sweep_rays(plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s)
-    end = rays.recorded_origin_m + rays.recorded_direction * _ROUGH_RANGE_M
-    kept = np.isin(_WHOLE.cells(end)[1], _SECTORS.columns)
-    columns = {name: getattr(rays, name) for name in (field.name for field in fields(rays))}
-    chosen = {n: v[kept] for n, v in columns.items() if isinstance(v, np.ndarray) and len(v) == len(kept)}
-    return replace(rays, shape=(1, int(kept.sum())), **chosen)
-
-
-def _model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> Answers:
-    evidence, sweeps = lidar.evidence, lidar.sweeps
-    render = model.lidar
-    assert render is not None
-
-    def answer(number: int) -> tuple[PanoImage, np.ndarray]:
-        frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
-        near = evidence.prior.nearest_scans(time_s, model.votes)
-        rays = quarter_of_rays(lidar, plan, time_s, model.votes)
-        fired_s = time_s + rays.fraction * sweeps.period_s
-        vote = evidence.prior.vote(rays.laser, rays.fraction, near)
-        answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, fired_s)
-        answers = by_lasers(answers, rays.laser, plan.table, as_recorded=model.as_recorded)
-        points, intensity, laser = recorded_scan(rays, put_back_own_vehicle(answers, rays, evidence))
-        pano = project_scan(_WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
-        a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
-        origin, direction = (a[name][part][::_SHARE] for name in ("origin_m", "direction"))
-        laser, fraction = (a[name][part][::_SHARE] for name in ("laser", "sweep_fraction"))
-        vote = evidence.prior.vote(np.maximum(laser, 0), fraction, near)
-        fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
-        along = answer_in_chunks(render, origin, direction, vote, fired_s)
-        return pano, by_lasers(along, laser, sweeps.table, as_recorded=model.as_recorded).range_m
-
-    return answer
-
-
-def _recorded(lidar: LidarRecording, frame: int) -> tuple[Scan, np.ndarray]:
-    """A frame's scan, and the ranges of every fourth of its returns."""
-    a, part = lidar.sweeps.arrays, lidar.sweeps.returns_of(_scan_of(lidar, frame))
-    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    return scan, a["range_m"][part][::_SHARE]
-
-
-def _scan_of(lidar: LidarRecording, frame: int) -> int:
-    return int(np.flatnonzero(lidar.sweeps.arrays["frame"] == frame)[0])

@@ -1,20 +1,18 @@
-"""What training a residual recipe is expected to cost: a model fitted to four measured runs."""
+"""What training a residual recipe is expected to cost: a model fitted to five measured runs."""
 
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 
 FITTED_ON = "2 cores of an AMD EPYC"
-# Fitted on an idle machine to `quick` on demo, k360_street and kitti0005_van_cyclist (commit f449297) and,
-# for what only `lean` has, to its run on k360_street (commit 13a69bd).
-_PREPARATION_S = 12.5
-_SECONDS_A_SAMPLE = 1.2e-6
+# Fitted on an idle machine to five runs of commit d98851e: `quick` on demo, k360_street and
+# kitti0005_van_cyclist (77, 86 and 87 s), `lean` on the latter two (950 and 1029 s).
+_PREPARATION_S = 17.0
+_SECONDS_A_SAMPLE = 0.93e-6
 """One surface of one LiDAR ray in one step, forward, backward and Adam's share."""
-_SECONDS_A_PLANE_PIXEL = 30e-6
-# These two by the ratio of a step's seconds on one core before and since convolutions go plane by plane:
-# 0.5 without refined depths, 0.6 with them.
+_SECONDS_A_PLANE_PIXEL = 20e-6
 _SECONDS_A_BLENDED_PIXEL = 33e-6
 _SECONDS_A_REFINED_DEPTH = 6.3e-6
 """One depth that is compared once more at one blended pixel."""
-_SECONDS_A_PANO_CELL = 1.7e-6
+_SECONDS_A_PANO_CELL = 1.1e-6
 _SECONDS_A_PANO_TURN = 0.6
 """One turn that is fired to make what the pano, or the network of hits, learns from."""
 _CAMERA_PARAMETERS = 111_000

@@ -8,8 +8,9 @@ import pytest
 
 from benchmarks import curve_run
 from benchmarks.curve_document import write_document
+from benchmarks.curve_lidar import Sectors
 from benchmarks.curve_plan import read_result, result_path, split_of, write_result
-from benchmarks.curve_scoring import Sectors, thin_pinhole, thinned
+from benchmarks.curve_scoring import thin_pinhole, thinned
 from benchmarks.curve_sizes import SIZES, chosen_size
 from benchmarks.curves import asked_from, is_done
 from nvsf_core.errors import DataError

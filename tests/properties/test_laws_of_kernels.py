@@ -36,6 +36,15 @@ def _table(seed: int, *shape: int) -> Tensor:
     return torch.empty(shape).uniform_(-1.0, 1.0, generator=torch.Generator().manual_seed(seed))
 
 
+def _check_handed_down(value: Tensor, entries: Tensor, seed: int) -> None:
+    """A value is linear in its entries: weighted alike, it and their gradients give the same sum."""
+    weight = _table(seed + 1, *value.shape)
+    value.backward(weight)
+    assert entries.grad is not None
+    up, down = (value.detach().double() * weight).sum(), (entries.detach().double() * entries.grad).sum()
+    assert abs(float(up - down)) <= SINGLE.sum_eps * EPS * (1.0 + float(value.detach().abs().sum()))
+
+
 @LAW
 @given(seeds, points)
 def test_an_encoding_is_a_mean_of_its_entries(seed: int, where: list[tuple[float, float, float]]) -> None:
@@ -53,12 +62,7 @@ def test_what_an_encoding_hands_down_is_what_it_took_up(
     seed: int, where: list[tuple[float, float, float]]
 ) -> None:
     x, table = torch.tensor(where), _table(seed, LAYOUT.entries, 2).requires_grad_()
-    value = hash_grid_encode(x, table, LAYOUT)
-    weight = _table(seed + 1, *value.shape)
-    value.backward(weight)
-    assert table.grad is not None
-    up, down = (value.detach().double() * weight).sum(), (table.detach().double() * table.grad).sum()
-    assert abs(float(up - down)) <= SINGLE.sum_eps * EPS * (1.0 + float(value.detach().abs().sum()))
+    _check_handed_down(hash_grid_encode(x, table, LAYOUT), table, seed)
 
 
 @LAW
@@ -69,11 +73,7 @@ def test_a_planes_sample_is_a_mean_and_hands_down_what_it_took_up(
     x, plane = torch.tensor(where)[:, :2].contiguous(), _table(seed, 3, 9, 17).requires_grad_()
     value = planes_sample(x, plane)
     assert value.abs().max() <= 1.0 + 8 * EPS
-    weight = _table(seed + 1, *value.shape)
-    value.backward(weight)
-    assert plane.grad is not None
-    up, down = (value.detach().double() * weight).sum(), (plane.detach().double() * plane.grad).sum()
-    assert abs(float(up - down)) <= SINGLE.sum_eps * EPS * (1.0 + float(value.detach().abs().sum()))
+    _check_handed_down(value, plane, seed)
 
 
 @LAW

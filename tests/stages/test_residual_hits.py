@@ -1,6 +1,5 @@
 """The network of hits is kept where left-out scans say that it helps, and nowhere else."""
 
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,21 +8,14 @@ import pytest
 import torch
 
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, ResidualRecipe, TrainingSpec, preset
-from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.flow import SceneRun
 from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
 from nvsf_core.stages.residual_hits import TrainedHits, recorded_turns, train_hits
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.stage import Task
+from tests.stages.lidar_drive import proven_drive
 
-FRAMES, HELD_OUT = 9, 4
-SIZE = DemoSize(
-    frames=FRAMES, lasers=tuple(range(0, 64, 4)), firings=300, cameras=("image_00",), width=32, height=16,
-    fisheye_side=0,
-)  # fmt: skip
 SMOKE = preset("smoke")
 assert isinstance(SMOKE, ResidualRecipe)
 SMALL = replace(
@@ -58,16 +50,7 @@ class Drive:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    folder: Path = tmp_path_factory.mktemp("hits")
-    write_demo(folder / "drive", size=SIZE)
-    shutil.rmtree(folder / "drive/data_2d_raw")
-    scene = SceneEntry(
-        name="hits", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0,
-        last_frame=FRAMES - 1, test_frames=(HELD_OUT,), sweep_period_s=0.1,
-    )  # fmt: skip
-    run = plan_run(scene, folder / "home", recipe=SMALL)
-    for stage in ("frames", "sweeps", "undistorted", "pano", "evidence"):
-        run_named_stage(stage, run, lambda line: None)
+    run = proven_drive(tmp_path_factory.mktemp("hits"), SMALL, firings=300, held_out=(4,))
     recording = read_recording(run.store)
     assert recording.lidar is not None
     return Drive(run, recording, recording.lidar)

@@ -8,24 +8,19 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import load_residual_model, make_fields
 from nvsf_core.stages.stage import Outcome
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
+from tests.stages.lidar_drive import FRAMES, proven_drive
 
-FRAMES, HELD_OUT = 9, 4
-SIZE = DemoSize(
-    frames=FRAMES, lasers=tuple(range(0, 64, 4)), firings=500, cameras=("image_00",), width=32, height=16,
-    fisheye_side=0,
-)  # fmt: skip
+HELD_OUT = 4
 SMOKE = preset("smoke")
 assert isinstance(SMOKE, ResidualRecipe)
 # Paid for expecting a return where there was none, and none where there was one.
@@ -66,16 +61,7 @@ class Judged:
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory: pytest.TempPathFactory) -> Judged:
     """Its field was broken on purpose."""
-    folder: Path = tmp_path_factory.mktemp("judged")
-    write_demo(folder / "drive", size=SIZE)
-    shutil.rmtree(folder / "drive/data_2d_raw")
-    scene = SceneEntry(
-        name="judged", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0,
-        last_frame=FRAMES - 1, test_frames=(HELD_OUT,), sweep_period_s=0.1,
-    )  # fmt: skip
-    run = plan_run(scene, folder / "home", recipe=BROKEN)
-    for stage in ("frames", "sweeps", "undistorted", "pano", "evidence"):
-        run_named_stage(stage, run, lambda line: None)
+    run = proven_drive(tmp_path_factory.mktemp("judged"), BROKEN, firings=500, held_out=(HELD_OUT,))
     outcome = run_named_stage("field", run, lambda line: None)
     recording = read_recording(run.store)
     assert recording.lidar is not None

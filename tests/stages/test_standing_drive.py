@@ -1,32 +1,24 @@
 """A drive that stands in traffic: copying the nearest scan is hard to beat there, and must not win."""
 
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.kitti360.demo_motion import EgoSpeed
 from nvsf_core.metrics.protocols import Scan, lidar4d, project_scan
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
-from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.view_lidar import copied_scans
 from nvsf_core.stages.view_planning import held_out_view
+from tests.stages.lidar_drive import FRAMES, proven_drive
 
-FRAMES = 9
 HELD_OUT = (2, 4, 6)
-SIZE = DemoSize(
-    frames=FRAMES, lasers=tuple(range(0, 64, 4)), firings=1000, cameras=("image_00",), width=32, height=16,
-    fisheye_side=0,
-)  # fmt: skip
 RECIPE = replace(
     preset("smoke"),
     lidar_field=FieldSpec(levels=2, log2_table=8),
@@ -39,16 +31,11 @@ KEYS = ("points_m", "intensity", "laser")
 @pytest.fixture(scope="module")
 def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     """Mean CD, F and range PSNR of the held-out scans (`lidar4d_scan`), by method."""
-    folder: Path = tmp_path_factory.mktemp("standing")
-    write_demo(folder / "drive", size=SIZE, speed=EgoSpeed(speeds_m_s=(0.0,)), traffic=4)
-    shutil.rmtree(folder / "drive/data_2d_raw")
-    scene = SceneEntry(
-        name="standing", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0,
-        last_frame=FRAMES - 1, test_frames=HELD_OUT, sweep_period_s=0.1,
+    run = proven_drive(
+        tmp_path_factory.mktemp("standing"), RECIPE, firings=1000, held_out=HELD_OUT,
+        speed=EgoSpeed(speeds_m_s=(0.0,)), traffic=4,
     )  # fmt: skip
-    run = plan_run(scene, folder / "home", recipe=RECIPE)
-    for stage in ("frames", "sweeps", "undistorted", "pano", "evidence", "field"):
-        run_named_stage(stage, run, lambda line: None)
+    run_named_stage("field", run, lambda line: None)
     recording = read_recording(run.store)
     view = held_out_view(recording, HELD_OUT)
     assert recording.lidar is not None and view is not None and view.sweeps is not None

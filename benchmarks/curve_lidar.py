@@ -1,0 +1,147 @@
+"""The LiDAR that a curve is scored by: a fixed quarter of the pano, and every fourth recorded ray."""
+
+from dataclasses import fields, replace
+from typing import Protocol
+
+import numpy as np
+
+from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
+from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_vehicle, recorded_scan
+from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
+from nvsf_core.simulation.sweep_simulation import answer_in_chunks, fire_sweep
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.stages.recording import LidarRecording
+
+SHARE = 4
+"""One of so many blocks of columns, and of recorded rays, is scored."""
+_BLOCK = 32
+_ROUGH_RANGE_M = 20.0
+"""Where a ray is taken to end when it is asked which column it falls into."""
+
+
+class Sectors(LinearPano):
+    """Every fourth block of 32 columns of the pano."""
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Columns of the whole pano that are looked at."""
+        every = np.arange(self.width)
+        chosen: np.ndarray = every[every // _BLOCK % SHARE == 0]
+        return chosen
+
+    def directions(self) -> np.ndarray:
+        """(66, 262, 3) unit directions."""
+        return super().directions()[:, self.columns]
+
+    def points(self, range_m: np.ndarray) -> np.ndarray:
+        """Points of the filled cells of an image (66, 262)."""
+        filled = range_m > 0.0
+        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
+        return found
+
+    def cut(self, image: PanoImage) -> PanoImage:
+        """The chosen columns of a whole pano."""
+        return PanoImage(
+            range_m=image.range_m[:, self.columns], intensity=image.intensity[:, self.columns],
+            hit=image.hit[:, self.columns],
+        )  # fmt: skip
+
+
+WHOLE, SECTORS = LinearPano(quirks=True), Sectors(quirks=True)
+
+
+class Answers(Protocol):
+    """The LiDAR of a method: the scan of a frame, and ranges along recorded rays."""
+
+    def __call__(self, number: int, /) -> tuple[PanoImage, np.ndarray]:
+        """The frame's pano, whole, and the ranges along every fourth recorded ray."""
+
+
+def quarter_of_rays(lidar: LidarRecording, plan: SweepPlan, time_s: float, votes: int) -> SweepRays:
+    """The rays of one sweep that fall into the chosen columns."""
+    evidence, sweeps = lidar.evidence, lidar.sweeps
+    near = evidence.prior.nearest_scans(time_s, votes)
+    firings = round(float(evidence.firings[near].mean()))
+    lasers = evidence.lasers.astype(np.int64)
+    rays = sweep_rays(plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s)
+    return _only(rays, _in_sectors(rays))
+
+
+def _in_sectors(rays: SweepRays) -> np.ndarray:
+    end = rays.recorded_origin_m + rays.recorded_direction * _ROUGH_RANGE_M
+    return np.isin(WHOLE.cells(end)[1], SECTORS.columns)
+
+
+def _only(rays: SweepRays, kept: np.ndarray) -> SweepRays:
+    columns = {name: getattr(rays, name) for name in (field.name for field in fields(rays))}
+    chosen = {n: v[kept] for n, v in columns.items() if isinstance(v, np.ndarray) and len(v) == len(kept)}
+    return replace(rays, shape=(1, int(kept.sum())), **chosen)
+
+
+def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> Answers:
+    """The LiDAR of a model that has one."""
+    render = model.lidar
+    assert render is not None
+    sweeps = lidar.sweeps
+
+    def answer(number: int) -> tuple[PanoImage, np.ndarray]:
+        frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
+        points, intensity, laser = recorded_scan(*_quarter_turn(lidar, plan, model, render, time_s))
+        pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
+        a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
+        rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
+        return pano, _along(lidar, model, render, time_s, *rays).range_m
+
+    return answer
+
+
+def _quarter_turn(
+    lidar: LidarRecording, plan: SweepPlan, model: SceneModel, render: RayRenderer, time_s: float
+) -> tuple[SweepRays, RayAnswers]:
+    """The chosen columns' rays, answered; what corrects a turn is asked about the whole of it."""
+    evidence, sweeps = lidar.evidence, lidar.sweeps
+    if model.correct is None:
+        rays = quarter_of_rays(lidar, plan, time_s, model.votes)
+        answers = _along(
+            lidar, model, render, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
+        )
+        return rays, put_back_own_vehicle(answers, rays, evidence)
+    rays, answers = fire_sweep(
+        plan, time_s, evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, model.votes,
+        correct=model.correct, as_recorded=model.as_recorded,
+    )  # fmt: skip
+    kept = _in_sectors(rays)
+    return _only(rays, kept), RayAnswers(answers.range_m[kept], answers.hit[kept], answers.intensity[kept])
+
+
+def _along(
+    lidar: LidarRecording, model: SceneModel, render: RayRenderer, time_s: float,
+    origin_m: np.ndarray, direction: np.ndarray, laser: np.ndarray, fraction: np.ndarray,
+) -> RayAnswers:  # fmt: skip
+    """Any rays of the recording sensor's sweep, as it records them."""
+    sweeps, evidence = lidar.sweeps, lidar.evidence
+    near = evidence.prior.nearest_scans(time_s, model.votes)
+    vote = evidence.prior.vote(np.maximum(laser, 0), fraction, near)
+    fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
+    answers = answer_in_chunks(render, origin_m, direction, vote, fired_s)
+    answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
+    if model.as_recorded:
+        return answers
+    return measured_at_rest(
+        answers, np.maximum(laser, 0), fraction, evidence, time_s, sweeps.trajectory, sweeps.period_s
+    )
+
+
+def recorded(lidar: LidarRecording, frame: int) -> tuple[Scan, np.ndarray]:
+    """A frame's scan, and the ranges of every fourth of its returns."""
+    a, part = lidar.sweeps.arrays, lidar.sweeps.returns_of(_scan_of(lidar, frame))
+    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
+    return scan, a["range_m"][part][::SHARE]
+
+
+def _scan_of(lidar: LidarRecording, frame: int) -> int:
+    """Which of all scans a frame's is."""
+    return int(np.flatnonzero(lidar.sweeps.arrays["frame"] == frame)[0])
