@@ -114,13 +114,13 @@ class CameraView:
 
 
 def shrinking(pinhole: Pinhole, spec: CameraSpec) -> int:
-    """How many times smaller the images are on which planes are compared."""
-    return max(1, round((pinhole.width * pinhole.height / spec.plane_px) ** 0.5))
+    """How many times smaller the images are on which planes are compared: even, or 1."""
+    return max(1, 2 * round(0.5 * (pinhole.width * pinhole.height / spec.plane_px) ** 0.5))
 
 
 def middle_factor(factor: int) -> int:
-    """The largest whole share of it but itself: the shrinking of images on which depths are refined."""
-    return max((part for part in range(1, factor) if factor % part == 0), default=1)
+    """The shrinking of images on which depths are refined: they have twice the planes' resolution."""
+    return max(1, factor // 2)
 
 
 def shown_images(

@@ -145,9 +145,10 @@ def refine(
     volume = plane_volume(view.sources(view.images.middle), plane_rays(middle)[window], middle, depths, label)
     spread, pair, shown, _ = volume.agreement()
     probability = network(spread, pair, shown, coarse.share)
-    each = probability.reshape(-1, count, *probability.shape[1:])
+    each = probability.unflatten(0, (-1, count))
     share = each.sum(dim=1)
-    moved = (each * offsets[:, None, None]).sum(dim=1) / share.clamp_min(1e-6)
+    steps = depths.unflatten(0, (-1, count)) - coarse.inverse.detach()[:, None]
+    moved = (each * steps).sum(dim=1) / share.clamp_min(1e-6)
     return Refinement(Hypotheses(coarse.inverse + moved, share), probability, volume.mean_colour())
 
 

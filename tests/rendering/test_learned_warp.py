@@ -17,6 +17,7 @@ from nvsf_core.rendering.camera_view import (
     middle_factor,
     moving_pixels,
     shown_images,
+    shrinking,
 )
 from nvsf_core.rendering.learned_warp import (
     Hypotheses,
@@ -150,7 +151,27 @@ def test_untrained_refinement_leaves_depths_and_shares_as_they_were() -> None:
     after = refine(networks.refine, one, before, spec)
     torch.testing.assert_close(after.hypotheses.inverse, before.inverse, atol=1e-6, rtol=0.0)
     torch.testing.assert_close(after.probability.sum(dim=0), torch.ones(64, 128))
-    assert middle_factor(4) == 2 and middle_factor(1) == 1
+
+
+@torch.no_grad()
+def test_refined_depths_are_none_that_lie_behind_infinity() -> None:
+    spec = replace(SPEC, refinements=3)
+    networks, one = CameraNetworks(spec, torch.Generator().manual_seed(0)), view(wall_points())
+    assert networks.refine is not None
+    far = hypotheses(one, believe_depth(networks.depth, one, spec), spec, 1, WHOLE)
+    far = replace(far, inverse=torch.zeros_like(far.inverse))
+    assert (refine(networks.refine, one, far, spec).hypotheses.inverse >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "planes", "middle"),
+    [(1408, 376, 4, 2), (1242, 375, 4, 2), (640, 480, 4, 2), (1440, 1080, 6, 3), (192, 96, 1, 1)],
+)
+def test_depths_are_refined_at_twice_the_planes_resolution(
+    width: int, height: int, planes: int, middle: int
+) -> None:
+    pinhole = replace(CAMERA, width=width, height=height)
+    assert shrinking(pinhole, CameraSpec()) == planes and middle_factor(planes) == middle
 
 
 def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:

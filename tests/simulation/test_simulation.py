@@ -1,5 +1,7 @@
 """Laws of simulated sweeps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,8 @@ from nvsf_core.simulation.view_plan import mount_pose, plan_sweeps, plan_view
 
 FRAMES = np.arange(10, 15)
 TIMES = np.arange(5) * 0.1
+LEARNED = replace(HDL_64E, range_bias_m=np.full(64, 0.03))
+"""The recording sensor, as the drive told it."""
 
 
 def test_a_scan_is_laser_by_laser_with_ascending_azimuth() -> None:
@@ -50,6 +54,8 @@ def test_a_view_between_frames_takes_the_time_asked_for() -> None:
 
 def test_a_view_of_another_sensor_says_so() -> None:
     assert plan("v", sensor="VLP-16").table is VLP_16
+    own = plan("v", sensor=HDL_64E.name)
+    assert own.is_recorded_sensor and own.table is LEARNED
     assert not plan("v", sensor="VLP-16").is_recorded_sensor
 
 
@@ -85,4 +91,4 @@ def plan(name: str, frames=None, times_s=None, sensor=None):
     view = plan_view(
         name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s
     )
-    return plan_sweeps(view, HDL_64E, sensor)
+    return plan_sweeps(view, LEARNED, sensor)
