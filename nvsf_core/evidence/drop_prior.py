@@ -1,7 +1,8 @@
 """Which beams never return: training scans vote, laser by laser and firing by firing.
 
 Windows, puddles and the sky drop the same beams scan after scan. A laser's firing of a scan that is to
-be predicted asks the nearest training scans whether their firing at the same angle returned.
+be predicted asks the nearest training scans whether their firing at the same angle returned. A scan in
+rain or snow whose lasers could not be recovered returned as well, and nobody knows where: it has no vote.
 """
 
 from dataclasses import dataclass
@@ -27,8 +28,16 @@ class DropPrior:
         """Rows of the grid, whether or not each was ever seen."""
         return self.is_hit.shape[1]
 
+    @property
+    def is_silent(self) -> np.ndarray:
+        """(n,) bool: scans of which no laser is known, where others' are; none where no scan's is."""
+        speaks = np.asarray(self.is_hit.any(axis=(1, 2)))
+        return ~speaks & bool(speaks.any())
+
     def nearest_scans(self, time_s: float, count: int, *, leave_out_s: float | None = None) -> np.ndarray:
         """Indices of the training scans nearest in time; a scan at `leave_out_s` itself is not asked.
+
+        Nor are silent ones, unless no other is left.
 
         Raises:
             DataError: No scan is left to ask.
@@ -38,7 +47,8 @@ class DropPrior:
             order = order[np.abs(self.time_s[order] - leave_out_s) > 1e-6]
         if len(order) == 0:
             raise DataError(f"ray-drop prior: expected another training scan than the one at {leave_out_s} s")
-        return order[:count]
+        speaking = order[~self.is_silent[order]]
+        return (speaking if len(speaking) > 0 else order)[:count]
 
     def vote(self, laser: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
         """Share (r,) float32 of `scans` whose firing nearest to each ray (laser, fraction: (r,)) returned."""

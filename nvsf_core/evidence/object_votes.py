@@ -29,7 +29,8 @@ class ObjectVotes:
     elevation_correction_rad: float
 
     def near(self, path: MovingObject, scans: np.ndarray, time_s: float) -> "NearVotes":
-        """The votes of some of an object's `scans` (k,) about a time."""
+        """The votes of some of an object's `scans` (k,) about a time; silent ones are not asked."""
+        scans = scans[~self.prior.is_silent[scans]]
         own_s = path.time_s[np.searchsorted(path.scan, scans)]
         rotation, position = self.trajectory.at(own_s)
         return NearVotes(
@@ -72,7 +73,12 @@ class NearVotes:
     """(k, 4, 4) float64: where each scan's sensor had the object."""
 
     def share(self, place_o: np.ndarray) -> np.ndarray:
-        """Share (v,) float32 of the scans, by weight, that returned at places (v, 3) of its own frame."""
+        """Share (v,) float32 of the scans, by weight, that returned at places (v, 3) of its own frame.
+
+        1 where there is none to ask: what is known of the object are returns.
+        """
+        if len(self.scans) == 0:
+            return np.ones(len(place_o), np.float32)
         total = np.zeros(len(place_o))
         for scan, weight, pose in zip(self.scans.tolist(), self.weight, self.object_to_sensor, strict=True):
             total += weight * self.votes.returned(place_o @ pose[:3, :3].T + pose[:3, 3], scan)

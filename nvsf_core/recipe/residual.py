@@ -151,7 +151,7 @@ class HitsSpec:
     """Layers of that width."""
     share: float = 0.6
     """Its weight beside the ray head's answer, as logits: where both err independently, their mean errs
-    least, and the network, which never saw a scan's own returns, is the one to be trusted more."""
+    least, and the network, told less of a training scan's own returns, is the one to be trusted more."""
     frames: int = 28
     """Most training frames that the network learns from; evenly spread."""
     training: TrainingSpec

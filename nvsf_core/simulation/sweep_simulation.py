@@ -195,9 +195,10 @@ def fire_sweep(
     if correct is not None and plan.is_recorded_sensor and plan.mount is None:
         answers = correct(rays, answers, near)
     if plan.is_recorded_sensor and plan.mount is None and not as_recorded:
+        own = None if leave_out_s is None else int(np.abs(evidence.prior.time_s - leave_out_s).argmin())
         answers = measured_at_rest(
             answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,
-            leave_out=None if leave_out_s is None else int(evidence.prior.nearest_scans(leave_out_s, 1)[0]),
+            leave_out=own,
         )  # fmt: skip
     if plan.is_recorded_sensor:
         answers = put_back_own_vehicle(answers, rays, evidence)

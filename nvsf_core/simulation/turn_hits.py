@@ -1,9 +1,10 @@
 """What returns, in the recording sensor's own grid of lasers and firings, as the other scans lead to expect.
 
 The ray head of a field has seen the training scans: there its hits look better than elsewhere, and what
-learned to correct them would trust them too much. So the network here is told nothing of them. It starts
-from the vote, and from what other turns recorded where a ray is expected to end, all of which is of other
-scans at training and at rendering alike. The two answers err independently, and are averaged as logits.
+learned to correct them would trust them too much. So the network here is not told the ray head's hits. It
+starts from the vote, and from what other turns recorded where a ray is expected to end: these are of other
+scans at training and at rendering alike. Where the ray ends, and how bright, is the field's answer, which
+knows a training scan's own returns. The two answers err differently, and are averaged as logits.
 """
 
 from dataclasses import dataclass, replace

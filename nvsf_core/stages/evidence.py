@@ -160,7 +160,9 @@ def _prove(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         intensity=sweeps.even_intensity(used), scan=np.repeat(np.arange(sweeps.count), lengths)[used],
         stays=stays[used],
     )  # fmt: skip
-    choice = choose_voxel_m(rays, far_m=float(sweeps.table.max_range_m), threads=_THREADS)
+    choice = choose_voxel_m(
+        rays, silent=training[prior.is_silent], far_m=float(sweeps.table.max_range_m), threads=_THREADS
+    )
     best_m = FIELD_VOXEL_M if choice is None else choice.best_m
     evidence = SceneEvidence(
         surfels=build_surfels(
@@ -193,8 +195,9 @@ def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidenc
 
 
 def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> AtRest | None:
-    """What was measured where the sensor stood or crawled; None where it never did."""
+    """What was measured where the sensor stood or crawled, by known lasers; None where it never did."""
     scans = scans_at_rest(prior.time_s, sweeps.trajectory)
+    scans = scans[~prior.is_silent[scans]]
     if len(scans) == 0:
         return None
     a, training = sweeps.arrays, np.flatnonzero(sweeps.is_training)
@@ -271,6 +274,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="9",
+    version="10",
     run=_run,
 )

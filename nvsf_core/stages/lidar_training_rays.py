@@ -15,13 +15,13 @@ from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 
 
 def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarField) -> LidarRays:
-    """Returns and drops of all training scans but the judges, each with the others' vote and their objects.
+    """Returns and drops of `learned_scans`, each with the others' vote and their objects.
 
     Raises:
         DataError: There is no ray at all.
     """
     sweeps, evidence = lidar.sweeps, lidar.evidence
-    alone = len(evidence.prior.time_s) == 1
+    alone = int((~evidence.prior.is_silent).sum()) == 1
     parts = []
     for number, scan in learned_scans(lidar):
         time_s = float(sweeps.arrays["time_s"][scan])
@@ -46,11 +46,15 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
 
 
 def learned_scans(lidar: LidarRecording) -> list[tuple[int, int]]:
-    """Training scans but the judges: the number among training scans, and among all."""
-    left_out = lidar.evidence.left_out
-    judges = [] if left_out is None else left_out.judges.tolist()
-    training = np.flatnonzero(lidar.sweeps.is_training).tolist()
-    return [(number, scan) for number, scan in enumerate(training) if number not in judges]
+    """Training scans but the judges and the silent: the number among training scans, and among all.
+
+    Where no laser is known, a firing without a return is no drop.
+    """
+    left_out, is_learned = lidar.evidence.left_out, ~lidar.evidence.prior.is_silent
+    if left_out is not None:
+        is_learned[left_out.judges] = False
+    training = np.flatnonzero(lidar.sweeps.is_training)
+    return [(number, int(training[number])) for number in np.flatnonzero(is_learned).tolist()]
 
 
 def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:

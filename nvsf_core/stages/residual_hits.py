@@ -47,7 +47,7 @@ def train_hits(
     task: Task, work: Path, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
     lidar: LidarRecording,
 ) -> TrainedHits:  # fmt: skip
-    """Train on scans that the field learned from, each told by the others; then ask the judges.
+    """Train on scans that the field learned from, by the others' votes and turns; then ask the judges.
 
     Without judges nobody could say whether it helps: nothing is trained.
     """
@@ -116,7 +116,10 @@ def recorded_turns(lidar: LidarRecording) -> RecordedTurns:
 def _example(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns, number: int
 ) -> CellExample:
-    """A training scan as the others lead to expect it; where no surface was proven nothing is learned."""
+    """A training scan by the others' votes and turns, on surfaces that its own returns helped to prove.
+
+    Where no surface was proven nothing is learned.
+    """
     told: list[TurnCells] = []
 
     def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:

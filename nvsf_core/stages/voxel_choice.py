@@ -64,18 +64,19 @@ class VoxelChoice:
         return min(self.errors_m, key=lambda voxel_m: self.errors_m[voxel_m])
 
 
-def choose_voxel_m(rays: ScanRays, *, far_m: float, threads: int) -> VoxelChoice | None:
+def choose_voxel_m(rays: ScanRays, *, silent: np.ndarray, far_m: float, threads: int) -> VoxelChoice | None:
     """Score sizes on two training scans that the evidence is built without; coarser while it gets better.
 
     Args:
         rays: Of the training scans.
+        silent: (s,) numbers of scans that never judge: no laser is known that could have returned or not.
         far_m: How far a ray is followed.
         threads: Of the walk.
 
     Returns:
         Only sizes that were tried. None where there is too little to judge.
     """
-    scans = np.flatnonzero(np.bincount(rays.scan))
+    scans = np.setdiff1d(np.flatnonzero(np.bincount(rays.scan)), silent)
     if len(scans) < _FEWEST_SCANS:
         return None
     judges = scans[(np.arange(1, _JUDGES + 1) * len(scans)) // (_JUDGES + 1)]

@@ -40,6 +40,24 @@ def test_one_scan_alone_cannot_be_left_out() -> None:
         single.nearest_scans(0.0, 6, leave_out_s=0.0)
 
 
+def test_a_scan_of_which_no_laser_is_known_is_never_asked() -> None:
+    prior = three_scans()
+    prior.is_hit[1] = False
+    assert prior.is_silent.tolist() == [False, True, False]
+    assert prior.nearest_scans(0.11, 3).tolist() == [2, 0]
+    assert prior.nearest_scans(0.11, 1).tolist() == [2], "another one is asked in its place"
+    assert prior.nearest_scans(0.0, 3, leave_out_s=0.0).tolist() == [2]
+
+
+def test_silent_scans_are_asked_where_no_other_is_left() -> None:
+    prior = three_scans()
+    prior.is_hit[:2] = False
+    assert prior.nearest_scans(0.2, 3, leave_out_s=0.2).tolist() == [1, 0]
+    prior.is_hit[:] = False
+    assert not prior.is_silent.any(), "beside none that speaks none is silent"
+    assert prior.nearest_scans(0.0, 3).tolist() == [0, 1, 2]
+
+
 def test_unknown_firings_are_laid_on_nominal_ones_by_time() -> None:
     prior = build_drop_prior(
         np.array([0, 0]), np.array([-1, -1]), np.array([-0.45, 0.45]), np.array([0, 2]), np.array([0]),

@@ -87,11 +87,22 @@ def test_a_place_votes_as_the_near_scans_returned_there(passing) -> None:
 def test_the_nearest_scan_in_time_counts_most(passing) -> None:
     dynamic, _ = passing
     votes, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
-    for silent, low, high in ((2, 0.5, 0.6), (0, 0.85, 0.95)):
+    for dropped, low, high in ((2, 0.5, 0.6), (0, 0.85, 0.95)):
         votes.prior.is_hit[...] = True
-        votes.prior.is_hit[silent] = False
+        votes.prior.is_hit[dropped, 1:] = False
         (plate,) = objects_at(dynamic.objects, 0.2, votes)
         assert low < plate.votes.share(place)[0] < high
+
+
+def test_a_scan_of_which_no_laser_is_known_has_no_vote_on_an_object(passing) -> None:
+    dynamic, _ = passing
+    votes, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
+    votes.prior.is_hit[2] = False
+    (plate,) = objects_at(dynamic.objects, 0.2, votes)
+    assert plate.votes.share(place)[0] == 1.0
+    # Where no scan that saw it has a vote it is known by its returns alone.
+    nobody = votes.near(plate.path, np.array([2]), 0.2)
+    assert nobody.share(place).tolist() == [1.0]
 
 
 def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:

@@ -222,6 +222,28 @@ def test_one_percent_of_noise_is_counted(drive: Path, tmp_path: Path, usual: set
     assert outcomes["novel_views"].metadata["test_returns_per_sweep"] > 0.8 * SIZE.firings * 32 * 0.9
 
 
+def test_a_scan_in_snow_drops_no_beam_of_the_others(drive: Path, tmp_path: Path) -> None:
+    returns, throw = [], _noise(0.2)
+    for name, spoil in (("snow", throw), ("absent", lambda _, rows: rows[:0])):
+        layout = _copy(drive, tmp_path / name)
+        _scans(layout, lambda frame, rows, spoil=spoil: spoil(frame, rows) if frame == 1 else rows)
+        outcomes = _run(layout, WHOLE[:-1])
+        assert ("lasers_are_known" in _doubts(outcomes)) == (name == "snow")
+        returns.append(outcomes["novel_views"].metadata["test_returns_per_sweep"])
+    assert returns[0] == pytest.approx(returns[1], rel=0.1)
+
+
+def test_where_the_sensor_stands_a_scan_in_snow_answers_for_no_ray(drive: Path, tmp_path: Path) -> None:
+    layout, throw = _copy(drive, tmp_path), _noise(0.2)
+    _scans(layout, lambda frame, rows: throw(frame, rows) if frame == 1 else rows)
+    _stand(layout)
+    _run(layout, UP_TO_EVIDENCE)
+    evidence = read_evidence(SceneStore(tmp_path / "home", "tiny"))
+    assert evidence is not None and evidence.at_rest is not None
+    assert evidence.prior.is_silent.tolist() == [False, True, False]
+    assert evidence.at_rest.scan.tolist() == [0, 2]
+
+
 def test_a_scan_with_ten_times_the_points_is_doubted(drive: Path, tmp_path: Path, usual: set[str]) -> None:
     layout = _copy(drive, tmp_path)
     _scans(layout, lambda frame, rows: np.tile(rows, (10, 1)) if frame == 1 else rows)

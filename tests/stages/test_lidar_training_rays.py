@@ -10,7 +10,7 @@ from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
 from nvsf_core.evidence.objects import prove_objects
-from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
@@ -18,7 +18,7 @@ from nvsf_core.recipe import FieldSpec, ResidualRecipe
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.evidence import Sweeps
-from nvsf_core.stages.lidar_training_rays import training_rays
+from nvsf_core.stages.lidar_training_rays import learned_scans, training_rays
 from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.training.lidar_rays import LidarRays
 
@@ -104,3 +104,36 @@ def test_rays_of_a_static_scene_carry_nothing_dynamic(drive: LidarRecording) -> 
     assert rays.objects is None
     assert static.evidence.standing is static.evidence.surfels
     assert len(rays) == SCANS * (RETURNS + 400)
+
+
+def unknown_lasers(drive: LidarRecording, *scans: int) -> LidarRecording:
+    """The drive without motion, of some of whose scans no laser is known."""
+    evidence, laser = drive.evidence, drive.sweeps.arrays["laser"].copy()
+    is_hit = evidence.prior.is_hit.copy()
+    for scan in scans:
+        laser[drive.sweeps.returns_of(scan)], is_hit[scan] = -1, False
+    prior = replace(evidence.prior, is_hit=is_hit)
+    return LidarRecording(
+        sweeps=replace(drive.sweeps, arrays=drive.sweeps.arrays | {"laser": laser}),
+        evidence=replace(evidence, prior=prior, dynamic=None),
+    )
+
+
+def test_no_beam_is_dropped_by_a_scan_of_which_no_laser_is_known(drive: LidarRecording) -> None:
+    rays = rays_of(unknown_lasers(drive, 1, 3))
+    assert len(rays) == (SCANS - 2) * (RETURNS + 400)
+    returned = rays.range_m > 0.0
+    assert (rays.vote[returned] == 1.0).all() and not rays.vote[~returned].any()
+
+
+def test_one_scan_of_known_lasers_trains_as_one_scan_alone(drive: LidarRecording) -> None:
+    rays = rays_of(unknown_lasers(drive, 0, 1, 3, 4, 5))
+    assert len(rays) == RETURNS + 400
+    assert (rays.vote == (rays.range_m > 0.0)).all()
+
+
+def test_neither_judges_nor_silent_scans_are_learned_from(drive: LidarRecording) -> None:
+    judged = unknown_lasers(drive, 1)
+    left_out = LeftOutEvidence(np.array([2, 4]), drive.evidence.surfels)
+    judged = replace(judged, evidence=replace(judged.evidence, left_out=left_out))
+    assert learned_scans(judged) == [(0, 0), (3, 3), (5, 5)]

@@ -77,6 +77,18 @@ def test_without_scans_that_judge_nothing_is_learned(drive: Drive, tmp_path: Pat
     assert found.metadata == {"hits_shown": "ray head: too few scans to judge a network by"}
 
 
+def test_a_scan_of_which_no_laser_is_known_teaches_no_drops(drive: Drive, tmp_path: Path) -> None:
+    evidence = drive.lidar.evidence
+    is_hit = evidence.prior.is_hit.copy()
+    is_hit[3] = False
+    unknown = replace(evidence, prior=replace(evidence.prior, is_hit=is_hit))
+    accuracy = [
+        float(drive.train(SMALL, tmp_path / name, lidar).metadata["hits_judged_accuracy"])
+        for name, lidar in (("all", drive.lidar), ("unknown", replace(drive.lidar, evidence=unknown)))
+    ]
+    assert accuracy[1] > accuracy[0] - 0.01
+
+
 def test_recorded_turns_hold_every_training_return_where_the_prior_has_it(drive: Drive) -> None:
     turns, prior = recorded_turns(drive.lidar), drive.lidar.evidence.prior
     assert np.array_equal(turns.range_m > 0.0, prior.is_hit)

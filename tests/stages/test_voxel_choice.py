@@ -12,6 +12,7 @@ from nvsf_core.stages.voxel_choice import (
 )
 
 FAR_M = 50.0
+NOBODY = np.zeros(0, np.int64)
 
 
 def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> ScanRays:
@@ -33,7 +34,7 @@ def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> Sca
 
 
 def chosen(rays: ScanRays) -> VoxelChoice:
-    choice = choose_voxel_m(rays, far_m=FAR_M, threads=1)
+    choice = choose_voxel_m(rays, silent=NOBODY, far_m=FAR_M, threads=1)
     assert choice is not None
     return choice
 
@@ -52,13 +53,14 @@ def test_what_is_seen_sparsely_gets_coarse_ones_whose_gaps_are_closed() -> None:
 def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     assert chosen(rays).errors_m == chosen(rays).errors_m
-    assert choose_voxel_m(wall_seen_from_one_place(5, 400, 0.1), far_m=FAR_M, threads=1) is None
+    few = wall_seen_from_one_place(5, 400, 0.1)
+    assert choose_voxel_m(few, silent=NOBODY, far_m=FAR_M, threads=1) is None
 
 
 def test_moving_objects_do_not_vote_on_the_size() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     rays.stays[:] = False
-    assert choose_voxel_m(rays, far_m=FAR_M, threads=1) is None
+    assert choose_voxel_m(rays, silent=NOBODY, far_m=FAR_M, threads=1) is None
 
 
 def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
@@ -76,3 +78,13 @@ def test_what_judges_are_judged_by_is_proven_by_the_others_alone() -> None:
     assert len(choice.judges) == 2 and FIELD_VOXEL_M in choice.surfels
     for surfels in choice.surfels.values():
         assert int(surfels.hits.sum()) == int((~np.isin(rays.scan, choice.judges)).sum())
+
+
+def test_silent_scans_prove_but_never_judge() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    silent = chosen(rays).judges[:1]
+    choice = choose_voxel_m(rays, silent=silent, far_m=FAR_M, threads=1)
+    assert choice is not None and len(np.unique(choice.judges)) == 2
+    assert not np.isin(silent, choice.judges).any()
+    assert int(choice.surfels[FIELD_VOXEL_M].hits.sum()) == 6 * 400
+    assert choose_voxel_m(rays, silent=np.arange(3), far_m=FAR_M, threads=1) is None
