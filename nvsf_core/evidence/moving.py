@@ -1,6 +1,6 @@
 """Moving objects: what they are made of and where each was at any time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,13 @@ class MovingObject:
         share = (time_s - start_s) / (self.time_s[before + 1] - start_s)
         pose: np.ndarray = self.pose[before] + share[:, None] * (self.pose[before + 1] - self.pose[before])
         return pose
+
+    def without(self, scan: int | None) -> "MovingObject":
+        """The path as the other scans tell it; itself where the scan is not one that saw the object."""
+        kept = self.scan != scan
+        if kept.all():
+            return self
+        return replace(self, scan=self.scan[kept], time_s=self.time_s[kept], pose=self.pose[kept])
 
     def is_there(self, time_s: np.ndarray) -> np.ndarray:
         """Whether (r,) bool the object's place is known at times (r,): up to 1.5 frames beyond its scans."""

@@ -66,6 +66,8 @@ class ObjectEvidence:
 class ObjectSurfels:
     """A moving object as it is at some time: its path and its surfels in its own frame."""
 
+    number: int
+    """Of the scene's objects."""
     path: MovingObject
     surfels: Surfels
     votes: NearVotes
@@ -135,16 +137,20 @@ def objects_at(
     *,
     leave_out: int | None = None,
 ) -> tuple[ObjectSurfels, ...]:
-    """The objects that may be seen about an instant, each from its nearest scans but for `leave_out`."""
+    """The objects that may be seen about an instant, each from its nearest scans.
+
+    The scan `leave_out` tells neither what they look like nor where they are: both as if it were held out.
+    """
     there = []
-    for one in evidence:
-        spare = np.array([time_s - one.path.frame_s, time_s, time_s + one.path.frame_s])
-        if not one.path.is_there(spare).any():
+    for number, one in enumerate(evidence):
+        path = one.path.without(leave_out)
+        spare = np.array([time_s - path.frame_s, time_s, time_s + path.frame_s])
+        if len(path.scan) == 0 or not path.is_there(spare).any():
             continue
         scans = one.scans_near(time_s, leave_out=leave_out)
         surfels = one.surfels_from(scans)
         if surfels is not None:
-            there.append(ObjectSurfels(one.path, surfels, votes.near(one.path, scans, time_s)))
+            there.append(ObjectSurfels(number, path, surfels, votes.near(path, scans, time_s)))
     return tuple(there)
 
 
@@ -158,18 +164,21 @@ class NearObjects:
         self.evidence = evidence
         self._votes = votes
         self._leave_out = leave_out
-        self._frame: int | None = None
+        self._half_frame: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
     def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
-        """The objects about the middle of times (r,), taken to whole frames; none without rays."""
+        """The objects about the middle of times (r,), taken to half frames; none without rays."""
         if len(time_s) == 0 or not self.evidence:
             return ()
         frame_s = self.evidence[0].path.frame_s
-        frame = round(float(np.median(time_s)) / frame_s)
-        if frame != self._frame:
-            self._objects = objects_at(self.evidence, frame * frame_s, self._votes, leave_out=self._leave_out)
-            self._frame = frame
+        # Parts of a sweep agree: their middles lie near its own, which is most often a frame's or half-way.
+        half_frame = round(2.0 * float(np.median(time_s)) / frame_s)
+        if half_frame != self._half_frame:
+            self._objects = objects_at(
+                self.evidence, 0.5 * half_frame * frame_s, self._votes, leave_out=self._leave_out
+            )
+            self._half_frame = half_frame
         return self._objects
 
 

@@ -1,12 +1,13 @@
 """The LiDAR's residual field: corrections of proven surfaces, and features decoded once a ray."""
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_grid import HashGrid
 from nvsf_core.evidence.objects import ObjectEvidence
 from nvsf_core.fields.layers import network
-from nvsf_core.fields.object_surfaces import Places, object_places
+from nvsf_core.fields.object_surfaces import object_places
 from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kernels.layout import GridLayout
@@ -38,8 +39,8 @@ class LidarField(nn.Module):
         self.hit_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
         self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
 
-    def places(self, objects: tuple[ObjectEvidence, ...]) -> Places:
-        """Where in the table's cube the corrections of a scene's moving objects lie."""
+    def places(self, objects: tuple[ObjectEvidence, ...]) -> np.ndarray:
+        """(n, 3) where in the table's cube the corrections of a scene's moving objects lie."""
         paths = tuple(one.path for one in objects)
         return object_places(paths, self.bounds, self.spec.coarsest_cell_m)
 

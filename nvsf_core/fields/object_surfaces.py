@@ -1,6 +1,5 @@
 """Surfaces of moving objects that rays may end on, each at its ray's own time and in its object's frame."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -9,11 +8,8 @@ from nvsf_core.evidence.moving import MovingObject
 from nvsf_core.evidence.objects import ObjectSurfels, candidates_on
 from nvsf_core.geometry.bounds import Bounds
 
-Places = Mapping[MovingObject, np.ndarray]
-"""Each object to the shift (3,) from its own frame to its place in the field's cube, metres."""
 
-
-def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> Places:
+def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> np.ndarray:
     """Room for each object's corrections in the field's cube, apart from the street and from each other.
 
     Objects stand in rows under the cube's top, which a street, as wide as its cube but not as high, leaves
@@ -23,19 +19,21 @@ def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float)
         paths: The scene's objects, in their order.
         bounds: The field's cube.
         gap_m: Space kept between two of them: a cell of the coarsest level.
+
+    Returns:
+        (n, 3) float64 shifts from each object's own frame to its place in the cube, metres.
     """
     if not paths:
-        return {}
+        return np.zeros((0, 3))
     pitch_m = max(float((path.high_m - path.low_m).max()) for path in paths) + gap_m
     a_row = max(1, int(bounds.edge_m // pitch_m))
     column, row, layer = np.unravel_index(np.arange(len(paths)) % a_row**3, (a_row,) * 3, order="F")
     corner = np.array(bounds.centre_m) - bounds.half_m
     steps = np.stack([column, row, a_row - 1 - layer], axis=1) + 0.5
     steps[:, 2] += bounds.edge_m / pitch_m - a_row
-    return {
-        path: corner + step * pitch_m - 0.5 * (path.low_m + path.high_m)
-        for path, step in zip(paths, steps, strict=True)
-    }
+    middle_m = np.array([0.5 * (path.low_m + path.high_m) for path in paths])
+    places: np.ndarray = corner + steps * pitch_m - middle_m
+    return places
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +80,7 @@ _COLUMNS = tuple(column.name for column in fields(ObjectSurfaces) if column.name
 
 def object_surfaces(
     objects: tuple[ObjectSurfels, ...],
-    places: Places,
+    places: np.ndarray,
     origin_m: np.ndarray,
     direction: np.ndarray,
     time_s: np.ndarray,
@@ -90,7 +88,10 @@ def object_surfaces(
     near_m: float,
     far_m: float,
 ) -> ObjectSurfaces:
-    """Walk rays (r, 3), scene-local, through each object where it is at their times (r,)."""
+    """Walk rays (r, 3), scene-local, through each object where it is at their times (r,).
+
+    `places` (n, 3) are `object_places` of all of the scene's objects.
+    """
     rays, columns = [np.zeros(0, np.int64)], [_nothing()]
     for one in objects:
         met, found = candidates_on(one, origin_m, direction, time_s, near_m=near_m, far_m=far_m)
@@ -105,7 +106,7 @@ def object_surfaces(
             "range_m": range_m, "opacity": found.opacity[there], "cosine": found.cosine[there],
             "is_planar": surfels.is_planar[voxel], "hits": surfels.hits[voxel],
             "intensity": surfels.intensity[voxel].astype(np.float32), "vote": vote[row],
-            "place_m": (one.path.to_object(point, time_s[ray]) + places[one.path]).astype(np.float32),
+            "place_m": (one.path.to_object(point, time_s[ray]) + places[one.number]).astype(np.float32),
         })  # fmt: skip
     ray = np.concatenate(rays)
     joined = {name: np.concatenate([part[name] for part in columns]) for name in _COLUMNS}

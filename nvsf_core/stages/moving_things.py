@@ -51,11 +51,12 @@ class MovingWorld:
             leave_out: Do as if the scan of that instant were held out.
         """
         found = []
+        own = self._scan_at(instant_s) if leave_out else None
         for one in self._objects:
-            path = one.path
-            if self.recording.lidar is None or not path.is_there(np.array([instant_s]))[0]:
+            path = one.path.without(own)
+            if len(path.scan) == 0 or self.recording.lidar is None or not path.is_there(np.array([instant_s]))[0]:
                 continue
-            points = _own_points(one, self.recording.lidar.sweeps, instant_s, leave_out)
+            points = _own_points(one, instant_s, own)
             if points is None:
                 continue
             now = path.matrix_at(np.array([instant_s]))[0]
@@ -77,6 +78,13 @@ class MovingWorld:
                 found[number] = moving_pixels(images.pose[number], images.pinhole, still, points)
         return found
 
+    def _scan_at(self, instant_s: float) -> int | None:
+        """Number of the training scan that is nearest in time; None without a LiDAR."""
+        if self.recording.lidar is None:
+            return None
+        sweeps = self.recording.lidar.sweeps
+        return int(np.argmin(np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)))
+
     def _still_of(self, sweeps: Sweeps, scan: int) -> np.ndarray:
         if scan not in self._still:
             points, fired_s = returns_of_scan(sweeps, scan)
@@ -87,14 +95,10 @@ class MovingWorld:
         return self._still[scan]
 
 
-def _own_points(one: ObjectEvidence, sweeps: Sweeps, instant_s: float, leave_out: bool) -> np.ndarray | None:
+def _own_points(one: ObjectEvidence, instant_s: float, leave_out: int | None) -> np.ndarray | None:
     """Returns (m, 3) of an object's nearest scans in its own frame; None where they saw nothing of it."""
-    own = None
-    if leave_out:
-        training_s = sweeps.arrays["time_s"][sweeps.is_training]
-        own = int(np.argmin(np.abs(training_s - instant_s)))
     rays = one.rays
-    used = np.isin(rays.scan, one.scans_near(instant_s, leave_out=own)) & rays.is_hit
+    used = np.isin(rays.scan, one.scans_near(instant_s, leave_out=leave_out)) & rays.is_hit
     if not used.any():
         return None
     points: np.ndarray = rays.origin_m[used] + rays.direction[used] * rays.range_m[used, None]

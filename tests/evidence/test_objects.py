@@ -1,5 +1,7 @@
 """Laws of moving objects' own evidence, on a plate that slides past a wall."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,6 +148,30 @@ def test_a_left_out_scan_is_not_asked(passing) -> None:
     assert plate.surfels_from(others).hits.sum() == hits.sum()
 
 
+def test_where_an_object_was_is_not_told_by_a_left_out_scan(passing) -> None:
+    """As in a held-out frame: its neighbours say where it was, and not its own, bent place."""
+    dynamic, _ = passing
+    straight = dynamic.objects[0]
+    pose = straight.path.pose.copy()
+    pose[2, 1] += 0.5
+    bent = replace(straight, path=replace(straight.path, pose=pose))
+    (told,) = objects_at((bent,), 0.2, ALWAYS)
+    (untold,) = objects_at((bent,), 0.2, ALWAYS, leave_out=2)
+    at = np.array([0.2])
+    assert told.path.pose_at(at)[0, 1] == pytest.approx(pose[2, 1])
+    assert np.allclose(untold.path.pose_at(at), straight.path.pose_at(at))
+    (elsewhere,) = objects_at((bent,), 0.2, ALWAYS, leave_out=17)
+    assert elsewhere.path is bent.path
+
+
+def test_an_object_that_only_the_left_out_scan_saw_is_not_there(passing) -> None:
+    plate = passing[0].objects[0]
+    path, third = plate.path, slice(2, 3)
+    once = replace(path, scan=path.scan[third], time_s=path.time_s[third], pose=path.pose[third])
+    assert len(objects_at((replace(plate, path=once),), 0.2, ALWAYS)) == 1
+    assert objects_at((replace(plate, path=once),), 0.2, ALWAYS, leave_out=2) == ()
+
+
 def test_scans_that_did_not_see_an_object_prove_nothing_of_it(passing) -> None:
     assert passing[0].objects[0].surfels_from(np.array([99])) is None
 
@@ -155,6 +181,8 @@ def test_parts_of_a_sweep_share_what_was_built(passing) -> None:
     first = near.at(np.array([0.19, 0.21]))
     assert near.at(np.array([0.18, 0.21])) is first
     assert near.at(np.array([0.31])) is not first
+    half_way = near.at(np.array([0.21, 0.248, 0.28]))
+    assert near.at(np.array([0.22, 0.252, 0.28])) is half_way and half_way is not first
     assert near.at(np.zeros(0)) == ()
 
 

@@ -179,7 +179,7 @@ def test_objects_have_room_of_their_own_in_the_cube() -> None:
         for k in range(30)
     )
     places = object_places(paths, BOUNDS, 2.0)
-    centres = np.array([places[one] + 0.5 * (one.low_m + one.high_m) for one in paths])
+    centres = places + np.array([0.5 * (one.low_m + one.high_m) for one in paths])
     apart = np.abs(centres[:, None] - centres[None]).max(axis=2) + 1e9 * np.eye(30)
     assert apart.min() > max((one.high_m - one.low_m).max() for one in paths) + 1.9
     assert np.abs(centres).max() < BOUNDS.half_m
