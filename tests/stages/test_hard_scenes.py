@@ -237,7 +237,7 @@ def test_where_the_sensor_stands_a_scan_in_snow_answers_for_no_ray(drive: Path, 
     layout, throw = _copy(drive, tmp_path), _noise(0.2)
     _scans(layout, lambda frame, rows: throw(frame, rows) if frame == 1 else rows)
     _stand(layout)
-    _run(layout, UP_TO_EVIDENCE)
+    _run(layout, ("frames", "sweeps", "evidence"))
     evidence = read_evidence(SceneStore(tmp_path / "home", "tiny"))
     assert evidence is not None and evidence.at_rest is not None
     assert evidence.prior.is_silent.tolist() == [False, True, False]
