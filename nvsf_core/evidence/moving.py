@@ -47,6 +47,8 @@ class MovingObject:
 
     def is_there(self, time_s: np.ndarray) -> np.ndarray:
         """Whether (r,) bool the object's place is known at times (r,): up to 1.5 frames beyond its scans."""
+        if len(self.time_s) == 0:
+            return np.zeros(len(time_s), np.bool_)
         spare_s = _BEYOND_FRAMES * self.frame_s
         return np.asarray((time_s >= self.time_s[0] - spare_s) & (time_s <= self.time_s[-1] + spare_s))
 

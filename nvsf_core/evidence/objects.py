@@ -145,7 +145,7 @@ def objects_at(
     for number, one in enumerate(evidence):
         path = one.path.without(leave_out)
         spare = np.array([time_s - path.frame_s, time_s, time_s + path.frame_s])
-        if len(path.scan) == 0 or not path.is_there(spare).any():
+        if not path.is_there(spare).any():
             continue
         scans = one.scans_near(time_s, leave_out=leave_out)
         surfels = one.surfels_from(scans)

@@ -42,7 +42,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSpec:
-    """The networks that choose depths for recorded images and blend them; one pair for all cameras."""
+    """The networks that choose depths for recorded images and blend them; the same for all cameras."""
 
     sources: int = 4
     """Nearest training images that a view is made of."""
@@ -102,7 +102,8 @@ class LossWeights:
     """Weights of the loss terms; each term is in its own unit."""
 
     depth: float = 1.0
-    """Of the weighted distance of a ray's surfaces to the return, metres."""
+    """Of the weighted distance of a ray's surfaces to the return, metres; of a ray that meets what moves, of
+    how unlikely they make it, nats."""
     hit: float = 0.5
     """Of the cross-entropy of the hit probability, nats."""
     intensity: float = 5.0

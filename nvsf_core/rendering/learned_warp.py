@@ -145,9 +145,9 @@ def refine(
     volume = plane_volume(view.sources(view.images.middle), plane_rays(middle)[window], middle, depths, label)
     spread, pair, shown, _ = volume.agreement()
     probability = network(spread, pair, shown, coarse.share)
-    each = probability.unflatten(0, (-1, count))
+    each = probability.reshape(-1, count, *probability.shape[1:])
     share = each.sum(dim=1)
-    steps = depths.unflatten(0, (-1, count)) - coarse.inverse.detach()[:, None]
+    steps = depths.reshape(each.shape) - coarse.inverse.detach()[:, None]
     moved = (each * steps).sum(dim=1) / share.clamp_min(1e-6)
     return Refinement(Hypotheses(coarse.inverse + moved, share), probability, volume.mean_colour())
 

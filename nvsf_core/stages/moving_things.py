@@ -54,7 +54,7 @@ class MovingWorld:
         own = self._scan_at(instant_s) if leave_out else None
         for one in self._objects:
             path = one.path.without(own)
-            if len(path.scan) == 0 or self.recording.lidar is None or not path.is_there(np.array([instant_s]))[0]:
+            if not path.is_there(np.array([instant_s]))[0]:
                 continue
             points = _own_points(one, instant_s, own)
             if points is None:
