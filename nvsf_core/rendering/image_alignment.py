@@ -5,11 +5,13 @@ near hedge: enough to blur what several images show. A return of a scan lies whe
 whatever the pose; so what another image shows of it there tells how the two images really lie.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.linalg import spsolve
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_se3, invert_pose
@@ -34,29 +36,36 @@ _SMOOTH_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PoseCorrection:
-    """What a camera's given poses are off by, told by its training images."""
+    """What a camera's given poses are off by, told by those of its images that were aligned."""
 
     time_s: np.ndarray
-    """(n,) ascending, of the training images."""
+    """(n,) ascending, of the images that were aligned; others have no say."""
     twist: np.ndarray
     """(n, 6) metres and radians in the camera's own frame: corrected = given exp(twist)."""
 
-    def of_images(self, pose: np.ndarray) -> np.ndarray:
-        """The corrected poses (n, 4, 4) of the training images themselves, from the given ones."""
-        return pose @ exp_se3(self.twist)
+    def of_images(self, pose: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+        """The corrected poses (m, 4, 4) of images from the given ones, by their times (m,).
 
-    def at(self, pose: np.ndarray, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
-        """A pose (4, 4) of any time, corrected as the images around it are.
+        An image that was aligned has its own correction, any other what those around it say.
+        """
+        own = {instant_s: number for number, instant_s in enumerate(self.time_s.tolist())}
+        corrected = [
+            one @ exp_se3(self.twist[own[instant_s]]) if instant_s in own else self.at(one, instant_s)
+            for one, instant_s in zip(pose, time_s.tolist(), strict=True)
+        ]
+        return np.stack(corrected)
+
+    def at(self, pose: np.ndarray, time_s: float, *, leave_out: bool = False) -> np.ndarray:
+        """A camera's pose (4, 4) of any time, corrected as the images around it are.
 
         Args:
             pose: As given.
             time_s: Its time; before the first and after the last image their corrections hold.
-            leave_out: Image that says nothing: the one that is shown.
+            leave_out: Do as if the image of that very time had not been aligned.
         """
+        heard = self.time_s != time_s if leave_out and len(self.time_s) > 1 else np.ones(1, np.bool_)
         time_s = float(np.clip(time_s, self.time_s[0], self.time_s[-1]))
-        weight = np.exp(-0.5 * ((self.time_s - time_s) / _SMOOTH_S) ** 2) + 1e-12
-        if leave_out is not None and len(weight) > 1:
-            weight[leave_out] = 0.0
+        weight = heard * (np.exp(-0.5 * ((self.time_s - time_s) / _SMOOTH_S) ** 2) + 1e-12)
         weight /= weight.sum()
         offset_s = self.time_s - time_s
         # A line through them: the mean alone would lag at a drive's end, where all others are on one side.
@@ -79,7 +88,7 @@ class _Anchors:
 
 
 def align_images(
-    rgb: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: Sequence[np.ndarray]
+    rgb: Iterable[np.ndarray], pinhole: Pinhole, pose: np.ndarray, returns_m: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Corrections (n, 6) of all poses; zeros where it does not make images agree better.
 
@@ -88,7 +97,7 @@ def align_images(
     corrections' own squares over those of `_PRIOR`. The same brightness is expected but for an offset.
 
     Args:
-        rgb: (n, h, w, 3) uint8.
+        rgb: n of (h, w, 3) uint8.
         pinhole: Of all images.
         pose: (n, 4, 4) camera to scene-local, as given.
         returns_m: n of (m, 3) scene-local: what stands still, by the scan that belongs to an image.
@@ -101,7 +110,7 @@ def align_images(
         _anchors(image, pinhole, one, points)
         for image, one, points in zip(seen, pose, returns_m, strict=True)
     ]
-    pairs = [(j, k) for j in range(len(pose)) for k in _near(pose, j)]
+    pairs = [(j, k) for j, found in enumerate(anchors) if len(found.grey) for k in _near(pose, j)]
     for _ in range(_ROUNDS):
         twist = _improved(twist, pose, pairs, anchors, seen, pinhole)
     before, after = (
@@ -120,23 +129,31 @@ def _improved(
     pinhole: Pinhole,
 ) -> np.ndarray:
     """One step of Gauss-Newton."""
-    count = len(pose)
-    normal, right = np.zeros((count, 6, count, 6)), np.zeros((count, 6))
+    right = -twist * _PRIOR**-2.0
+    # Each image meets a few others alone: the blocks of those are all there is of the normal matrix.
+    places = [(image, image) for image in range(len(pose))]
+    blocks = [np.diag(_PRIOR**-2.0)] * len(pose)
     for j, k, motion in _motions(pose @ exp_se3(twist), pairs):
         residual, by_j, by_k = _residual(anchors[j], motion, seen[k], pinhole)
         weight = 1.0 / (1.0 + (residual / _NOISE) ** 2) ** 2 / (_NOISE**2 * _RETURNS_A_FACT)
         weighted_j, weighted_k = by_j * weight[:, None], by_k * weight[:, None]
-        normal[j, :, j] += weighted_j.T @ by_j
-        normal[k, :, k] += weighted_k.T @ by_k
         mixed = weighted_j.T @ by_k
-        normal[j, :, k] += mixed
-        normal[k, :, j] += mixed.T
+        places += [(j, j), (k, k), (j, k), (k, j)]
+        blocks += [weighted_j.T @ by_j, weighted_k.T @ by_k, mixed, mixed.T]
         right[j] -= weighted_j.T @ residual
         right[k] -= weighted_k.T @ residual
-    own = np.diag(np.tile(_PRIOR**-2.0, count))
-    step = np.linalg.solve(normal.reshape(6 * count, -1) + own, (right - twist * _PRIOR**-2.0).reshape(-1))
-    improved: np.ndarray = twist + step.reshape(count, 6)
+    step = spsolve(_of_blocks(places, blocks), right.reshape(-1))
+    improved: np.ndarray = twist + step.reshape(twist.shape)
     return improved
+
+
+def _of_blocks(places: Sequence[tuple[int, int]], blocks: Sequence[np.ndarray]) -> csc_array:
+    """A sparse matrix of blocks (6, 6) by their rows and columns of blocks; those of one place add up."""
+    within = np.arange(6)
+    row, column = 6 * np.array(places).T[:, :, None, None]
+    value = np.stack(blocks)
+    at = [np.broadcast_to(one, value.shape).ravel() for one in (row + within[:, None], column + within)]
+    return coo_array((value.ravel(), tuple(at))).tocsc()
 
 
 def _motions(pose: np.ndarray, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int, np.ndarray]]:

@@ -13,7 +13,7 @@ from nvsf_core.stages.recording import LidarRecording, Recording
 
 _DEPTH_SCANS = 10
 """Training scans around a view whose returns give the warped images their depth."""
-_SAME_INSTANT_S = 0.03
+SAME_INSTANT_S = 0.03
 """A scan nearer than this to an image is of the same frame."""
 
 
@@ -68,7 +68,7 @@ def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) ->
     time_s = sweeps.arrays["time_s"]
     training = np.flatnonzero(sweeps.is_training)
     if leave_out and len(training) > 1:
-        training = training[np.abs(time_s[training] - instant_s) > _SAME_INSTANT_S]
+        training = training[np.abs(time_s[training] - instant_s) > SAME_INSTANT_S]
     order = np.argsort(np.abs(time_s[training] - instant_s), kind="stable")
     return [int(scan) for scan in training[order[:_DEPTH_SCANS]]]
 

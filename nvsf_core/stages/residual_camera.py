@@ -52,6 +52,7 @@ class TrainedCamera:
 
     states: dict[str, TrainingState]
     preparation_seconds: float
+    """All that training took beside the networks' steps, the judges' verdict included."""
     metadata: dict[str, Scalar]
     learned: list[str]
     """Cameras that the networks show; the others stay with `reproject`."""
@@ -62,13 +63,10 @@ class TrainedCamera:
 def train_camera(
     task: Task, work: Path, networks: CameraEnsemble, recipe: ResidualRecipe, recording: Recording
 ) -> TrainedCamera:
-    """Train all networks on every image that is not a judge, then ask the judges.
-
-    They say, too, whether images show a view better where they were aligned; else they stay as given.
-    """
+    """Train all networks on every image that is not a judge, then ask the judges."""
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
-    given = aligned_by(recording, {})
+    given = aligned_by(MovingWorld(recording), {})
     shown = {name: _shown(given.world, name, recipe.camera) for name in usable}
     examples = [
         left_out(given, name, index, shown[name], recipe.camera)
@@ -77,10 +75,11 @@ def train_camera(
         if index not in judges(_images(recording, name), recipe.camera)
     ]
     if not examples:
-        return TrainedCamera({}, 0.0, {"camera_shows": "reproject: too few images to learn from"}, [], {})
+        few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
+        return TrainedCamera({}, time.perf_counter() - started, few, [], {})
     task.progress(f"[{task.scene.name}] field, camera: {len(examples)} images to learn from")
-    preparation = time.perf_counter() - started
     depth = _fresh(task, nn.ModuleList(one.depth for one in networks), recipe.depth_training, 1)
+    preparation = time.perf_counter() - started
     fit(
         task, work, "depth", depth, recipe.depth_training,
         lambda _, generator: (depth_step(one.depth, examples, recipe, generator) for one in networks),
@@ -91,28 +90,43 @@ def train_camera(
         task, work, "camera", both, recipe.camera_training,
         lambda _, generator: (camera_step(one, examples, recipe, generator) for one in networks),
     )  # fmt: skip
-    metadata: dict[str, Scalar] = {"left_out_images": len(examples)}
-    learned = []
-    aligning = time.perf_counter()
-    aligned = align_drive(recording, usable if recipe.camera.aligned else ())
-    preparation += time.perf_counter() - aligning
-    kept = {}
-    for name in usable:
-        shown_db = judge(networks, given, name, shown[name], recipe.camera)
-        warped_db = judge_reproject(recording, name, recipe.camera)
+    judging = time.perf_counter()
+    verdict, learned, corrections = _verdict(networks, given, shown, recipe.camera)
+    preparation += time.perf_counter() - judging
+    metadata: dict[str, Scalar] = {"left_out_images": len(examples)} | verdict
+    states = {"depth": depth, "camera": both}
+    return TrainedCamera(states, preparation, metadata, learned, facts_of(corrections))
+
+
+def _verdict(
+    networks: CameraEnsemble, given: AlignedDrive, shown: Mapping[str, ShownImages], spec: CameraSpec
+) -> tuple[dict[str, Scalar], list[str], dict[str, PoseCorrection]]:
+    """What the judges say of cameras: figures, whom the networks show, and whose images are aligned how.
+
+    Images stay as given where aligned ones do not show the judges better. For that question judges are not
+    aligned with the others, whose poses would know their pixels; afterwards all are.
+    """
+    recording = given.given
+    silent = {name: judges(_images(recording, name), spec) for name in shown}
+    aligned = aligned_by(given.world, align_drive(given.world, list(shown) if spec.aligned else [], silent))
+    metadata: dict[str, Scalar] = {}
+    learned, better = [], []
+    for name, images in shown.items():
+        shown_db = judge(networks, given, name, images, spec)
+        warped_db = judge_reproject(recording, name, spec)
         if name in aligned.corrections:
-            aligned_db = judge(networks, aligned, name, shown[name], recipe.camera)
+            aligned_db = judge(networks, aligned, name, images, spec)
             metadata[f"{name}_judged_aligned_gain_db"] = aligned_db - shown_db
             if aligned_db > shown_db:
-                shown_db, kept[name] = aligned_db, aligned.corrections[name]
+                shown_db = aligned_db
+                better.append(name)
         is_better = shown_db > warped_db
         metadata[f"{name}_judged_psnr_db"] = shown_db
         metadata[f"{name}_judged_reproject_psnr_db"] = warped_db
         metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
         if is_better:
             learned.append(name)
-    states = {"depth": depth, "camera": both}
-    return TrainedCamera(states, preparation, metadata, learned, facts_of(kept))
+    return metadata, learned, align_drive(given.world, better)
 
 
 def camera_renderer(
@@ -124,7 +138,7 @@ def camera_renderer(
 ) -> ImageRenderer:
     """Images by the networks where they beat `reproject`, else by that."""
     warp = warping_renderer(recording)
-    drive = aligned_by(recording, corrections)
+    drive = aligned_by(MovingWorld(recording), corrections)
     world = drive.world
     shown = {name: _shown(world, name, spec) for name in learned}
 

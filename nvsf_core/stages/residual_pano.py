@@ -77,6 +77,7 @@ class TrainedPano:
 
     states: dict[str, TrainingState]
     preparation_seconds: float
+    """All that training took beside the network's steps, the judges' verdict included."""
     metadata: dict[str, Scalar]
     corrected: list[str]
     """Parts of the pano that the network shows; the others stay as the phases have them."""
@@ -96,11 +97,12 @@ def train_pano(
     training = None if spec is None else spec.training
     if spec is None or training is None:
         raise RecipeError(f"recipe {recipe.name}: expected a pano with training, found none")
+    started = time.perf_counter()
     panos = recorded_panos(lidar)
     if len(panos.time_s) < _FEWEST_SCANS:
         few: dict[str, Scalar] = {"pano_corrected": "nothing: too few scans to learn from"}
-        return TrainedPano(states={}, preparation_seconds=0.0, metadata=few, corrected=[])
-    started = time.perf_counter()
+        prepared_s = time.perf_counter() - started
+        return TrainedPano(states={}, preparation_seconds=prepared_s, metadata=few, corrected=[])
     scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
     left_out = []
     for scan in scans.tolist():
@@ -108,14 +110,16 @@ def train_pano(
         task.progress(f"[{task.scene.name}] field, pano: expected {len(left_out)} of {len(scans)}")
     judged = judges(len(left_out), spec)
     examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
-    preparation = time.perf_counter() - started
     generator = torch.Generator().manual_seed(task.config.seed * 5 + 3)
     state = TrainingState(network, make_optimiser(network, training), generator)
+    preparation = time.perf_counter() - started
     fit(
         task, work, "pano", state, training,
         lambda _, drawn: [cell_step(network, examples, training, recipe.losses, drawn)],
     )  # fmt: skip
+    judging = time.perf_counter()
     verdict, corrected = judge(network, [left_out[number] for number in judged])
+    preparation += time.perf_counter() - judging
     return TrainedPano(
         states={"pano": state}, preparation_seconds=preparation, metadata=verdict, corrected=corrected
     )

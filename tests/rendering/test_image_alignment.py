@@ -1,5 +1,7 @@
 """Laws of aligned images, on photographs of a room's corner from poses that were told slightly wrong."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -82,8 +84,34 @@ def test_a_view_between_images_is_corrected_as_they_are_and_a_left_out_one_says_
         assert correction.at(np.eye(4), time_s) == pytest.approx(exp_se3(drifting[index]), abs=2e-4)
     wrong = drifting.copy()
     wrong[2] = 0.5
-    left_out = PoseCorrection(TIME_S, wrong).at(np.eye(4), float(TIME_S[2]), leave_out=2)
+    left_out = PoseCorrection(TIME_S, wrong).at(np.eye(4), float(TIME_S[2]), leave_out=True)
     assert left_out == pytest.approx(exp_se3(drifting[2]), abs=1e-4)
     alone = PoseCorrection(TIME_S[:1], drifting[:1])
     assert alone.at(np.eye(4), 3.0) == pytest.approx(exp_se3(drifting[0]))
-    assert correction.of_images(TRUE) == pytest.approx(TRUE @ exp_se3(drifting))
+    assert alone.at(np.eye(4), 0.0, leave_out=True) == pytest.approx(exp_se3(drifting[0]))
+    assert correction.of_images(TRUE, TIME_S) == pytest.approx(TRUE @ exp_se3(drifting))
+
+
+def test_images_that_were_not_aligned_go_with_those_around_them_and_say_nothing() -> None:
+    drifting = np.linspace(0.001, 0.002, COUNT)[:, None] * np.ones(6)
+    heard = np.array([0, 1, 3, 5])
+    some = PoseCorrection(TIME_S[heard], drifting[heard])
+    assert some.of_images(TRUE, TIME_S) == pytest.approx(TRUE @ exp_se3(drifting), abs=1e-4)
+    assert np.array_equal(some.of_images(TRUE, TIME_S)[heard], TRUE[heard] @ exp_se3(drifting[heard]))
+    for silent in (2, 4):
+        alike = [some.at(TRUE[silent], float(TIME_S[silent]), leave_out=out) for out in (False, True)]
+        assert np.array_equal(*alike)
+        assert np.array_equal(some.of_images(TRUE, TIME_S)[silent], alike[0])
+
+
+def test_the_memory_of_aligning_grows_with_images_and_not_with_their_square() -> None:
+    count = 300
+    pinhole = Pinhole(fx=10.0, fy=10.0, cx=11.5, cy=9.5, width=24, height=20)
+    pose = np.tile(np.eye(4), (count, 1, 1))
+    pose[:, 2, 3] = np.arange(count)
+    nothing = [np.zeros((0, 3), np.float32)] * count
+    tracemalloc.start()
+    align_images([np.zeros((20, 24, 3), np.uint8)] * count, pinhole, pose, nothing)
+    most_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most_bytes < 8 * (6 * count) ** 2

@@ -1,5 +1,6 @@
-"""The network of hits is kept where left-out scans say that it helps, and nowhere else."""
+"""Networks of a LiDAR's grids: that of hits is kept where left-out scans say that it helps, else not."""
 
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,11 +9,12 @@ import pytest
 import torch
 
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.stages.flow import SceneRun
 from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
 from nvsf_core.stages.residual_hits import TrainedHits, recorded_turns, train_hits
 from nvsf_core.stages.residual_model import make_fields
+from nvsf_core.stages.residual_pano import train_pano
 from nvsf_core.stages.stage import Task
 from tests.stages.lidar_drive import proven_drive
 
@@ -40,12 +42,13 @@ class Drive:
         work.mkdir()
         fields = make_fields(recipe, self.recording, 0)
         assert isinstance(fields.lidar, LidarField) and fields.hits is not None
-        run = self.run
-        task = Task(
-            scene=run.scene, store=run.store, config=run.config, folder=work, progress=lambda _: None
-        )
         torch.set_num_threads(1)
-        return train_hits(task, work, fields.hits, fields.lidar, recipe, lidar)
+        return train_hits(self.task(work), work, fields.hits, fields.lidar, recipe, lidar)
+
+    def task(self, work: Path) -> Task:
+        """Of a training that keeps its checkpoints in `work`."""
+        run = self.run
+        return Task(scene=run.scene, store=run.store, config=run.config, folder=work, progress=lambda _: None)
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +99,17 @@ def test_recorded_turns_hold_every_training_return_where_the_prior_has_it(drive:
     first = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[0]))
     recorded = sweeps.arrays["range_m"][first]
     assert np.array_equal(np.sort(turns.range_m[0][prior.is_hit[0]]), np.sort(recorded))
+
+
+def test_the_seconds_of_training_a_pano_are_all_that_it_took(drive: Drive, tmp_path: Path) -> None:
+    once = TrainingSpec(steps=1, rays=264, threads=1)
+    pano = PanoSpec(phases=1, parts=2, channels=32, layers=4, frames=3, judge_every=2, training=once)
+    recipe = replace(SMALL, pano=pano)
+    fields = make_fields(recipe, drive.recording, 0)
+    assert fields.lidar is not None and fields.pano is not None
+    torch.set_num_threads(1)
+    task, started = drive.task(tmp_path), time.perf_counter()
+    trained = train_pano(task, tmp_path, fields.pano, fields.lidar, recipe, drive.lidar, None)
+    took_s = time.perf_counter() - started
+    counted_s = trained.preparation_seconds + sum(state.seconds for state in trained.states.values())
+    assert 0.85 * took_s < counted_s <= took_s
