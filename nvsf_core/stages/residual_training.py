@@ -34,7 +34,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
         metadata["training_rays"] = len(rays)
         seconds = time.perf_counter() - started
         states["lidar"] = fit(
-            task, work, "lidar", _state(task, field, recipe.lidar_training, 0), recipe.lidar_training,
+            task, work, "lidar", _state(task, field, recipe.lidar_training), recipe.lidar_training,
             lambda _, generator: [lidar_step(field, evidence.standing, rays, recipe, far_m, generator)],
         )  # fmt: skip
         judging = time.perf_counter()
@@ -75,7 +75,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
     )
 
 
-def _state(task: Task, model: torch.nn.Module, spec: TrainingSpec, number: int) -> TrainingState:
-    """A field before its first step; each of a scene draws rays of its own."""
-    generator = torch.Generator().manual_seed(task.config.seed * 2 + number)
+def _state(task: Task, model: torch.nn.Module, spec: TrainingSpec) -> TrainingState:
+    """A field before its first step."""
+    generator = torch.Generator().manual_seed(task.config.seed * 2)
     return TrainingState(model, make_optimiser(model, spec), generator)
