@@ -30,10 +30,10 @@ _LEAN = replace(
     lidar_training=TrainingSpec(steps=10_000, rays=4096),
     hits=HitsSpec(training=TrainingSpec(steps=600, rays=17_000)),
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
-    camera=replace(_QUICK.camera, refinements=5, aligned=True, varied=True, members=3),
+    camera=replace(_QUICK.camera, sources=6, refinements=5, aligned=True, varied=True, members=3),
     depth_training=replace(_QUICK.depth_training, steps=200),
     camera_training=replace(_QUICK.camera_training, steps=800),
-    losses=replace(_QUICK.losses, structure=0.1),
+    losses=replace(_QUICK.losses, colour_distance=0.1, structure=0.1),
 )
 _SMOKE = replace(
     _QUICK,

@@ -30,7 +30,7 @@ _RETURNS_A_FACT = 20.0
 _CELL_PX, _MOST_RETURNS = 4, 12_000
 _NEAREST_M = 0.5
 _RIM_PX = 4
-_SMOOTH_S = 0.5
+_SMOOTH_S = 0.75
 """Corrections of images within about this time are one: the errors of a pose come and go slowly."""
 
 
