@@ -23,10 +23,8 @@ _BLUR_PX = 1.5
 _ROUNDS = 8
 _PRIOR = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
 """Standard deviation of a pose's error before images are looked at, metres and radians."""
-_NOISE = 0.03
+_NOISE = 0.1
 """Difference of grey values, of 0..1, from which on a return rather shows something else."""
-_RETURNS_A_FACT = 20.0
-"""Neighbouring returns err together: so many say as much as one."""
 _CELL_PX, _MOST_RETURNS = 4, 12_000
 _NEAREST_M = 0.5
 _RIM_PX = 4
@@ -135,7 +133,7 @@ def _improved(
     blocks = [np.diag(_PRIOR**-2.0)] * len(pose)
     for j, k, motion in _motions(pose @ exp_se3(twist), pairs):
         residual, by_j, by_k = _residual(anchors[j], motion, seen[k], pinhole)
-        weight = 1.0 / (1.0 + (residual / _NOISE) ** 2) ** 2 / (_NOISE**2 * _RETURNS_A_FACT)
+        weight = 1.0 / (1.0 + (residual / _NOISE) ** 2) ** 2 / _NOISE**2
         weighted_j, weighted_k = by_j * weight[:, None], by_k * weight[:, None]
         mixed = weighted_j.T @ by_k
         places += [(j, j), (k, k), (j, k), (k, j)]
