@@ -146,8 +146,8 @@ def test_more_steps_or_larger_networks_cost_more_and_a_sensor_that_is_absent_not
     # Measured on k360_street, all of them.
     assert expected_seconds(quick, both, 6.5) == pytest.approx(86.0, rel=0.15)
     assert expected_memory_mb(quick, both, 3_900_000) == pytest.approx(2762.0, rel=0.05)
-    whole = {"lidar": 1_990_000, "camera": 360_000, "hits": 6_800, "pano": 10_500}
-    assert expected_seconds(lean, whole, 6.36) == pytest.approx(950.0, rel=0.1)
-    assert expected_memory_mb(lean, whole, 3_900_000) == pytest.approx(3002.0, rel=0.05)
+    whole = {"lidar": 1_990_000, "camera": 404_000, "hits": 6_800, "pano": 10_500}
+    assert expected_seconds(lean, whole, 6.36) == pytest.approx(1250.0, rel=0.1)
+    assert expected_memory_mb(lean, whole, 3_900_000) == pytest.approx(3428.0, rel=0.05)
     assert expected_seconds(lean, lidar | {"hits": 6_800}, 6.36) > expected_seconds(lean, lidar, 6.36)
     assert expected_memory_mb(lean, lidar, 3_900_000) < expected_memory_mb(lean, whole, 3_900_000)
