@@ -9,11 +9,12 @@ from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_vehicle, recorded_scan
-from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
-from nvsf_core.simulation.sweep_simulation import answer_in_chunks, fire_sweep
+from nvsf_core.simulation.scan import put_back_own_vehicle, recorded_scan
+from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
+from nvsf_core.stages.view_lidar import answers_along
 
 SHARE = 4
 """One of so many blocks of columns, and of recorded rays, is scored."""
@@ -83,56 +84,37 @@ def _only(rays: SweepRays, kept: np.ndarray) -> SweepRays:
 
 def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> Answers:
     """The LiDAR of a model that has one."""
-    render = model.lidar
-    assert render is not None
     sweeps = lidar.sweeps
 
     def answer(number: int) -> tuple[PanoImage, np.ndarray]:
         frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
-        points, intensity, laser = recorded_scan(*_quarter_turn(lidar, plan, model, render, time_s))
+        points, intensity, laser = recorded_scan(*_quarter_turn(lidar, plan, model, time_s))
         pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
         a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
         rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
-        return pano, _along(lidar, model, render, time_s, *rays).range_m
+        return pano, answers_along(lidar, model, time_s, *rays).range_m
 
     return answer
 
 
 def _quarter_turn(
-    lidar: LidarRecording, plan: SweepPlan, model: SceneModel, render: RayRenderer, time_s: float
+    lidar: LidarRecording, plan: SweepPlan, model: SceneModel, time_s: float
 ) -> tuple[SweepRays, RayAnswers]:
     """The chosen columns' rays, answered; what corrects a turn is asked about the whole of it."""
     evidence, sweeps = lidar.evidence, lidar.sweeps
     if model.correct is None:
         rays = quarter_of_rays(lidar, plan, time_s, model.votes)
-        answers = _along(
-            lidar, model, render, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
+        answers = answers_along(
+            lidar, model, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
         )
         return rays, put_back_own_vehicle(answers, rays, evidence)
+    assert model.lidar is not None
     rays, answers = fire_sweep(
-        plan, time_s, evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, model.votes,
+        plan, time_s, evidence, model.lidar, sweeps.trajectory, sweeps.period_s, sweeps.table, model.votes,
         correct=model.correct, as_recorded=model.as_recorded,
     )  # fmt: skip
     kept = _in_sectors(rays)
     return _only(rays, kept), RayAnswers(answers.range_m[kept], answers.hit[kept], answers.intensity[kept])
-
-
-def _along(
-    lidar: LidarRecording, model: SceneModel, render: RayRenderer, time_s: float,
-    origin_m: np.ndarray, direction: np.ndarray, laser: np.ndarray, fraction: np.ndarray,
-) -> RayAnswers:  # fmt: skip
-    """Any rays of the recording sensor's sweep, as it records them."""
-    sweeps, evidence = lidar.sweeps, lidar.evidence
-    near = evidence.prior.nearest_scans(time_s, model.votes)
-    vote = evidence.prior.vote(np.maximum(laser, 0), fraction, near)
-    fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
-    answers = answer_in_chunks(render, origin_m, direction, vote, fired_s)
-    answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
-    if model.as_recorded:
-        return answers
-    return measured_at_rest(
-        answers, np.maximum(laser, 0), fraction, evidence, time_s, sweeps.trajectory, sweeps.period_s
-    )
 
 
 def recorded(lidar: LidarRecording, frame: int) -> tuple[Scan, np.ndarray]:

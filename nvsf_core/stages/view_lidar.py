@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 
+from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
 from nvsf_core.simulation.scan import HIT_THRESHOLD, by_lasers, measured_at_rest
@@ -84,23 +85,13 @@ def along_recorded_rays(
 
     Ranges are free of their lasers' biases, as the recorded ones that they are compared with.
     """
-    assert model.lidar is not None
-    sweeps, prior = lidar.sweeps, lidar.evidence.prior
+    sweeps = lidar.sweeps
     a = sweeps.arrays
     ranges, intensities = [], []
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         part = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
-        scans = prior.nearest_scans(float(instant), model.votes)
-        vote = prior.vote(np.maximum(a["laser"][part], 0), a["sweep_fraction"][part], scans)
-        fired_s = float(instant) + a["sweep_fraction"][part].astype(np.float64) * sweeps.period_s
-        answers = answer_in_chunks(model.lidar, a["origin_m"][part], a["direction"][part], vote, fired_s)
-        laser = a["laser"][part]
-        answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
-        if not model.as_recorded:
-            answers = measured_at_rest(
-                answers, np.maximum(laser, 0), a["sweep_fraction"][part], lidar.evidence,
-                float(instant), sweeps.trajectory, sweeps.period_s,
-            )  # fmt: skip
+        rays = (a[name][part] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
+        answers = answers_along(lidar, model, float(instant), *rays)
         ranges.append(answers.range_m)
         intensities.append(answers.intensity)
     return {
@@ -108,6 +99,38 @@ def along_recorded_rays(
         "ray_range_m": np.concatenate(ranges).astype(np.float32),
         "ray_intensity": np.concatenate(intensities).astype(np.float32),
     }
+
+
+def answers_along(
+    lidar: LidarRecording,
+    model: SceneModel,
+    time_s: float,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    laser: np.ndarray,
+    fraction: np.ndarray,
+) -> RayAnswers:
+    """Any rays of the recording sensor's sweep at `time_s`, as it records them, by a model with a LiDAR.
+
+    Args:
+        lidar: What was recorded.
+        model: Answers.
+        time_s: The instant of the sweep's pose.
+        origin_m: (r, 3) scene-local.
+        direction: (r, 3) unit, scene-local.
+        laser: (r,) of the recording sensor's table; -1 = unknown.
+        fraction: (r,) sweeps after the pose's instant.
+    """
+    assert model.lidar is not None
+    sweeps, evidence = lidar.sweeps, lidar.evidence
+    known = np.maximum(laser, 0)
+    vote = evidence.prior.vote(known, fraction, evidence.prior.nearest_scans(time_s, model.votes))
+    fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
+    answers = answer_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
+    answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
+    if model.as_recorded:
+        return answers
+    return measured_at_rest(answers, known, fraction, evidence, time_s, sweeps.trajectory, sweeps.period_s)
 
 
 def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray]:
