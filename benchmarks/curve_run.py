@@ -16,13 +16,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from benchmarks.commit import commit
 from benchmarks.curve_marks import CAMERA, LIDAR, Marked, Marks
 from benchmarks.curve_plan import FULL, MARKS_S, RESULTS, Split, result_path, split_of, write_result
 from benchmarks.curve_scoring import IMAGE_METRIC, Judge, judge_of, samples_a_ray, shrunk_images
 from benchmarks.curve_sizes import NAME as PAPER_CPU
 from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size, probe, timed
-from benchmarks.machine import commit, machine
 from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.machine import machine
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.simulation.scene_model import SceneModel

@@ -17,15 +17,16 @@ from typing import Any
 
 import torch
 
+from benchmarks.commit import commit
 from benchmarks.curve_plan import VAL, Split, split_of
 from benchmarks.curve_scoring import LIDAR_METRICS, RAW_METRICS, Judge, judge_of
 from benchmarks.lean_variants import VARIANTS, RayGrid, Variant, VariantStep, ray_grid
-from benchmarks.machine import commit, machine
 from benchmarks.rigidity import RESULTS as RIGIDITY
 from benchmarks.rigidity import section
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.machine import machine
 from nvsf_core.recipe import ResidualRecipe, preset
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer

@@ -14,8 +14,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypedDict
 
-from benchmarks.machine import commit, machine
+from benchmarks.commit import commit
 from benchmarks.stability_cases.case import NOT_APPLICABLE, Case, Reading
+from nvsf_core.machine import machine
 
 _ROOT = Path(__file__).resolve().parent.parent
 RESULTS = _ROOT / "benchmarks" / "results" / "stability.json"

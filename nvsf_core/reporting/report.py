@@ -147,11 +147,15 @@ def _commit(run: FieldRun) -> str:
     return f'<span title="{escape(run.commit)}">{shown}</span>' if run.commit else "–"
 
 
+def _on(machine: str) -> str:
+    return f", on {escape(machine)}" if machine else ""
+
+
 def _provenance(scene: SceneOutputs) -> str:
     """Which run each row of the scene's tables is from."""
     runs = "; ".join(
         f"<b>{escape(run.recipe)}</b>, seed {run.seed}: commit {_commit(run)}, "
-        f"{run.measured:%Y-%m-%d %H:%M} UTC"
+        f"{run.measured:%Y-%m-%d %H:%M} UTC{_on(run.machine)}"
         for run in scene.runs
     )
     newest = " Baselines and pictures are of the first of these." if len(scene.runs) > 1 else ""

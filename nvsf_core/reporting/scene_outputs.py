@@ -64,6 +64,8 @@ class FieldRun:
     seed: int
     commit: str
     """Of the code that measured it; empty where there are no rows."""
+    machine: str
+    """That measured it; empty where its record does not say."""
     measured: datetime
     """When its metrics were published, UTC."""
     means: list[dict[str, Any]]
@@ -110,6 +112,7 @@ def collect_scene(
                 recipe=recipe,
                 seed=int(seed),
                 commit=str(rows[0]["commit"]) if rows else "",
+                machine=_machine(records, recipe, seed),
                 measured=datetime.fromtimestamp(table.stat().st_mtime, UTC),
                 means=mean_rows(rows),
                 curve=read_table(curve) if curve.is_file() else {},
@@ -134,6 +137,11 @@ def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
             label = f"{row['recipe']}, seed {run.seed}" if several and not is_baseline else row["recipe"]
             rows.append({**row, "method": label, "is_baseline": is_baseline, "run": run})
     return rows
+
+
+def _machine(records: Sequence[StageRecord], recipe: str, seed: str) -> str:
+    name = f"scene_metrics {recipe} {seed}"
+    return next((str(one.metadata.get("machine", "")) for one in records if one.stage == name), "")
 
 
 def _metric_tables(root: Path) -> list[Path]:

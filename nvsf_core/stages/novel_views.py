@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from nvsf_core.errors import MissingLibraryError
+from nvsf_core.kitti360.demo import DEMO_SEQUENCE
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.image_check import LAWS as IMAGE_LAWS
@@ -18,7 +19,14 @@ from nvsf_core.stages.view_camera import copied_images, image_arrays
 from nvsf_core.stages.view_check import LAWS as VIEW_LAWS
 from nvsf_core.stages.view_check import check_views
 from nvsf_core.stages.view_files import describe_view, export_files, write_method
-from nvsf_core.stages.view_lidar import along_recorded_rays, copied_scans, own_panos, sweep_arrays, warm_up
+from nvsf_core.stages.view_lidar import (
+    along_recorded_rays,
+    copied_scans,
+    copied_sweeps,
+    own_panos,
+    sweep_arrays,
+    warm_up,
+)
 from nvsf_core.stages.view_planning import View, asked_view, held_out_view, reference_poses, to_world
 
 MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
@@ -46,7 +54,10 @@ def _run(task: Task) -> StageOutput:
             output.metadata[entry.name] = NO_LIDAR
             task.progress(f"[{task.scene.name}] novel_views: {entry.name} {NO_LIDAR}")
             continue
-        _publish(task, recording, view, _rendered(task, recording, view, models[MODEL], MODEL), output)
+        arrays = _rendered(task, recording, view, models[MODEL], MODEL)
+        _publish(task, recording, view, arrays, output)
+        if task.scene.sequence == DEMO_SEQUENCE:
+            _render_beside(task, recording, view, models, arrays)
     return output
 
 
@@ -79,6 +90,22 @@ def _render_held_out(
     if recording.lidar is not None and view.sweeps is not None:
         copies |= copied_scans(recording.lidar, view.sweeps)
     _write(task, recording, view, copies, COPY)
+
+
+def _render_beside(
+    task: Task, recording: Recording, view: View, models: Mapping[str, SceneModel],
+    by_model: Mapping[str, np.ndarray],
+) -> None:  # fmt: skip
+    """The baselines' sweeps of a view that can be scored, as the demo's can: its world is known exactly."""
+    if recording.lidar is None or view.sweeps is None or "grid_azimuth_rad" not in by_model:
+        return
+    for method, model in models.items():
+        if method != MODEL and model.lidar is not None:
+            arrays = sweep_arrays(task, recording.lidar, view.sweeps, model, method)
+            _write(task, recording, view, arrays, method)
+    if view.sweeps.is_recorded_sensor:
+        copies = copied_sweeps(recording.lidar, view.sweeps, by_model)
+        _write(task, recording, view, copies, COPY)
 
 
 def _rendered(
@@ -122,7 +149,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="11",
+    version="12",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from nvsf_core.machine import machine
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
@@ -52,7 +53,7 @@ def _run(task: Task) -> StageOutput:
     about |= _measure_demo_views(task, views, ledger)
     write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
     output = ledger.output()
-    output.metadata |= about
+    output.metadata |= about | {"machine": machine()}
     _draw_error_cloud(task, views / HELD_OUT / "model.zarr", recording, output)
     return output
 

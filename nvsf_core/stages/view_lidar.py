@@ -1,6 +1,7 @@
 """The LiDAR's part of a view: simulated sweeps, answers along recorded rays, and the nearest scan copied."""
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -57,9 +58,7 @@ def sweep_arrays(
     return arrays
 
 
-def own_panos(
-    task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRenderer
-) -> dict[str, np.ndarray]:
+def own_panos(task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRenderer) -> dict[str, np.ndarray]:
     """The panos of a model that renders the range image's own rays; empty where it expects no return.
 
     Args:
@@ -78,9 +77,7 @@ def own_panos(
     return {name: np.stack(columns) for name, columns in zip(names, zip(*panos, strict=True), strict=True)}
 
 
-def along_recorded_rays(
-    lidar: LidarRecording, plan: SweepPlan, model: SceneModel
-) -> dict[str, np.ndarray]:
+def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> dict[str, np.ndarray]:
     """For scoring only: range and intensity along the recorded returns' own rays, by a model with a LiDAR.
 
     Ranges are free of their lasers' biases, as the recorded ones that they are compared with.
@@ -166,6 +163,47 @@ def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray
     arrays["ray_intensity"] = np.concatenate([i for _, i in rays])
     arrays["lidar_render_seconds"] = np.array(seconds)
     return arrays
+
+
+def copied_sweeps(
+    lidar: LidarRecording, plan: SweepPlan, grid: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """The nearest training scan of each instant, as it is, and what it says along a view's own rays.
+
+    Args:
+        lidar: What was recorded.
+        plan: Of the recording sensor, wherever it stands.
+        grid: `grid_azimuth_rad` and `grid_elevation_rad`, both (n, l, f), of the view's rays, row by row the
+            lasers that the drive has.
+    """
+    a = lidar.sweeps.arrays
+    training = np.flatnonzero(lidar.sweeps.is_training)
+    pano = LinearPano(quirks=True)
+    lasers, firings = grid["grid_azimuth_rad"].shape[1:]
+    laser = np.repeat(lidar.evidence.lasers.astype(np.int64), firings)
+    scans, panos, answers, seconds = [], [], [], []
+    for instant, azimuth_rad in zip(plan.time_s, grid["grid_azimuth_rad"], strict=True):
+        started = time.perf_counter()
+        source = lidar.sweeps.returns_of(
+            int(training[nearest_earlier(a["time_s"][training], float(instant))])
+        )
+        scan = (a["points_m"][source], a["intensity"][source], a["laser"][source])
+        towards = np.stack([np.cos(azimuth_rad).ravel(), np.sin(azimuth_rad).ravel()], axis=1)
+        centre_m = np.linalg.norm(scan[0], axis=1)
+        answers.append(copied_ranges(scan[0], scan[2], centre_m, scan[1], towards, laser))
+        scans.append(scan)
+        panos.append(pano.project(scan[0], scan[1]))
+        seconds.append(time.perf_counter() - started)
+    centre_m, shine = (np.stack(one).reshape(-1, lasers, firings) for one in zip(*answers, strict=True))
+    pano_range_m, pano_intensity = (np.stack(one) for one in zip(*panos, strict=True))
+    found = np.isfinite(centre_m)
+    return _joined(scans) | {
+        "pano_range_m": pano_range_m, "pano_intensity": pano_intensity,
+        "pano_hit": (pano_range_m > 0).astype(np.float32),
+        "grid_range_m": np.where(found, centre_m, 0.0), "grid_hit": found.astype(np.float32),
+        "grid_intensity": shine, "lidar_render_seconds": np.array(seconds),
+        **{name: grid[name] for name in ("grid_azimuth_rad", "grid_elevation_rad")},
+    }  # fmt: skip
 
 
 def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:

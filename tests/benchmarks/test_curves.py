@@ -154,7 +154,8 @@ def write_invented(results: Path, split: str, recipe: str, seed: int, value: flo
     facts = {
         "recipe": recipe, "scene": "s", "split": split, "seed": seed, "protocol": "p", "trained": [1, 2],
         "scored": [3], "machine": "a machine", "commit": "c0ffee", "image_px": [], "stage_seconds": {},
-        "recipe_identity": identity, "train_seconds": 60.0, "parameters": 12345,
+        "recipe_identity": identity, "train_seconds": 60.0, "parameters": 12345, "run_seconds": 90.0,
+        "clock_seconds": {"both": 61.0},
     }  # fmt: skip
     points = [
         {"recipe": recipe, "scene": "s", "seed": seed, "mark": mark, "seconds": seconds,
@@ -180,11 +181,15 @@ def test_document_and_report_show_means_over_seeds_and_say_where_they_are_from(t
     for seed, value in enumerate((0.02, 0.04)):
         write_invented(tmp_path / "curves", "full", "quick", seed, value, "")
     write_invented(tmp_path / "curves", "frames8", "quick", 0, 0.5, "")
-    (end,) = (p for p in curve(read_runs(tmp_path / "curves")[1:], "quick", "chamfer_m2") if p.mark_s is None)
+    write_invented(tmp_path / "curves", "val", "paper_cpu_t13_r512_s48", 0, 0.7, "")
+    runs = [run for run in read_runs(tmp_path / "curves") if run["run"]["split"] == "full"]
+    (end,) = (p for p in curve(runs, "quick", "chamfer_m2") if p.mark_s is None)
     assert end.value == pytest.approx(0.03) and end.seeds == 2
     document = write_document(tmp_path / "curves", tmp_path / "speed.md")
     text = document.read_text()
     assert "0.030 ± 0.014 (61 s)" in text and "how the cost grows" in text and "12,345" in text
+    assert "took 4 minutes, scoring included, the six sizes among them" in text
+    assert "| `paper_cpu_t13_r512_s48` | 61 | 0.700 | 0.00 |" in text
     assert all(word in text for word in ("a machine", "c0ffee", "Not measured on KITTI-360's ten scenes"))
     assert (tmp_path / "speed/s-full.png").stat().st_size < 200_000
     page = speed_section(tmp_path / "curves")

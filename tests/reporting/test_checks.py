@@ -18,8 +18,9 @@ def _record(stage, *checks):
 
 def _scene(*records):
     run = FieldRun(
-        recipe="quick", seed=0, commit="", measured=datetime.now(UTC), means=[], curve={}, pictures=[]
-    )
+        recipe="quick", seed=0, commit="", machine="", measured=datetime.now(UTC), means=[], curve={},
+        pictures=[],
+    )  # fmt: skip
     return SceneOutputs(name="street", records=list(records), runs=[run])
 
 

@@ -108,7 +108,7 @@ def test_the_page_holds_what_earlier_runs_measured_and_says_where_each_row_is_fr
     assert [(row[1], row[2]) for row in rows if row[2]] == [("<b>smoke</b>", "0"), ("<b>quick</b>", "3")]
     assert len(rows) == 8 and all(">abc<" in row[-2] and row[-1].startswith("20") for row in rows)
     assert "these scenes of the catalogue: kitti360_1908 ." in text
-    assert "Measured: quick , seed 3: commit abc" in text
+    assert "Measured: quick , seed 3: commit abc" in text and "UTC, on a machine of 2 cores" in text
 
 
 def test_what_an_earlier_run_left_unreadable_is_named_and_costs_no_page(tmp_path: Path) -> None:

@@ -1,8 +1,7 @@
-"""What a figure was measured on: the machine and the commit."""
+"""The machine that a figure was measured on."""
 
 import os
 import platform
-import subprocess
 from pathlib import Path
 
 import torch
@@ -20,15 +19,3 @@ def machine() -> str:
         f"{model}, {os.cpu_count()} CPU cores, Python {platform.python_version()}, "
         f"torch {torch.__version__}, {gpu}"
     )
-
-
-def commit() -> str:
-    """Short commit of this checkout; `unknown` outside one."""
-    folder = Path(__file__).resolve().parent
-    done = subprocess.run(
-        ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return done.stdout.strip() if done.returncode == 0 else "unknown"
