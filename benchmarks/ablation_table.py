@@ -6,7 +6,7 @@ from statistics import fmean, stdev
 from typing import TypedDict
 
 from benchmarks.commit import commit
-from nvsf_core.machine import machine
+from nvsf_core.stages.machine import machine
 
 _ROOT = Path(__file__).resolve().parent.parent
 RESULTS = _ROOT / "benchmarks" / "results" / "ablation.json"

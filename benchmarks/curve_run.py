@@ -23,7 +23,6 @@ from benchmarks.curve_scoring import IMAGE_METRIC, Judge, judge_of, samples_a_ra
 from benchmarks.curve_sizes import NAME as PAPER_CPU
 from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size, probe, timed
 from nvsf_core.kitti360.catalogue import home_from_environment
-from nvsf_core.machine import machine
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.simulation.scene_model import SceneModel
@@ -39,6 +38,7 @@ from nvsf_core.stages.flow import (
     write_demo_where_absent,
 )
 from nvsf_core.stages.lease import device_lease
+from nvsf_core.stages.machine import machine
 from nvsf_core.stages.paper_model import load_paper_model
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection

@@ -25,7 +25,6 @@ from benchmarks.parameters import DOCUMENT
 from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kitti360.catalogue import home_from_environment
-from nvsf_core.machine import machine
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
 from nvsf_core.stages.demo_truth import read_demo_truth
@@ -37,6 +36,7 @@ from nvsf_core.stages.flow import (
     say_on_stderr,
     write_demo_where_absent,
 )
+from nvsf_core.stages.machine import machine
 from nvsf_core.stages.stage import Task
 from nvsf_core.training.flow_step import train_flow
 

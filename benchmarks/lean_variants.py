@@ -47,6 +47,8 @@ class Variant:
     """Below it the range error counts squared; 0 = never, as in the recipe."""
     log2_table: int | None = None
     """Entries a level, whatever the scene fills; None = what the recipe gives the scene."""
+    shaped: bool = False
+    """The field starts from the surfaces of `reproject`, where voxels' returns have shapes."""
 
 
 VARIANTS = (
@@ -59,6 +61,7 @@ VARIANTS = (
     Variant(name="patches, L_grad x 0.1", patches=True, gradient=0.1),
     Variant(name="2^19 entries a level", log2_table=19),
     Variant(name="patches, no L_grad", patches=True),
+    Variant(name="surfaces with shapes", shaped=True),
 )
 """The first is the recipe's own training."""
 

@@ -70,16 +70,12 @@ class Measured:
 
 
 def by_method(rows: Iterable[Row]) -> dict[tuple[str, str], Measured]:
-    """Scene and method to their rows, in a table's order.
-
-    A baseline was measured beside each recipe and seed: the first of the rows is the one that is shown.
-    """
-    groups: dict[tuple[str, str], dict[int, Row]] = {}
+    """Scene and method to their rows, in a table's order."""
+    groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        seed = 0 if row["method"] in BASELINES else row["seed"]
-        groups.setdefault((row["scene"], row["method"]), {}).setdefault(seed, row)
+        groups.setdefault((row["scene"], row["method"]), []).append(row)
     return {
-        key: Measured(list(groups[key].values()), "" if key[1] in BASELINES else str(len(groups[key])))
+        key: Measured(groups[key], "" if key[1] in BASELINES else str(len(groups[key])))
         for key in sorted(groups, key=lambda key: (key[0], *rank(key[1])))
     }
 

@@ -14,30 +14,35 @@ from typing import Any
 
 from benchmarks.results_document import Row, as_document, by_method, cell, commits_of, error_of, rank
 from nvsf_core.kitti360.catalogue import home_from_environment
-from nvsf_core.machine import machine
-from nvsf_core.metrics.table import HELD_OUT, mean_rows
+from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
+from nvsf_core.stages.machine import machine
 from nvsf_core.stores.tables import read_rows
 
 ROOT = Path(__file__).parents[1]
 BEGIN, END = "<!-- results -->\n", "<!-- end of results -->"
 _SCAN, _IMAGE = "lidar4d_scan", "image"
+_BASELINES = "baselines"
+"""Name of their file."""
 
 
 def collect(home: Path) -> dict[str, list[Row]]:
-    """Recipe to what its runs measured: one row a scene, method (the recipe or a baseline) and seed.
+    """Recipe to what its runs measured: one row a scene and seed; the baselines' beside the newest run.
 
     A row's `errors` hold, by split, protocol, region and sensor with strokes between them, each metric's
     mean over the frames where it is defined, null where it is defined on none.
     """
     found: dict[str, list[Row]] = {}
     # A killed writer leaves hidden folders behind.
-    for path in sorted(home.glob("[!.]*/scene_metrics/[!.]*/[!.]*/metrics.parquet")):
+    tables = home.glob("[!.]*/scene_metrics/[!.]*/[!.]*/metrics.parquet")
+    for path in sorted(tables, key=lambda table: table.stat().st_mtime_ns):
         measured = read_rows(path)
         means = mean_rows(measured)
         for scene, method, seed in dict.fromkeys((m["scene"], m["recipe"], m["seed"]) for m in means):
             mine = [m for m in means if m["recipe"] == method]
             about = {"scene": scene, "method": method, "seed": seed, "commit": measured[0]["commit"]}
-            found.setdefault(path.parts[-3], []).append(about | _costs(mine) | {"errors": _errors(mine)})
+            # A baseline has no seed: it was measured beside each.
+            file, own = (_BASELINES, {"seed": 0}) if method in BASELINES else (path.parts[-3], {})
+            found.setdefault(file, []).append(about | own | _costs(mine) | {"errors": _errors(mine)})
     return found
 
 

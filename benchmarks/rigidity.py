@@ -27,9 +27,9 @@ from nvsf_core.evidence.ground import build_ground
 from nvsf_core.evidence.objects import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.kitti360.catalogue import home_from_environment
-from nvsf_core.machine import machine
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.evidence import read_evidence, read_sweeps, training_returns
+from nvsf_core.stages.machine import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 RESULTS = Path(__file__).resolve().parent / "results" / "rigidity.json"

@@ -22,7 +22,7 @@ class LeftOutEvidence:
     standing: Surfels
     """In the fields' voxels."""
     rendered: Surfels | None = None
-    """In the voxels of `SceneEvidence.rendered`; None where that is None."""
+    """Like `SceneEvidence.rendered`; None where that is None."""
 
     @property
     def for_rendering(self) -> Surfels:
@@ -63,7 +63,8 @@ class SceneEvidence:
     at_rest: AtRest | None = None
     """What was measured where the sensor stood or crawled; None where it never did."""
     rendered: Surfels | None = None
-    """Of what stays, in voxels of the size that suits the renderer that learns nothing; None = `standing`."""
+    """Of what stays, with shapes, in voxels of the size that suits the renderer that learns nothing; None =
+    `standing`."""
     left_out: LeftOutEvidence | None = None
     """For judging what is learned of the scene; None where there are too few scans to leave any out."""
 

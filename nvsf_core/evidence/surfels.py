@@ -10,8 +10,12 @@ from nvsf_core.kernels.voxel_march import count_passes, find_candidates
 
 MIN_PLANE_RETURNS = 5
 PLANE_EIGENVALUE_RATIO = 4.0
-MISSED_PLANE_SHARE = 0.1
+_MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
 STOP_TRANSMITTANCE = 0.005
+_NOISE_M = 0.005
+"""Returns of one surface scatter at least so far."""
+_DOUBT = 0.3
+"""So many returns, spread evenly over the voxel, are added to the covariance of those that there are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +27,9 @@ class Surfels:
     """(v, 3) float32: mean of the voxel's returns, scene-local."""
     normal: np.ndarray
     """(v, 3) float32: unit normal of the voxel's plane, 0 where there is none."""
+    precision: np.ndarray
+    """(v, 6) float32, 1/m^2: inverse covariance of the voxel's returns as xx, xy, xz, yy, yz, zz; (0, 6) of
+    surfels without shapes."""
     thickness_m: np.ndarray
     """(v,) float32: standard deviation across the plane."""
     intensity: np.ndarray
@@ -30,11 +37,11 @@ class Surfels:
     hits: np.ndarray
     """(v,) int32: rays that ended in the voxel."""
     passes: np.ndarray
-    """(v,) int32: rays that went through it."""
+    """(v,) int32: rays that went through it; through its shape, where it has one."""
 
     ARRAYS: ClassVar[tuple[str, ...]] = (
-        "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "thickness_m", "intensity",
-        "hits", "passes",
+        "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "precision", "thickness_m",
+        "intensity", "hits", "passes",
     )  # fmt: skip
     """Names of the arrays that surfels are stored as."""
 
@@ -52,7 +59,7 @@ class Surfels:
         a = arrays
         return Surfels(
             index=VoxelIndex(a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"]),
-            mean_m=a["mean_m"], normal=a["normal"], thickness_m=a["thickness_m"],
+            mean_m=a["mean_m"], normal=a["normal"], precision=a["precision"], thickness_m=a["thickness_m"],
             intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
         )  # fmt: skip
 
@@ -60,6 +67,11 @@ class Surfels:
     def opacity(self) -> np.ndarray:
         """(v,) float32: share of rays that ended here, between 0 and 1 by its prior counts."""
         return ((self.hits + 0.1) / (self.hits + self.passes + 0.2)).astype(np.float32)
+
+    @property
+    def missed_share(self) -> float:
+        """What is left of a voxel's opacity for a ray that misses its shape, or without one its plane."""
+        return _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
 
     @property
     def is_planar(self) -> np.ndarray:
@@ -97,11 +109,17 @@ def build_surfels(
     voxel_m: float,
     threads: int,
     is_surface: np.ndarray | None = None,
+    shaped: bool = False,
 ) -> Surfels:
     """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
 
-    A ray sees through every voxel that it crosses up to one voxel before its return. Returns that are not
-    `is_surface` (n,) bool, such as those of moving objects, make no surface, but still see through.
+    A ray sees through every voxel that it crosses up to one voxel before its return. With shapes it sees
+    through the returns of a voxel that it leaves before its own return, and passes as closely as one of them
+    would: the road, over which flat rays pass through its voxels, and a wall beside a gap stay opaque. A
+    renderer that learns nothing needs shapes; a field learns less from them (decision 0013).
+
+    Returns that are not `is_surface` (n,) bool, such as those of moving objects, make no surface, but still
+    see through.
     """
     kept = slice(None) if is_surface is None else is_surface
     points = origin_m[kept] + direction[kept] * range_m[kept, None]
@@ -110,21 +128,26 @@ def build_surfels(
     hits = np.bincount(voxel, minlength=count)
     mean, covariance = _moments(points, voxel, hits)
     normal, thickness = _planes(covariance, hits)
+    mean_m = mean.astype(np.float32)
+    precision = _precision(covariance, hits, voxel_m) if shaped else np.zeros((0, 6), np.float32)
+    stops_m = range_m if shaped else np.maximum(range_m - voxel_m, 0)
     passes = count_passes(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
-        np.maximum(range_m - voxel_m, 0).astype(np.float32),
+        stops_m.astype(np.float32),
         index.origin_m,
         voxel_m,
         index.bricks,
         index.cells,
-        count,
+        mean_m,
+        precision,
         threads,
     )
     return Surfels(
         index=index,
-        mean_m=mean.astype(np.float32),
+        mean_m=mean_m,
         normal=normal,
+        precision=precision,
         thickness_m=thickness,
         intensity=(np.bincount(voxel, weights=intensity[kept], minlength=count) / hits).astype(np.float32),
         hits=hits.astype(np.int32),
@@ -148,8 +171,9 @@ def candidates_of(
         index.cells,
         surfels.mean_m,
         surfels.normal,
+        surfels.precision,
         surfels.opacity,
-        MISSED_PLANE_SHARE,
+        surfels.missed_share,
         STOP_TRANSMITTANCE,
         most,
     )
@@ -178,3 +202,13 @@ def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.nd
     planar = (hits >= MIN_PLANE_RETURNS) & (values[:, 1] > PLANE_EIGENVALUE_RATIO * values[:, 0])
     normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
     return normal, np.sqrt(np.maximum(values[:, 0], 0.0)).astype(np.float32)
+
+
+def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.ndarray:
+    """Inverse covariances (v, 6) float32 of returns, 1/m^2, of which few are doubted."""
+    # A coordinate that is even over a voxel has the variance voxel_m^2 / 12.
+    even, noise = _DOUBT * voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
+    told = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
+    precision = np.linalg.inv(told + noise)
+    rows, columns = np.triu_indices(3)
+    return precision[:, rows, columns].astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.evidence.surfels import MISSED_PLANE_SHARE, STOP_TRANSMITTANCE, Surfels
+from nvsf_core.evidence.surfels import STOP_TRANSMITTANCE, Surfels
 from nvsf_core.fields.object_surfaces import NO_SURFACES, ObjectSurfaces
 from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
 
@@ -61,8 +61,8 @@ def surface_batch(
     first, range_m, logit, facts, point_m, vote = list_surfaces(
         np.ascontiguousarray(origin_m, np.float32), towards, near_m, far_m,
         index.origin_m, index.voxel_m, index.bricks, index.cells,
-        surfels.mean_m, surfels.normal, surfels.opacity, MISSED_PLANE_SHARE, STOP_TRANSMITTANCE, most,
-        surfels.hits, surfels.intensity,
+        surfels.mean_m, surfels.normal, surfels.precision, surfels.opacity,
+        surfels.missed_share, STOP_TRANSMITTANCE, most, surfels.hits, surfels.intensity,
         met.ray, met.first, met.range_m, met.opacity, met.cosine, met.is_planar, met.hits, met.intensity,
         met.place_m, met.vote,
     )  # fmt: skip

@@ -9,7 +9,7 @@ from nvsf_core.kernels.voxel_march import RAYS_A_TASK, walk
 @njit(parallel=True, cache=True)
 def answer_by_surfels(  # type: ignore[no-untyped-def]
     origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, opacities, intensities, missed_share, stop_transmittance, most,
+    means, normals, precisions, opacities, intensities, missed_share, stop_transmittance, most,
 ):  # fmt: skip
     """The weighted median surface of each ray, of those that `find_candidates` gives with the same arguments.
 
@@ -31,7 +31,7 @@ def answer_by_surfels(  # type: ignore[no-untyped-def]
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             count = walk(
                 ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-                means, normals, opacities, missed_share, stop_transmittance,
+                means, normals, precisions, opacities, missed_share, stop_transmittance,
                 distance, voxel, opacity, cosine,
             )  # fmt: skip
             if count == 0:

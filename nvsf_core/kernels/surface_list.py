@@ -30,7 +30,7 @@ def _describe(distance, opacity, cosine, is_planar, hits, intensity, at, range_m
 @njit(parallel=True, cache=True)
 def list_surfaces(  # type: ignore[no-untyped-def]
     origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, opacities, missed_share, stop_transmittance, most, hits, intensities,
+    means, normals, precisions, opacities, missed_share, stop_transmittance, most, hits, intensities,
     met, met_first, met_range_m, met_opacity, met_cosine, met_planar, met_hits, met_intensity, met_place_m,
     met_vote,
 ):  # fmt: skip
@@ -57,7 +57,7 @@ def list_surfaces(  # type: ignore[no-untyped-def]
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             standing[ray] = walk(
                 ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-                means, normals, opacities, missed_share, stop_transmittance,
+                means, normals, precisions, opacities, missed_share, stop_transmittance,
                 distance[ray], voxels[ray], opacity[ray], cosine[ray],
             )  # fmt: skip
     first = np.zeros(n + 1, np.int64)

@@ -2,6 +2,10 @@
 
 The grid is stored in bricks of 8 x 8 x 8 voxels: `bricks` holds a brick's row in `cells`, or -1;
 `cells` holds a voxel's number, or -1. A ray is origin + t * direction, direction of unit length.
+
+A voxel's returns fill it unevenly. Where their shape is known, by `precisions` (v, 6), a ray meets them only
+if it passes within 2.5 of their own standard deviations, else it neither sees through them nor ends there.
+Precisions are inverse covariances, 1/m^2: xx, xy, xz, yy, yz, zz; (0, 6) where no shapes are known.
 """
 
 import math
@@ -12,6 +16,10 @@ from numba import njit, prange
 BRICK = 8
 _NO_PLANE_COSINE = 0.5
 _NEVER_M = 1e300
+_REACH = 6.25
+"""Square of how many standard deviations of a voxel's returns a ray may pass them by and still meet them."""
+_FALL = 0.2
+"""Opacity at `apart` squared standard deviations is exp(-_FALL * apart) of that at the returns' middle."""
 RAYS_A_TASK = 256
 """Rays that one thread answers before it asks for more."""
 
@@ -38,6 +46,24 @@ def _first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: i
         return index, -1, (grid_origin + index * voxel_m - origin) / direction, voxel_m / -direction
     # Never reached; times 0 it must not become NaN.
     return index, 1, _NEVER_M, 0.0
+
+
+@njit(inline="always")
+def _closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Where a ray passes a voxel's returns closest, and how close, in squares of their standard deviation.
+
+    With precision P, mean m from the ray's origin and direction d: the t that minimises
+    (m - t d)^T P (m - t d). It is sought from the foot of the mean on the ray, near which float32 is fine.
+    """
+    xx, xy, xz = precisions[voxel, 0], precisions[voxel, 1], precisions[voxel, 2]
+    yy, yz, zz = precisions[voxel, 3], precisions[voxel, 4], precisions[voxel, 5]
+    foot = mx * dx + my * dy + mz * dz
+    ex, ey, ez = mx - foot * dx, my - foot * dy, mz - foot * dz
+    px, py, pz = xx * dx + xy * dy + xz * dz, xy * dx + yy * dy + yz * dz, xz * dx + yz * dy + zz * dz
+    onward = (px * ex + py * ey + pz * ez) / (px * dx + py * dy + pz * dz)
+    ex, ey, ez = ex - onward * dx, ey - onward * dy, ez - onward * dz
+    apart = xx * ex * ex + yy * ey * ey + zz * ez * ez + 2.0 * (xy * ex * ey + xz * ex * ez + yz * ey * ez)
+    return float(foot + onward), apart
 
 
 @njit(inline="always")
@@ -73,22 +99,31 @@ def _cross_brick(  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, cache=True)
-def count_passes(origins, directions, stops_m, grid_origin, voxel_m, bricks, cells, n_voxels, n_threads):  # type: ignore[no-untyped-def]
-    """How often each voxel was seen through by rays that end at `stops_m` (shape (n,)); (n_voxels,) int32."""
-    partial = np.zeros((n_threads, n_voxels), np.int32)
+def count_passes(  # type: ignore[no-untyped-def]
+    origins, directions, stops_m, grid_origin, voxel_m, bricks, cells, means, precisions, n_threads
+):  # fmt: skip
+    """How often each voxel's returns were seen through by rays that end at `stops_m` (shape (n,)).
+
+    Returns:
+        (v,) int32: rays that met a voxel's returns (see above; without shapes, that crossed the voxel) and
+        left the voxel before their end.
+    """
+    partial = np.zeros((n_threads, means.shape[0]), np.int32)
     n = origins.shape[0]
     for thread in prange(n_threads):
         for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
             _count_ray(
                 origins[ray], directions[ray], float(stops_m[ray]), grid_origin, voxel_m, bricks, cells,
-                partial[thread],
+                means, precisions, partial[thread],
             )  # fmt: skip
     return partial.sum(axis=0)
 
 
 @njit(cache=True)
-def _count_ray(origin, direction, stop_m, grid_origin, voxel_m, bricks, cells, passes):  # type: ignore[no-untyped-def]
-    """Add one to `passes` of each voxel that a ray has left again before `stop_m`."""
+def _count_ray(  # type: ignore[no-untyped-def]
+    origin, direction, stop_m, grid_origin, voxel_m, bricks, cells, means, precisions, passes
+):  # fmt: skip
+    """Add one to `passes` of each voxel whose returns a ray meets and that it has left before `stop_m`."""
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -114,7 +149,14 @@ def _count_ray(origin, direction, stop_m, grid_origin, voxel_m, bricks, cells, p
         if row >= 0:
             voxel = cells[row, ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)]
             if voxel >= 0:
-                passes[voxel] += 1
+                apart = 0.0
+                if precisions.shape[0] > 0:
+                    _, apart = _closest(
+                        precisions, voxel, means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz,
+                        dx, dy, dz,
+                    )  # fmt: skip
+                if apart <= _REACH:
+                    passes[voxel] += 1
         if x_next <= y_next and x_next <= z_next:
             x += x_step
             x_next += x_length
@@ -134,7 +176,7 @@ def _count_ray(origin, direction, stop_m, grid_origin, voxel_m, bricks, cells, p
 @njit(cache=True)
 def walk(  # type: ignore[no-untyped-def]
     ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, opacities, missed_share, stop_transmittance,
+    means, normals, precisions, opacities, missed_share, stop_transmittance,
     range_m, voxels, opacity, cosine,
 ):  # fmt: skip
     """Fill the last four arrays (k,) with the surfaces of one ray, see `find_candidates`; how many there are.
@@ -155,6 +197,7 @@ def walk(  # type: ignore[no-untyped-def]
     y, y_step, y_next, y_length = _first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
     z, z_step, z_next, z_length = _first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
     x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
+    is_shaped = precisions.shape[0] > 0
     light = 1.0
     found = 0
     while True:
@@ -172,13 +215,16 @@ def walk(  # type: ignore[no-untyped-def]
                 nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
                 alpha = float(opacities[voxel])
                 slant = nx * dx + ny * dy + nz * dz
-                if nx == 0.0 and ny == 0.0 and nz == 0.0:
-                    hit = float(mx * dx + my * dy + mz * dz)
-                    incidence = _NO_PLANE_COSINE
-                else:
+                is_planar = nx != 0.0 or ny != 0.0 or nz != 0.0
+                hit = float(mx * dx + my * dy + mz * dz)
+                incidence = _NO_PLANE_COSINE
+                if is_shaped:
+                    hit, apart = _closest(precisions, voxel, mx, my, mz, dx, dy, dz)
+                    alpha *= missed_share if apart > _REACH else math.exp(-_FALL * apart)
+                if is_planar:
                     incidence = float(abs(slant))
                     hit = float((nx * mx + ny * my + nz * mz) / slant) if incidence > 1e-6 else -1.0
-                    if hit < t or hit > t_out:
+                    if not is_shaped and (hit < t or hit > t_out):
                         alpha *= missed_share
                 range_m[found] = min(max(hit, t), t_out)
                 voxels[found] = voxel
@@ -210,13 +256,14 @@ def walk(  # type: ignore[no-untyped-def]
 @njit(parallel=True, cache=True)
 def find_candidates(  # type: ignore[no-untyped-def]
     origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, opacities, missed_share, stop_transmittance, n_candidates,
+    means, normals, precisions, opacities, missed_share, stop_transmittance, n_candidates,
 ):  # fmt: skip
     """The surfaces that each ray may end on, in order.
 
-    A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its mean
-    closest, kept inside the voxel; a plane that is missed inside the voxel keeps `missed_share` of its
-    opacity. The walk ends at `n_candidates` or where less than `stop_transmittance` of the light is left.
+    A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its returns (or,
+    without shapes, their mean) closest, kept inside the voxel. Opacity falls off towards the ends of a shape;
+    returns that are missed, or without shapes a plane that is missed inside its voxel, keep `missed_share` of
+    it. The walk ends at `n_candidates` or where less than `stop_transmittance` of the light is left.
 
     Returns:
         range_m (n, k) float32, 0 where there is none; voxel (n, k) int32, -1 where there is none;
@@ -232,7 +279,7 @@ def find_candidates(  # type: ignore[no-untyped-def]
         for ray in range(chunk * RAYS_A_TASK, min(n, (chunk + 1) * RAYS_A_TASK)):
             count[ray] = walk(
                 ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-                means, normals, opacities, missed_share, stop_transmittance,
+                means, normals, precisions, opacities, missed_share, stop_transmittance,
                 range_m[ray], voxels[ray], opacity[ray], cosine[ray],
             )  # fmt: skip
     return range_m, voxels, opacity, cosine, count

@@ -6,7 +6,6 @@ import torch
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.objects import ObjectSurfels, candidates_on, merge_objects
 from nvsf_core.evidence.surfels import (
-    MISSED_PLANE_SHARE,
     STOP_TRANSMITTANCE,
     Candidates,
     Surfels,
@@ -77,9 +76,10 @@ def _answers_of_what_stands(
         index.cells,
         surfels.mean_m,
         surfels.normal,
+        surfels.precision,
         surfels.opacity,
         surfels.intensity,
-        MISSED_PLANE_SHARE,
+        surfels.missed_share,
         STOP_TRANSMITTANCE,
         most,
     )

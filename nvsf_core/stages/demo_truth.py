@@ -38,7 +38,17 @@ from nvsf_core.stages.stage import Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
-_VIEW = ("frame", "time_s", "offsets", "points_m", "intensity", "laser", "lidar_render_seconds", *_GRID)
+_VIEW = (
+    "frame",
+    "time_s",
+    "offsets",
+    "points_m",
+    "intensity",
+    "laser",
+    "lidar_render_seconds",
+    "grid_firings",
+    *_GRID,
+)
 _SAMPLE = 4000
 _LARGEST_GAP_M = 0.05
 _LARGEST_TURN_RAD = 1e-3
@@ -118,7 +128,7 @@ def measure_demo_view(
     for i, frame in enumerate(a["frame"].tolist()):
         own = part(a["offsets"], i)
         scan = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
-        grid = {name: _without_padding(a, i, name) for name in _GRID}
+        grid = {name: a[name][i][:, : int(a["grid_firings"][i])] for name in _GRID}
         rays = _Rays(truth, view, float(a["time_s"][i]) + truth.shift_s, grid["grid_hit"].shape[1])
         rays.require_same(path, grid)
         ledger.add(
@@ -171,13 +181,6 @@ class _Rays:
                 f"{path}: expected rays {shape} of the view's sensor, found {answered.shape}, turned by "
                 f"{turned:.4f} rad; run novel_views again"
             )
-
-
-def _without_padding(a: Mapping[str, np.ndarray], i: int, name: str) -> np.ndarray:
-    """One sweep's part of a grid (L, F): sweeps shorter than the longest end in columns of zeros."""
-    used = np.flatnonzero(((a["grid_azimuth_rad"][i] != 0.0) | (a["grid_hit"][i] != 0.0)).any(axis=0))
-    cut: np.ndarray = a[name][i][:, : int(used[-1]) + 1 if used.size else 0]
-    return cut
 
 
 def _against(rays: _Rays, grid: Mapping[str, np.ndarray], exported: Scan) -> dict[str, Measure]:

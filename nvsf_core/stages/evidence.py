@@ -176,7 +176,7 @@ def _prove(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_intensity=a["own_vehicle_intensity"],
         dynamic=None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays),
         at_rest=_keep_at_rest(sweeps, of_training, prior),
-        rendered=None if best_m == FIELD_VOXEL_M else rays.surfels(best_m, _THREADS),
+        rendered=rays.surfels(best_m, _THREADS, shaped=True),
         left_out=None if choice is None else _without_judges(choice, training),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
@@ -189,8 +189,8 @@ def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidenc
     """What stays without the judges, in the fields' voxels and in the chosen ones; `training` (n,) scans."""
     return LeftOutEvidence(
         judges=np.searchsorted(training, choice.judges),
-        standing=choice.surfels[FIELD_VOXEL_M],
-        rendered=None if choice.best_m == FIELD_VOXEL_M else choice.surfels[choice.best_m],
+        standing=choice.standing,
+        rendered=choice.rendered[choice.best_m],
     )
 
 
@@ -245,7 +245,7 @@ def _prove_motion(
     """
     a = sweeps.arrays
     return DynamicEvidence(
-        background=rays.surfels(FIELD_VOXEL_M, _THREADS),
+        background=rays.surfels(FIELD_VOXEL_M, _THREADS, shaped=False),
         objects=prove_objects(
             moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
             sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
@@ -274,6 +274,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="10",
+    version="11",
     run=_run,
 )

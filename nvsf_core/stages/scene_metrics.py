@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from nvsf_core.machine import machine
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
@@ -23,6 +22,7 @@ from nvsf_core.stages.lidar_metrics import (
     read_recorded_scans,
     recorded_range_errors,
 )
+from nvsf_core.stages.machine import machine
 from nvsf_core.stages.metric_ledger import Ledger, method_columns
 from nvsf_core.stages.metrics_check import LAWS, TABLE_NAME, check_metrics
 from nvsf_core.stages.moving_boxes import NO_BOXES, read_moving_boxes
@@ -161,7 +161,7 @@ STAGE = Stage(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
         "the trained field and for the baselines that learn nothing."
     ),
-    version="5",
+    version="6",
     run=_run,
     per_recipe=True,
     check=check_metrics,

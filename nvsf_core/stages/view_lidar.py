@@ -51,6 +51,7 @@ def sweep_arrays(
         arrays[name] = np.stack([getattr(s, name) for s in sweeps])
     shapes = {s.grid["grid_hit"].shape for s in sweeps}
     firings = max(shape[1] for shape in shapes)
+    arrays["grid_firings"] = np.array([s.grid["grid_hit"].shape[1] for s in sweeps])
     for name in sweeps[0].grid:
         # Sweeps differ by a firing or two: the short ones end in cells that never hit.
         padded = [np.pad(s.grid[name], ((0, 0), (0, firings - s.grid[name].shape[1]))) for s in sweeps]
@@ -174,7 +175,7 @@ def copied_sweeps(
         lidar: What was recorded.
         plan: Of the recording sensor, wherever it stands.
         grid: `grid_azimuth_rad` and `grid_elevation_rad`, both (n, l, f), of the view's rays, row by row the
-            lasers that the drive has.
+            lasers that the drive has, and `grid_firings` (n,), how many of the firings are the sweep's.
     """
     a = lidar.sweeps.arrays
     training = np.flatnonzero(lidar.sweeps.is_training)
@@ -202,7 +203,7 @@ def copied_sweeps(
         "pano_hit": (pano_range_m > 0).astype(np.float32),
         "grid_range_m": np.where(found, centre_m, 0.0), "grid_hit": found.astype(np.float32),
         "grid_intensity": shine, "lidar_render_seconds": np.array(seconds),
-        **{name: grid[name] for name in ("grid_azimuth_rad", "grid_elevation_rad")},
+        **{name: grid[name] for name in ("grid_azimuth_rad", "grid_elevation_rad", "grid_firings")},
     }  # fmt: skip
 
 

@@ -179,6 +179,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("ray_offsets", "i8", ("scans+1",), "1", "recorded rays of scan k", optional=True),
             Entry("ray_range_m", "f4", ("rays",), "m", "along recorded rays; inf = no answer", optional=True),
             Entry("ray_intensity", "f4", ("rays",), "1", "along recorded rays", optional=True),
+            Entry("grid_firings", "i8", ("scans",), "1", "of scan k: the others are padding", optional=True),
             Entry("grid_range_m", "f4", ("scans", "lasers", "firings"), "m", "free of noise", optional=True),
             Entry("grid_hit", "f4", ("scans", "lasers", "firings"), "1", "probability", optional=True),
             Entry("grid_intensity", "f4", ("scans", "lasers", "firings"), "1", "0 to 1", optional=True),

@@ -10,8 +10,8 @@ VOXEL_M = 0.5
 NEAR_M, FAR_M = 0.9, 60.0
 
 
-@pytest.fixture(scope="module")
-def sparse() -> Surfels:
+@pytest.fixture(scope="module", params=[False, True], ids=["without shapes", "with shapes"])
+def sparse(request: pytest.FixtureRequest) -> Surfels:
     """Surfels of thirty heaps of returns in a room of 40 m, most of whose bricks are empty."""
     generator = np.random.default_rng(0)
     points = np.repeat(heaps_m(), 200, axis=0) + generator.normal(0.0, 0.8, (6000, 3))
@@ -20,7 +20,7 @@ def sparse() -> Surfels:
     origin = np.zeros((6000, 3), np.float32)
     return build_surfels(
         origin, direction.astype(np.float32), range_m.astype(np.float32), np.full(6000, 0.4),
-        voxel_m=VOXEL_M, threads=1,
+        voxel_m=VOXEL_M, threads=1, shaped=request.param,
     )  # fmt: skip
 
 
@@ -56,13 +56,30 @@ def crossed_m(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> tu
     return enter, leave
 
 
+def apart(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """By how many standard deviations, squared (v,), one ray passes each voxel's returns; in float64."""
+    rows, columns = np.triu_indices(3)
+    precision = np.empty((surfels.index.count, 3, 3))
+    precision[:, rows, columns] = precision[:, columns, rows] = surfels.precision
+    mean, towards = surfels.mean_m - origin.astype(np.float64), direction.astype(np.float64)
+    across = np.einsum("vij,j->vi", precision, towards)
+    closest = np.einsum("vi,vi->v", across, mean) / (across @ towards)
+    beside = mean - closest[:, None] * towards
+    return np.einsum("vi,vij,vj->v", beside, precision, beside)
+
+
+def walked(surfels: Surfels, stop: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Of `some_rays`: ranges, voxels, opacities, cosines and counts; what is missed keeps a tenth."""
+    index = surfels.index
+    return find_candidates(
+        *some_rays(), NEAR_M, FAR_M, index.origin_m, VOXEL_M, index.bricks, index.cells,
+        surfels.mean_m, surfels.normal, surfels.precision, surfels.opacity, 0.1, stop, 200,
+    )  # fmt: skip
+
+
 def test_a_ray_meets_exactly_the_voxels_whose_slabs_it_crosses_in_their_order(sparse) -> None:
     origin, direction = some_rays()
-    index = sparse.index
-    range_m, voxel, opacity, _, count = find_candidates(
-        origin, direction, NEAR_M, FAR_M, index.origin_m, VOXEL_M, index.bricks, index.cells,
-        sparse.mean_m, sparse.normal, sparse.opacity, 0.1, 0.0, 200,
-    )  # fmt: skip
+    range_m, voxel, opacity, _, count = walked(sparse)
     assert count.max() > 10 and (count == 0).any()
     for ray in range(len(origin)):
         enter, leave = crossed_m(sparse, origin[ray], direction[ray])
@@ -76,12 +93,25 @@ def test_a_ray_meets_exactly_the_voxels_whose_slabs_it_crosses_in_their_order(sp
         assert (voxel[ray, count[ray] :] == -1).all() and (opacity[ray, count[ray] :] == 0.0).all()
 
 
-def test_the_walk_ends_where_no_light_is_left(sparse) -> None:
+def test_opacity_falls_off_towards_the_ends_of_a_shape_and_a_tenth_is_left_beyond(sparse) -> None:
+    _, voxel, opacity, _, count = walked(sparse)
     origin, direction = some_rays()
-    index = sparse.index
-    grid = (NEAR_M, FAR_M, index.origin_m, VOXEL_M, index.bricks, index.cells, sparse.mean_m, sparse.normal)
-    everything = find_candidates(origin, direction, *grid, sparse.opacity, 0.1, 0.0, 200)
-    lit = find_candidates(origin, direction, *grid, sparse.opacity, 0.1, 0.3, 200)
+    beyond = 0
+    for ray in range(len(origin)):
+        found = voxel[ray, : count[ray]]
+        share = opacity[ray, : count[ray]] / sparse.opacity[found]
+        if len(sparse.precision) == 0:
+            assert (np.isclose(share, 0.1) | np.isclose(share, 1.0)).all()
+            continue
+        off = apart(sparse, origin[ray], direction[ray])[found]
+        sure = np.abs(off - 6.25) > 1e-2
+        assert share[sure] == pytest.approx(np.where(off > 6.25, 0.1, np.exp(-0.2 * off))[sure], rel=1e-3)
+        beyond += int((off > 6.25).sum())
+    assert beyond > 100 or len(sparse.precision) == 0
+
+
+def test_the_walk_ends_where_no_light_is_left(sparse) -> None:
+    everything, lit = walked(sparse), walked(sparse, 0.3)
     before = np.cumprod(1.0 - everything[2].astype(np.float64), axis=1)
     ends = (before >= 0.3).sum(axis=1) + 1
     assert (lit[4] == np.minimum(ends, everything[4])).all()

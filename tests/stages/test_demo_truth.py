@@ -17,7 +17,7 @@ from nvsf_core.stages.demo_truth import DemoTruth, measure_demo_view, read_demo_
 from nvsf_core.stages.flow import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.metric_ledger import Ledger
 from nvsf_core.stages.stage import Task
-from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.arrays import read_arrays, write_arrays
 
 LASERS = np.arange(0, 64, 8)
 FIRINGS = 120
@@ -63,7 +63,7 @@ def _write_exact_view(path: Path, view: ViewEntry, time_s: float, error_m: float
     }
     known_facts = {
         "frame": np.array([4]), "time_s": np.array([time_s]), "offsets": np.array([0, len(laser)]),
-        "lidar_render_seconds": np.array([0.5]),
+        "lidar_render_seconds": np.array([0.5]), "grid_firings": np.array([theta.shape[1]]),
     }  # fmt: skip
     write_arrays(path, padded | scan | known_facts)
 
@@ -94,6 +94,18 @@ def test_who_knows_the_world_is_perfect_at_any_place_and_with_any_sensor(
     assert found["hit_accuracy"] == found["hit_f_score"] == found["f_score"] == 1.0
     assert found["intensity_rmse"] < 1e-6
     assert found["range_missing"] == 0.0
+
+
+def test_rays_that_answer_nothing_at_the_end_of_a_turn_are_no_padding(tmp_path: Path) -> None:
+    view = ViewEntry(name="vlp16", sensor="VLP-16")
+    _write_exact_view(tmp_path / "model.zarr", view, time_s=0.45)
+    arrays = read_arrays(tmp_path / "model.zarr")
+    # Without a lever an unanswered ray of a laser starts, and ends, at the centre: all of it is 0.
+    for name in ("grid_range_m", "grid_hit", "grid_azimuth_rad"):
+        arrays[name][:, :, -12:] = 0.0
+    write_arrays(tmp_path / "blind.zarr", arrays)
+    found = _measure(tmp_path / "blind.zarr", view)
+    assert 0.0 < found["range_missing"] < 0.2 and found["range_abs_error_p90_m"] < 1e-4
 
 
 def test_an_error_of_range_is_found_at_its_size(tmp_path: Path) -> None:

@@ -116,10 +116,12 @@ def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of
     evidence = recording.lidar.evidence
     # Three training scans are too few to choose a size.
     assert outcome.metadata["rendered_voxel_m"] == FIELD_VOXEL_M
-    assert evidence.rendered is None and evidence.for_rendering is evidence.standing
-    own = replace(evidence, rendered=evidence.standing)
-    again = SceneEvidence.from_arrays(own.to_arrays()).for_rendering.to_arrays()
-    assert all(np.array_equal(again[name], value) for name, value in evidence.standing.to_arrays().items())
+    own = evidence.rendered
+    assert own is not None and evidence.for_rendering is own
+    assert len(own.precision) == own.index.count and len(evidence.standing.precision) == 0
+    again = SceneEvidence.from_arrays(evidence.to_arrays()).for_rendering.to_arrays()
+    assert all(np.array_equal(again[name], value) for name, value in own.to_arrays().items())
+    assert replace(evidence, rendered=None).for_rendering is evidence.standing
 
 
 def test_spacing_is_that_of_a_plane_of_points() -> None:

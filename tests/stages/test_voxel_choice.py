@@ -66,7 +66,7 @@ def test_moving_objects_do_not_vote_on_the_size() -> None:
 def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.0)
     rays.stays[::2] = False
-    surfels = rays.surfels(0.3, 1)
+    surfels = rays.surfels(0.3, 1, shaped=True)
     assert surfels.index.voxel_m == 0.3
     assert int(surfels.hits.sum()) == int(rays.stays.sum())
     assert surfels.mean_m[:, 0] == pytest.approx(10.0, abs=1e-3)
@@ -75,8 +75,9 @@ def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
 def test_what_judges_are_judged_by_is_proven_by_the_others_alone() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     choice = chosen(rays)
-    assert len(choice.judges) == 2 and FIELD_VOXEL_M in choice.surfels
-    for surfels in choice.surfels.values():
+    assert len(choice.judges) == 2 and choice.standing.index.voxel_m == FIELD_VOXEL_M
+    assert len(choice.standing.precision) == 0
+    for surfels in (choice.standing, *choice.rendered.values()):
         assert int(surfels.hits.sum()) == int((~np.isin(rays.scan, choice.judges)).sum())
 
 
@@ -86,5 +87,5 @@ def test_silent_scans_prove_but_never_judge() -> None:
     choice = choose_voxel_m(rays, silent=silent, far_m=FAR_M, threads=1)
     assert choice is not None and len(np.unique(choice.judges)) == 2
     assert not np.isin(silent, choice.judges).any()
-    assert int(choice.surfels[FIELD_VOXEL_M].hits.sum()) == 6 * 400
+    assert int(choice.standing.hits.sum()) == 6 * 400
     assert choose_voxel_m(rays, silent=np.arange(3), far_m=FAR_M, threads=1) is None
