@@ -114,9 +114,9 @@ def build_surfels(
     """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
 
     A ray sees through every voxel that it crosses up to one voxel before its return. With shapes it sees
-    through the returns of a voxel that it leaves before its own return, and passes as closely as one of them
-    would: the road, over which flat rays pass through its voxels, and a wall beside a gap stay opaque. A
-    renderer that learns nothing needs shapes; a field learns less from them (decision 0013).
+    through the returns of a voxel that it leaves half a voxel before its own return, and passes as closely as
+    one of them would: the road, over which flat rays pass through its voxels, and a wall beside a gap stay
+    opaque. A renderer that learns nothing needs shapes; a field learns less from them (decision 0013).
 
     Returns that are not `is_surface` (n,) bool, such as those of moving objects, make no surface, but still
     see through.
@@ -130,7 +130,7 @@ def build_surfels(
     normal, thickness = _planes(covariance, hits)
     mean_m = mean.astype(np.float32)
     precision = _precision(covariance, hits, voxel_m) if shaped else np.zeros((0, 6), np.float32)
-    stops_m = range_m if shaped else np.maximum(range_m - voxel_m, 0)
+    stops_m = np.maximum(range_m - (0.5 if shaped else 1.0) * voxel_m, 0)
     passes = count_passes(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),

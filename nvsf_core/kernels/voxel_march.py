@@ -19,7 +19,8 @@ _NEVER_M = 1e300
 _REACH = 6.25
 """Square of how many standard deviations of a voxel's returns a ray may pass them by and still meet them."""
 _FALL = 0.2
-"""Opacity at `apart` squared standard deviations is exp(-_FALL * apart) of that at the returns' middle."""
+"""At `apart` squared standard deviations off, returns that are no plane stop exp(-_FALL * apart) of what they
+stop in their middle. Planes stop as much out to their ends: walls must not leak between voxels."""
 RAYS_A_TASK = 256
 """Rays that one thread answers before it asks for more."""
 
@@ -220,7 +221,10 @@ def walk(  # type: ignore[no-untyped-def]
                 incidence = _NO_PLANE_COSINE
                 if is_shaped:
                     hit, apart = _closest(precisions, voxel, mx, my, mz, dx, dy, dz)
-                    alpha *= missed_share if apart > _REACH else math.exp(-_FALL * apart)
+                    if apart > _REACH:
+                        alpha *= missed_share
+                    elif not is_planar:
+                        alpha *= math.exp(-_FALL * apart)
                 if is_planar:
                     incidence = float(abs(slant))
                     hit = float((nx * mx + ny * my + nz * mz) / slant) if incidence > 1e-6 else -1.0
@@ -261,9 +265,10 @@ def find_candidates(  # type: ignore[no-untyped-def]
     """The surfaces that each ray may end on, in order.
 
     A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its returns (or,
-    without shapes, their mean) closest, kept inside the voxel. Opacity falls off towards the ends of a shape;
-    returns that are missed, or without shapes a plane that is missed inside its voxel, keep `missed_share` of
-    it. The walk ends at `n_candidates` or where less than `stop_transmittance` of the light is left.
+    without shapes, their mean) closest, kept inside the voxel. Opacity falls off towards the ends of a shape
+    that is no plane; returns that are missed, or without shapes a plane that is missed inside its voxel, keep
+    `missed_share` of it. The walk ends at `n_candidates` or where less than `stop_transmittance` of the light
+    is left.
 
     Returns:
         range_m (n, k) float32, 0 where there is none; voxel (n, k) int32, -1 where there is none;
