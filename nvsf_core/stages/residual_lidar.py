@@ -8,12 +8,13 @@ import numpy as np
 from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.metrics.intensity import intensity_image_metrics
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.scan import recorded_scan
+from nvsf_core.simulation.scan import HIT_THRESHOLD, recorded_scan
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -22,26 +23,32 @@ from nvsf_core.stages.stage import Scalar
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on left-out scans."""
-_METRICS = ("chamfer_m2", "f_score", "range_psnr_db")
+_METRICS = ("chamfer_m2", "f_score", "range_psnr_db", "intensity_psnr_db", "hit_accuracy")
 _PANO = LinearPano(quirks=True)
 
 
 @dataclass(frozen=True, slots=True)
 class _Scores:
-    """Of one renderer, means over the judges: Chamfer in m2, F, range PSNR in dB, as in `lidar4d_scan`."""
+    """Of one renderer, means over the judges, as in `lidar4d_scan`; but hits are those of the firings."""
 
     chamfer_m2: float
     f_score: float
     range_psnr_db: float
+    intensity_psnr_db: float
+    hit_accuracy: float
+    """Share of firings of which it is rightly said whether they return: a pano's cells hide false returns
+    behind nearer ones."""
 
     def beats(self, other: "_Scores") -> bool:
-        """Whether it is better in most of the three; what is undefined is not better."""
+        """Whether it is better in most of the five; what is undefined is not better."""
         wins = (
             self.chamfer_m2 < other.chamfer_m2,
             self.f_score > other.f_score,
             self.range_psnr_db > other.range_psnr_db,
+            self.intensity_psnr_db > other.intensity_psnr_db,
+            self.hit_accuracy > other.hit_accuracy,
         )
-        return sum(wins) >= 2
+        return sum(wins) > len(wins) // 2
 
 
 def judge(
@@ -99,7 +106,7 @@ def _recorded(lidar: LidarRecording, number: int) -> PanoImage:
 def _score(
     render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int, truth: PanoImage
 ) -> list[float]:
-    """Chamfer in m2, F and range PSNR in dB of a training scan that is simulated without its own votes."""
+    """The values of `_Scores` of a training scan that is simulated without its own votes."""
     sweeps, evidence = lidar.sweeps, lidar.evidence
     time_s = float(evidence.prior.time_s[number])
     plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
@@ -112,5 +119,8 @@ def _score(
     found = {
         **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),
         **range_image_metrics(shown.range_m, truth.range_m),
+        **intensity_image_metrics(shown.intensity, truth.intensity),
     }
-    return [found[name].value for name in _METRICS]
+    expected = np.isfinite(answers.range_m) & (answers.hit >= HIT_THRESHOLD)
+    returned = evidence.prior.is_hit[number, rays.laser, evidence.prior.nearest_firing(number, rays.fraction)]
+    return [*(found[name].value for name in _METRICS[:-1]), float((expected == returned).mean())]
