@@ -89,9 +89,9 @@ def error_of(row: Row, protocol: str, metric: str, split: str = HELD_OUT) -> flo
     """A row's error, of images the mean over its cameras; None where it is undefined or was not measured."""
     region = "foreground" if protocol == "masked" else "all"
     found = [
-        errors.get(metric)
+        errors[metric]
         for place, errors in row["errors"].items()
-        if place.startswith(f"{split}/{protocol}/{region}/")
+        if place.startswith(f"{split}/{protocol}/{region}/") and metric in errors
     ]
     known = [value for value in found if value is not None]
     return statistics.fmean(known) if known and len(known) == len(found) else None
