@@ -6,10 +6,12 @@ import pytest
 from nvsf_core.evidence.find_moving import STANDING_M, find_moving
 from nvsf_core.evidence.moving import MovingObjects
 from nvsf_core.evidence.returns import TimedReturns
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kitti360.demo_lidar import OWN_VEHICLE, simulate_scan
 from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
 from nvsf_core.kitti360.demo_world import DemoWorld
+from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -112,3 +114,29 @@ def test_unknown_lasers_show_no_motion(street) -> None:
         returns.table, returns.elevation_correction_rad,
     )  # fmt: skip
     assert find_moving(blind).is_static
+
+
+@pytest.mark.parametrize("shaped", [False, True])
+def test_rays_of_the_left_out_scan_meet_what_stands_within_two_centimetres(street, shaped) -> None:
+    returns, _, world, moving = street
+    stays = (moving.object_id < 0) & ~returns.is_own_vehicle
+    _, fired_from = returns.trajectory.at(returns.time_s[stays])
+    along = returns.point_m[stays] - fired_from
+    range_m = np.linalg.norm(along, axis=1)
+    surfels = build_surfels(
+        fired_from.astype(np.float32), (along / range_m[:, None]).astype(np.float32),
+        range_m.astype(np.float32), np.zeros(len(range_m)), voxel_m=0.2, threads=1, shaped=shaped,
+    )  # fmt: skip
+    scan, instant = simulate_scan(world, 15, LASERS, FIRINGS), 15 * FRAME_PERIOD_S
+    origin, direction, _ = compensate(
+        HDL_64E, scan.points_m, LASERS[scan.laser], (scan.time_s - instant) / FRAME_PERIOD_S, instant,
+        FRAME_PERIOD_S, returns.trajectory,
+    )  # fmt: skip
+    stood = ~np.isin(scan.instance, [OWN_VEHICLE, *(mover.object_id for mover in world.street.movers)])
+    found = reproject_rays(
+        surfels, origin[stood].astype(np.float32), direction[stood].astype(np.float32),
+        np.ones(int(stood.sum()), np.float32), most=24, far_m=120.0,
+    )  # fmt: skip
+    error_m = np.abs(found.range_m - scan.true_range_m[stood])
+    assert np.isfinite(error_m).mean() > 0.99
+    assert np.median(error_m) <= 0.02
