@@ -7,8 +7,9 @@ import os
 # OpenMP bears calls from several threads as TBB does; workqueue, which does not, stays the last resort.
 os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
 
+from nvsf_core.kernels.cache import COMPILED
 from nvsf_core.kernels.hash_grid import Backend, hash_grid_encode
 from nvsf_core.kernels.layout import GridLayout
 from nvsf_core.kernels.planes import PlanesBackend, planes_sample
 
-__all__ = ["Backend", "GridLayout", "PlanesBackend", "hash_grid_encode", "planes_sample"]
+__all__ = ["COMPILED", "Backend", "GridLayout", "PlanesBackend", "hash_grid_encode", "planes_sample"]

@@ -1,0 +1,34 @@
+"""Compiled kernels belong to the sources that they were compiled from, all of them."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from nvsf_core import kernels
+
+_ASK = "import numba, nvsf_core.kernels.proven_answers as p; print(numba.config.CACHE_DIR, p.__file__)"
+
+
+def _where(root: Path) -> str:
+    environ = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    environ["PYTHONPATH"] = str(root)
+    done = subprocess.run(
+        [sys.executable, "-c", _ASK], env=environ, cwd=root, capture_output=True, text=True, check=True
+    )
+    folder, module = done.stdout.split()
+    assert Path(module).is_relative_to(root)
+    return folder
+
+
+def test_another_kernel_s_change_gives_all_of_them_another_folder(tmp_path: Path) -> None:
+    package = Path(kernels.__file__).parents[1]
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(package, tmp_path / "nvsf_core", ignore=ignored)
+    before = _where(tmp_path)
+    assert before == _where(tmp_path)
+    assert Path(before).is_relative_to(tmp_path)
+    walk = tmp_path / "nvsf_core" / "kernels" / "voxel_march.py"
+    walk.write_text(walk.read_text().replace("_FALL = 0.2", "_FALL = 0.3"))
+    assert _where(tmp_path) != before
