@@ -12,8 +12,9 @@ _ASK = "import numba, nvsf_core.kernels.proven_answers as p; print(numba.config.
 
 
 def _where(root: Path) -> str:
-    environ = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
-    environ["PYTHONPATH"] = str(root)
+    # The folder that this process has set is another checkout's, and not taken over.
+    assert "NUMBA_CACHE_DIR" in os.environ
+    environ = os.environ | {"PYTHONPATH": str(root)}
     done = subprocess.run(
         [sys.executable, "-c", _ASK], env=environ, cwd=root, capture_output=True, text=True, check=True
     )
