@@ -39,16 +39,9 @@ from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
 _VIEW = (
-    "frame",
-    "time_s",
-    "offsets",
-    "points_m",
-    "intensity",
-    "laser",
-    "lidar_render_seconds",
-    "grid_firings",
+    "frame", "time_s", "offsets", "points_m", "intensity", "laser", "lidar_render_seconds", "grid_firings",
     *_GRID,
-)
+)  # fmt: skip
 _SAMPLE = 4000
 _LARGEST_GAP_M = 0.05
 _LARGEST_TURN_RAD = 1e-3
