@@ -217,5 +217,3 @@ def thin_pinhole(pinhole: Pinhole) -> Pinhole:
         cy=(pinhole.cy - first) / step, width=len(range(first, pinhole.width, step)),
         height=len(range(first, pinhole.height, step)),
     )  # fmt: skip
-
-

@@ -48,3 +48,8 @@ TARGETS = (
 
 SHIFTS = {"shift_1m": 1.5, "shift_3m": 2.5}
 """View of the demo to the most that its CD may be, in those of the view `between`."""
+
+OTHER = "other_"
+"""How the names of drives begin that nobody tuned on (`benchmarks.other_drives`)."""
+NEVER_WORSE = {"chamfer_m2": False, "f_score": True, "range_psnr_db": True}
+"""Metric of `lidar4d_scan` in which a model is never worse than `copy_nearest`, to whether more is better."""

@@ -106,6 +106,20 @@ def test_a_views_error_stands_over_that_of_interpolation(tmp_path):
     assert [line.split("|")[-2].strip() for line in lines if line.startswith("| `")] == ["", "1.80 ✗", ""]
 
 
+def test_a_drive_nobody_tuned_on_is_no_line_of_the_readme_and_marked_where_copying_is_better(tmp_path):
+    root, home = _root(tmp_path / "checkout"), tmp_path / "home"
+    write_street(home, "other_street")
+    write_street(home, "street")
+    assert "other_street" not in write(home, root)
+    document = (root / "docs" / "results.md").read_text()
+    assert "## other_street" not in document and "✗ |" not in document
+    rows = [*_rows(root, "quick"), *_rows(root, "baselines")]
+    worse = [rows[0] | {"errors": _moved(rows[0]["errors"], 0.5)}, *rows[1:]]
+    lines = as_document(worse).split("## Drives that nobody tuned on")[1].splitlines()
+    (model,) = (line for line in lines if "| `quick` |" in line)
+    assert model.startswith("| `other_street` | `quick` | 1 | 0.5300 ✗ | 1.4700 | ")
+
+
 def _moved(errors: dict, by: float) -> dict:
     return {
         place: {metric: None if value is None else value + by for metric, value in mine.items()}
