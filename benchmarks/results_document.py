@@ -2,15 +2,17 @@
 
 import math
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.targets import NEVER_WORSE, OTHER, SHIFTS, TARGETS, Target
+from benchmarks.targets import BETTER_THAN, COSTS, NEVER_WORSE, OTHER, SHIFTS, TARGETS
 from nvsf_core.metrics.table import BASELINES, HELD_OUT
 
 Row = dict[str, Any]
 _INTERPOLATION = "between"
+_MODEL = "lean"
+"""Whose targets they are."""
 _COPY = "copy_nearest"
 _LOWER, _HIGHER = "↓", "↑"
 _PROTOCOLS = {
@@ -72,6 +74,15 @@ deviation (±) where there are several. **Bold**: the best of its column. A row 
 to reach, as the mean of three seeds, written down before it was built (`benchmarks/targets.py`); ✗ marks what
 misses it. Error over training time: [speed_and_error.md](speed_and_error.md).
 """
+
+
+@dataclass(frozen=True, slots=True)
+class _Limit:
+    """What is asked of one mean."""
+
+    words: str
+    """Empty where nothing is."""
+    is_met: Callable[[float], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +167,7 @@ def _others(found: dict[tuple[str, str], Measured]) -> list[str]:
             asked = method not in BASELINES and protocol == "lidar4d_scan" and metric in NEVER_WORSE
             is_met = value >= copied if NEVER_WORSE.get(metric) else value <= copied
             text = cell([error_of(row, protocol, metric) for row in mine.rows], digits)
-            cells.append(f"{text} ✗" if asked and not is_met else text)
+            cells.append(_marked(text, is_missed=asked and not is_met))
         lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
     head = ["drive", "method", "seeds", *(f"{title} {way}" for _, _, title, _, way in _OTHERS), "commit"]
     return [_ABOUT_OTHERS, _provenance(found.values()), _table(head, lines)]
@@ -177,14 +188,23 @@ def _costs(mine: dict[str, Measured]) -> str:
     lines = []
     for method, measured in mine.items():
         seeds = "" if method in BASELINES else ", ".join(str(row["seed"]) for row in measured.rows)
-        cells = [cell([row[name] for row in measured.rows], digits) for name, _, digits in _COSTS]
+        cells = []
+        for name, _, digits in _COSTS:
+            values = [row[name] for row in measured.rows]
+            dear = _mean(values) > COSTS.get(method, {}).get(name, math.inf)
+            cells.append(_marked(cell(values, digits), is_missed=dear))
         lines.append([f"`{method}`", seeds, *cells, commits_of(measured.rows)])
+    for method in (name for name in COSTS if name in mine):
+        limits = [
+            f"≤ {COSTS[method][name]:,.{digits}f}" if name in COSTS[method] else ""
+            for name, _, digits in _COSTS
+        ]
+        lines.append([f"*target*, `{method}`", "", *limits, ""])
     return _table(["method", "seeds", *(title for _, title, _ in _COSTS), "commit"], lines)
 
 
 def _errors(scene: str, protocol: str, mine: dict[str, Measured]) -> str:
     """The table of one protocol; empty where nothing was measured under it."""
-    targets = {t.metric: t for t in TARGETS if (t.scene, t.protocol) == (scene, protocol)}
     columns, values = [], {}
     for column in _COLUMNS[protocol]:
         errors = {
@@ -197,20 +217,39 @@ def _errors(scene: str, protocol: str, mine: dict[str, Measured]) -> str:
     if not columns:
         return ""
     best = {metric: _best(values[metric], way) for metric, _, _, way in columns}
+    limits = [_limit(scene, protocol, column, values[column[0]]) for column in columns]
     lines = []
     for method in mine:
         cells = []
-        for metric, _, digits, _ in columns:
+        for (metric, _, digits, _), limit in zip(columns, limits, strict=True):
             text = cell(values[metric][method], digits)
             text = f"**{text}**" if method == best[metric] else text
-            is_asked = method == "lean" and metric in targets
-            missed = is_asked and not targets[metric].is_met(_mean(values[metric][method]))
-            cells.append(f"{text} ✗" if missed else text)
+            is_missed = method == _MODEL and not limit.is_met(_mean(values[metric][method]))
+            cells.append(_marked(text, is_missed=is_missed))
         lines.append([f"`{method}`", *cells])
-    if targets:
-        limits = [_limit(targets.get(metric), digits) for metric, _, digits, _ in columns]
-        lines.append(["*target*", *limits])
+    if any(limit.words for limit in limits):
+        lines.append(["*target*", *(limit.words for limit in limits)])
     return _table(["method", *(f"{title} {way}" for _, title, _, way in columns)], lines)
+
+
+def _limit(
+    scene: str, protocol: str, column: tuple[str, str, int, str], errors: dict[str, list[float | None]]
+) -> _Limit:
+    """What a mean is to be: a number that was written down, or better than what baselines reach here."""
+    metric, _, digits, way = column
+    for target in TARGETS:
+        if (target.scene, target.protocol, target.metric) == (scene, protocol, metric):
+            return _Limit(f"{'≥' if target.at_least else '≤'} {target.limit:.{digits}f}", target.is_met)
+    others = BETTER_THAN.get((scene, protocol, metric), ())
+    if not others:
+        return _Limit("", lambda _: True)
+    means = [_mean(errors[method]) for method in others if method in errors]
+    words = "better than " + (
+        "every baseline" if others == BASELINES else ", ".join(f"`{o}`" for o in others)
+    )
+    if way == _LOWER:
+        return _Limit(words, lambda value: all(value < mean for mean in means))
+    return _Limit(words, lambda value: all(value > mean for mean in means))
 
 
 def _views(mine: dict[str, Measured]) -> list[str]:
@@ -252,7 +291,7 @@ def _over_interpolation(method: str, measured: Measured, view: str) -> str:
     text = cell(ratios, 2)
     # A target is a model's: a baseline is there to compare with.
     is_missed = method not in BASELINES and text != "-" and not _mean(ratios) <= SHIFTS[view]
-    return f"{text} ✗" if is_missed else text
+    return _marked(text, is_missed=is_missed)
 
 
 def _best(errors: dict[str, list[float | None]], way: str) -> str:
@@ -266,10 +305,8 @@ def _mean(values: Sequence[float | None]) -> float:
     return statistics.fmean(known) if known else math.nan
 
 
-def _limit(target: Target | None, digits: int) -> str:
-    if target is None:
-        return ""
-    return f"{'≥' if target.at_least else '≤'} {target.limit:.{digits}f}"
+def _marked(text: str, *, is_missed: bool) -> str:
+    return f"{text} ✗" if is_missed else text
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

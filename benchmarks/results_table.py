@@ -14,6 +14,7 @@ from typing import Any
 
 from benchmarks.results_document import Row, as_document, by_method, cell, commits_of, error_of, rank
 from benchmarks.targets import OTHER
+from benchmarks.voxel_walk_table import walk_table
 from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.stages.machine import machine
@@ -91,7 +92,8 @@ def write(home: Path, root: Path) -> str:
         target.write_text(json.dumps({"rows": merged(old, rows)}, indent=1) + "\n")
     files = [json.loads(path.read_text()) for path in sorted(results.glob("*.json"))]
     everything = [row for found in files for row in found["rows"]]
-    (root / "docs" / "results.md").write_text(as_document(everything))
+    sections = [as_document(everything), walk_table(root)]
+    (root / "docs" / "results.md").write_text("\n".join(filter(None, sections)))
     table = as_markdown(row for row in everything if not row["scene"].startswith(OTHER))
     readme = root / "README.md"
     head, rest = readme.read_text().split(BEGIN)

@@ -93,6 +93,23 @@ def test_the_document_has_a_table_a_protocol_the_best_bold_and_targets_that_are_
     assert document.index("(`lidar4d_scan`)") < document.index("(`raw`)") < document.index("(`image`)")
 
 
+def test_what_must_beat_the_baselines_or_cost_little_is_marked_where_it_does_not(tmp_path):
+    root, home = _root(tmp_path / "checkout"), tmp_path / "home"
+    write_street(home, "kitti0005_van_cyclist", recipe="lean")
+    write(home, root)
+    rows = [*_rows(root, "lean"), *_rows(root, "baselines")]
+    for row in rows:
+        accuracy = {"lean": 0.95, "mesh": 0.96}.get(row["method"], 0.94)
+        masked = {"hit_accuracy": accuracy, "range_rmse_m": 1.0 if row["method"] == "lean" else 2.0}
+        row["errors"]["test/masked/foreground/lidar"] = masked
+        row["train_seconds"] = 2000.0
+    document = as_document(rows)
+    boxes = document.split("(`masked`)")[1].split("###")[0]
+    assert "| `lean` | **1.00** | 0.9500 ✗ |" in boxes and "| `mesh` | 2.00 | **0.9600** |" in boxes
+    assert "| *target* | better than every baseline | better than every baseline |" in boxes
+    assert document.count("2,000 ✗") == 1 and "| *target*, `lean` |  | ≤ 1,800 |" in document
+
+
 def test_a_views_error_stands_over_that_of_interpolation(tmp_path):
     write_street(tmp_path / "home", "demo")
     root = _root(tmp_path / "checkout")
@@ -112,7 +129,10 @@ def test_a_drive_nobody_tuned_on_is_no_line_of_the_readme_and_marked_where_copyi
     write_street(home, "street")
     assert "other_street" not in write(home, root)
     document = (root / "docs" / "results.md").read_text()
-    assert "## other_street" not in document and "✗ |" not in document
+    others = document.split("## Drives that nobody tuned on")[1]
+    assert (
+        "## other_street" not in document and "| `other_street` | `quick` |" in others and "✗ |" not in others
+    )
     rows = [*_rows(root, "quick"), *_rows(root, "baselines")]
     worse = [rows[0] | {"errors": _moved(rows[0]["errors"], 0.5)}, *rows[1:]]
     lines = as_document(worse).split("## Drives that nobody tuned on")[1].splitlines()
