@@ -47,17 +47,18 @@ OTHER_DRIVES = {
 """Scene to drive."""
 
 
-def write_drives(folder: Path, names: Iterable[str]) -> Path:
+def write_drives(folder: Path, names: Iterable[str], size: DemoSize = _SIZE) -> Path:
     """Write the drives that are not there yet, and a catalogue of them all; returns the catalogue's path."""
+    test_frames = [frame for frame in _TEST_FRAMES if frame < size.frames]
     entries = []
     for name in names:
         drive, root = OTHER_DRIVES[name], folder / name
         if not root.is_dir():
             say_on_stderr(f"[{name}] writing the drive")
-            write_demo(root, size=_SIZE, seed=drive.seed, speed=drive.speed, traffic=drive.traffic)
+            write_demo(root, size=size, seed=drive.seed, speed=drive.speed, traffic=drive.traffic)
         entries.append(
             f'[[scene]]\nname = "{name}"\nroot = "{name}"\nsequence = "{DEMO_SEQUENCE}"\nfirst_frame = 0\n'
-            f"last_frame = {_SIZE.frames - 1}\ntest_frames = {_TEST_FRAMES}\nsweep_period_s = 0.1\n"
+            f"last_frame = {size.frames - 1}\ntest_frames = {test_frames}\nsweep_period_s = 0.1\n"
         )
     path = folder / "other_drives.toml"
     path.write_text("\n".join(entries))
@@ -68,6 +69,10 @@ def main() -> int:
     """Exit code of Dagster's run; what it finished is written all the same."""
     home = home_from_environment(os.environ)
     names = os.environ.get("SCENES", "").split() or list(OTHER_DRIVES)
+    unknown = sorted(set(names) - set(OTHER_DRIVES))
+    if unknown:
+        print(f"no such drives: {', '.join(unknown)}; there are {', '.join(OTHER_DRIVES)}", file=sys.stderr)
+        return 2
     catalogue = write_drives(home / "drives", names)
     chosen = {
         "NVSF_HOME": str(home), "NVSF_SCENES": str(catalogue), "SCENES": " ".join(names),
