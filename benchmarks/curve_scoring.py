@@ -66,7 +66,7 @@ class Judge:
         return found
 
     def copy_errors(self) -> dict[str, float]:
-        """Errors of the baseline `copy_nearest`."""
+        """Errors of the baseline `copy_nearest`; without those of images where these are not scored."""
         found: dict[str, float] = {}
         lidar, plan = self.recording.lidar, self.view.sweeps
         if lidar is not None and plan is not None:
@@ -79,6 +79,8 @@ class Judge:
                 return pano, copies["ray_range_m"][part][::SHARE]
 
             found |= self.lidar_errors(answer)
+        if not self.scores_images:
+            return found
         images = copied_images(self.recording, self.view.images)
         copied = {name: thinned(images[f"{name}_rgb"]) for name in self.view.images}
         return found | self.image_errors(copied)

@@ -93,6 +93,12 @@ def test_copying_needs_no_time(setting, monkeypatch):
     assert {point["mark"] for point in result["points"]} == {None}
 
 
+def test_copied_images_are_not_scored_where_those_trained_on_are_smaller(setting, scene, monkeypatch):
+    smaller = replace(setting, split=replace(split_of(scene, "images2"), name="full"))
+    metrics = {point["metric"] for point in run(smaller, "copy_nearest", monkeypatch)["points"]}
+    assert "chamfer_m2" in metrics and "image_psnr_db" not in metrics
+
+
 def test_sectors_are_a_quarter_of_the_pano_and_the_same_cells():
     whole, part = LinearPano(), Sectors()
     assert 0.24 < len(part.columns) / whole.width < 0.26
