@@ -80,7 +80,7 @@ def _duration(runs: Sequence[Run], sizes: Sequence[Run]) -> str:
     """How long it took to measure, in words."""
     minutes = sum(run["run"]["run_seconds"] for run in (*runs, *sizes)) / 60.0
     also = ", the six sizes among them" if sizes else ""
-    return f"These runs took {minutes:.0f} minutes, scoring included{also}."
+    return f"These runs took {minutes:.1f} minutes, scoring included{also}."
 
 
 def _error_table(runs: Sequence[Run]) -> str:
