@@ -194,7 +194,7 @@ def test_document_and_report_show_means_over_seeds_and_say_where_they_are_from(t
     document = write_document(tmp_path / "curves", tmp_path / "speed.md")
     text = document.read_text()
     assert "0.030 ± 0.014 (61 s)" in text and "how the cost grows" in text and "12,345" in text
-    assert "took 4.3 minutes, scoring included, the six sizes among them" in text
+    assert "took 4.5 minutes, scoring included, the six sizes among them" in text
     assert "| `paper_cpu_t13_r512_s48` | 61 | 0.700 | 0.00 |" in text
     assert all(word in text for word in ("a machine", "c0ffee", "Not measured on KITTI-360's ten scenes"))
     assert (tmp_path / "speed/s-full.png").stat().st_size < 200_000
