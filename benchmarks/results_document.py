@@ -162,15 +162,19 @@ def _others(found: dict[tuple[str, str], Measured]) -> list[str]:
     for (scene, method), mine in found.items():
         cells = []
         for protocol, metric, _, digits, _ in _OTHERS:
-            value = _mean_error(mine, protocol, metric)
-            copied = _mean_error(found.get((scene, _COPY)), protocol, metric)
-            asked = method not in BASELINES and protocol == "lidar4d_scan" and metric in NEVER_WORSE
-            is_met = value >= copied if NEVER_WORSE.get(metric) else value <= copied
             text = cell([error_of(row, protocol, metric) for row in mine.rows], digits)
-            cells.append(_marked(text, is_missed=asked and not is_met))
+            is_asked = method not in BASELINES and protocol == "lidar4d_scan" and metric in NEVER_WORSE
+            is_missed = is_asked and _is_worse(mine, found.get((scene, _COPY)), protocol, metric)
+            cells.append(_marked(text, is_missed=is_missed))
         lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
     head = ["drive", "method", "seeds", *(f"{title} {way}" for _, _, title, _, way in _OTHERS), "commit"]
     return [_ABOUT_OTHERS, _provenance(found.values()), _table(head, lines)]
+
+
+def _is_worse(mine: Measured, copied: Measured | None, protocol: str, metric: str) -> bool:
+    """Whether it is not at least as good as copying; so it is where either is unknown."""
+    own, other = (_mean_error(measured, protocol, metric) for measured in (mine, copied))
+    return not (own >= other if NEVER_WORSE[metric] else own <= other)
 
 
 def _mean_error(measured: Measured | None, protocol: str, metric: str) -> float:

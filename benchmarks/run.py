@@ -7,13 +7,12 @@ What is up to date is not repeated. SCENES, RECIPES, SEEDS, SPLITS, MARKS say wh
 """
 
 import os
-import subprocess
 import sys
-from pathlib import Path
 
 from benchmarks.curve_document import write_document
 from benchmarks.curve_plan import FULL, RESULTS
 from benchmarks.curves import Asked, asked_from, measure
+from benchmarks.job import execute_benchmark
 from benchmarks.results_table import ROOT, write
 from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.recipe import PaperRecipe, preset
@@ -33,18 +32,13 @@ def main() -> int:
 
 def _measure_whole(asked: Asked) -> int:
     """The job ``benchmark``, one recipe and one seed a run, like every run of this project."""
-    dagster = Path(sys.executable).parent / "dagster"
     worst = 0
     for recipe in asked.recipes:
         # A curve trains the paper's family for a fixed time, which is no preset; `make train` measures these.
         for seed in () if isinstance(preset(recipe), PaperRecipe) else asked.seeds:
             print(f"benchmark: {recipe}, seed {seed}", flush=True)
             chosen = {"SCENES": " ".join(asked.scenes), "RECIPE": recipe, "SEED": str(seed)}
-            environment = os.environ | chosen | {"DAGSTER_MODULE_NAME": "pipelines.definitions"}
-            done = subprocess.run(
-                [dagster, "job", "execute", "-j", "benchmark"], env=environment, check=False
-            )
-            worst = max(worst, abs(done.returncode))
+            worst = max(worst, execute_benchmark(chosen))
     return worst
 
 
