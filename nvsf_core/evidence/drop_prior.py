@@ -57,6 +57,14 @@ class DropPrior:
             total += self.is_hit[scan, laser, self.nearest_firing(scan, fraction)]
         return total / np.float32(len(scans))
 
+    def vote_of_turn(self, lasers: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
+        """`vote` (l, f) of a whole turn: lasers (l,) that all fire at the sweep fractions (f,)."""
+        total = np.zeros((len(lasers), len(fraction)), np.float32)
+        for scan in scans:
+            # Whole rows first: they lie in one piece.
+            total += self.is_hit[scan][lasers][:, self.nearest_firing(scan, fraction)]
+        return total / np.float32(len(scans))
+
     def nearest_firing(self, scan: int, fraction: np.ndarray) -> np.ndarray:
         """Columns (r,) int64 of a scan's firings nearest to the sweep fractions (r,)."""
         firings = self.fraction[scan][: self.firings_of(scan)]

@@ -5,6 +5,9 @@ from numba import njit, prange
 
 from nvsf_core.kernels.voxel_march import RAYS_A_TASK, walk
 
+_HANDS = 16
+"""Hands that tasks are dealt out to; threads that divide it get equally much of each part of a turn."""
+
 
 @njit(parallel=True, cache=True)
 def answer_by_surfels(  # type: ignore[no-untyped-def]
@@ -23,7 +26,12 @@ def answer_by_surfels(  # type: ignore[no-untyped-def]
     range_m = np.full(n, np.inf, np.float32)
     intensity = np.zeros(n, np.float32)
     half, one = np.float32(0.5), np.float32(1.0)
-    for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
+    tasks = (n + RAYS_A_TASK - 1) // RAYS_A_TASK
+    turns = (tasks + _HANDS - 1) // _HANDS
+    for number in prange(turns * _HANDS):
+        # Each thread gets consecutive numbers, and a laser's rays walk about as far: upper ones far, lower
+        # ones not. Dealt out like cards, every thread gets of all; a number past the last finds no ray.
+        task = number % turns * _HANDS + number // turns
         distance = np.empty(most, np.float32)
         voxel = np.empty(most, np.int32)
         opacity = np.empty(most, np.float32)

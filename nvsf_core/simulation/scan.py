@@ -94,7 +94,10 @@ def recorded_scan(rays: SweepRays, answers: RayAnswers) -> tuple[np.ndarray, np.
         rays.recorded_origin_m[returned] + rays.recorded_direction[returned] * answers.range_m[returned, None]
     )
     azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
-    order = np.lexsort((azimuth, rays.laser[returned]))
+    # Rays lie laser by laser: each sorted by itself takes a sixth of the time.
+    starts = np.flatnonzero(np.diff(rays.laser[returned])) + 1
+    orders = [np.argsort(part, kind="stable") for part in np.split(azimuth, starts)]
+    order = np.concatenate([own + first for own, first in zip(orders, [0, *starts], strict=True)])
     return (
         points[order].astype(np.float32),
         np.clip(answers.intensity[returned][order], 0, 1).astype(np.float32),

@@ -22,7 +22,7 @@ from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_
 from nvsf_core.simulation.scene_model import RayRenderer, TurnCorrector
 from nvsf_core.simulation.view_plan import SweepPlan
 
-_CHUNK_RAYS = 65536
+_CHUNK_RAYS = 262144
 _FIELD_RAYS = 8192
 """Rays that the field answers at once: what it computes of them stays in the caches."""
 
@@ -184,12 +184,8 @@ def fire_sweep(
     rays = sweep_rays(
         plan.table, lasers, firings, trajectory, time_s, period_s, mount=plan.mount, phase=phase
     )
-    voter = (
-        rays.laser
-        if plan.is_recorded_sensor
-        else _similar_lasers(plan.table, recorded_table, evidence)[rays.laser]
-    )
-    vote = evidence.prior.vote(voter, rays.fraction, near)
+    voters = lasers if plan.is_recorded_sensor else _similar_lasers(plan.table, recorded_table, evidence)
+    vote = evidence.prior.vote_of_turn(voters, rays.fraction[:firings], near).reshape(-1)
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
     answers = by_lasers(answers, rays.laser, plan.table, as_recorded=as_recorded)
     if correct is not None and plan.is_recorded_sensor and plan.mount is None:

@@ -28,6 +28,16 @@ def test_a_beam_that_never_returned_gets_no_vote() -> None:
     assert vote.tolist() == [0.0, 1.0, 1.0]
 
 
+def test_a_whole_turn_votes_as_its_rays_do() -> None:
+    prior = three_scans()
+    prior.is_hit[0, 0, 3] = False
+    lasers, fraction = np.array([1, 0, 1]), np.linspace(-0.5, 0.5, 9)
+    scans = prior.nearest_scans(0.05, 2)
+    turn = prior.vote_of_turn(lasers, fraction, scans)
+    rays = prior.vote(np.repeat(lasers, 9), np.tile(fraction, 3), scans)
+    assert turn.shape == (3, 9) and np.array_equal(turn.ravel(), rays) and len(np.unique(turn)) == 3
+
+
 def test_a_scan_never_votes_on_itself() -> None:
     prior = three_scans()
     assert 1 not in prior.nearest_scans(0.1, 2, leave_out_s=0.1)

@@ -40,6 +40,17 @@ def test_drops_and_rays_without_an_answer_leave_no_point() -> None:
     assert len(points) == 6
 
 
+def test_a_scan_may_lack_a_laser_or_all_of_them() -> None:
+    rays = still_sweep()
+    hit = (rays.laser != np.unique(rays.laser)[1]).astype(np.float32)
+    range_m = np.full(len(rays.laser), 5.0, np.float32)
+    points, _, laser = recorded_scan(rays, RayAnswers(range_m, hit, np.zeros_like(hit)))
+    azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
+    assert len(points) == hit.sum() and np.array_equal(np.lexsort((azimuth, laser)), np.arange(len(laser)))
+    points, intensity, laser = recorded_scan(rays, RayAnswers(range_m, 0.0 * hit, np.zeros_like(hit)))
+    assert points.shape == (0, 3) and intensity.shape == laser.shape == (0,)
+
+
 def test_a_shifted_sensor_fires_from_beside_the_car() -> None:
     here, there = still_sweep(), still_sweep(mount_pose((0.0, 1.0, 0.0), 0.0))
     assert np.allclose(there.origin_m - here.origin_m, [0.0, 1.0, 0.0], atol=1e-5)
