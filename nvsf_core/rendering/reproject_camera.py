@@ -209,7 +209,7 @@ def _sweep(
             warped.append(sample(image, grid)[0])
             seen_by_both &= seen
         difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), _UNSEEN_COST)
-        cost = _box_mean(difference, options.window_px) + pull * (plane - prior).abs() / span
+        cost = box_mean(difference, options.window_px) + pull * (plane - prior).abs() / span
         better = cost < best_cost
         best_cost = torch.where(better, cost, best_cost)
         best = torch.where(better, candidate, best)
@@ -217,7 +217,7 @@ def _sweep(
     return torch.where(gap_px > options.beyond_px, found, inverse)
 
 
-def _box_mean(image: Tensor, side: int) -> Tensor:
+def box_mean(image: Tensor, side: int) -> Tensor:
     """Mean over a square window, one axis after the other."""
     half = side // 2
     rows = functional.avg_pool2d(image[None, None], (side, 1), 1, (half, 0), count_include_pad=False)

@@ -80,6 +80,9 @@ class SceneModel:
     """None where each ray's answer stands by itself."""
     pano: PanoRenderer | None = None
     """None where a pano is the projection of the simulated scan, and not a view of its own."""
+    above: RayRenderer | None = None
+    """Answers rays of other sensors that look above all recorded lasers and that `lidar` has no answer for.
+    None where nobody knows what is there."""
     votes: int = VOTES
     """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""
     as_recorded: bool = False

@@ -7,7 +7,7 @@ import torch
 
 from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.fields.surface_batch import surface_batch
@@ -99,6 +99,28 @@ def evidence_renderer(
     return answer
 
 
+def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
+    """Answers by what images prove; how far a ray is stopped is its hit probability.
+
+    Arguments as of `field_renderer`.
+    """
+
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
+        found = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+        stopped = found.weights.sum(axis=1)
+        return reproject_rays(surfels, origin_m, direction, stopped, most=most, far_m=far_m)
+
+    return answer
+
+
+def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
+    """Elevation up to which recorded lasers looked; infinite where none of them is known."""
+    looked = table.elevation_rad[evidence.lasers.astype(np.int64)]
+    return float(looked.max()) if len(looked) else np.inf
+
+
 def answer_in_chunks(
     render: RayRenderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
 ) -> RayAnswers:
@@ -134,12 +156,13 @@ def simulate_sweep(
     votes: int,
     *,
     correct: TurnCorrector | None = None,
+    above: RayRenderer | None = None,
     as_recorded: bool = False,
 ) -> SimulatedSweep:
     """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
     rays, answers = fire_sweep(
         plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes, correct=correct,
-        as_recorded=as_recorded,
+        above=above, as_recorded=as_recorded,
     )  # fmt: skip
     points, intensity, laser = recorded_scan(rays, answers)
     pano = LinearPano(quirks=True)
@@ -166,6 +189,7 @@ def fire_sweep(
     votes: int,
     *,
     correct: TurnCorrector | None = None,
+    above: RayRenderer | None = None,
     phase: float = 0.5,
     leave_out_s: float | None = None,
     as_recorded: bool = False,
@@ -173,8 +197,8 @@ def fire_sweep(
     """All rays of one turn of the plan's sensor around `time_s`, answered; the own vehicle is put back.
 
     `phase` says where the turn starts against its firings; the training scan at `leave_out_s` is silent;
-    `as_recorded` is `SceneModel`'s, and so is `correct`, which is asked where the recording sensor is in its
-    own place.
+    `as_recorded` and `above` are `SceneModel`'s, and so is `correct`, which is asked where the recording
+    sensor is in its own place.
     """
     near = evidence.prior.nearest_scans(time_s, votes, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
@@ -186,7 +210,14 @@ def fire_sweep(
     )
     voters = lasers if plan.is_recorded_sensor else _similar_lasers(plan.table, recorded_table, evidence)
     vote = evidence.prior.vote_of_turn(voters, rays.fraction[:firings], near).reshape(-1)
-    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, time_s + rays.fraction * period_s)
+    fired_s = time_s + rays.fraction * period_s
+    answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, fired_s)
+    if above is not None and not plan.is_recorded_sensor:
+        is_above = plan.table.elevation_rad[rays.laser] > highest_rad(recorded_table, evidence)
+        unknown = np.flatnonzero(is_above & ~np.isfinite(answers.range_m))
+        seen = above(rays.origin_m[unknown], rays.direction[unknown], vote[unknown], fired_s[unknown])
+        for name in ("range_m", "hit", "intensity"):
+            getattr(answers, name)[unknown] = getattr(seen, name)
     answers = by_lasers(answers, rays.laser, plan.table, as_recorded=as_recorded)
     if correct is not None and plan.is_recorded_sensor and plan.mount is None:
         answers = correct(rays, answers, near)

@@ -1,13 +1,15 @@
 """Stage `novel_views`: the held-out frames and every view that was asked for, rendered."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE
 from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.stages.above_lasers import looks_above, seen_above
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.image_check import LAWS as IMAGE_LAWS
 from nvsf_core.stages.image_check import check_images
@@ -48,8 +50,9 @@ def _run(task: Task) -> StageOutput:
     held_out = held_out_view(recording, task.scene.test_frames)
     if held_out is not None:
         _render_held_out(task, recording, held_out, models, output)
-    for entry in task.scene.views:
-        view = asked_view(recording, entry)
+    asked = [(entry, asked_view(recording, entry)) for entry in task.scene.views]
+    models = _with_images(task, recording, models, [view for _, view in asked], output)
+    for entry, view in asked:
         if view is None:
             output.metadata[entry.name] = NO_LIDAR
             task.progress(f"[{task.scene.name}] novel_views: {entry.name} {NO_LIDAR}")
@@ -59,6 +62,22 @@ def _run(task: Task) -> StageOutput:
         if task.scene.sequence == DEMO_SEQUENCE:
             _render_beside(task, recording, view, models, arrays)
     return output
+
+
+def _with_images(
+    task: Task, recording: Recording, models: Mapping[str, SceneModel], asked: Sequence[View | None],
+    output: StageOutput,
+) -> dict[str, SceneModel]:  # fmt: skip
+    """The models, and for what looks above the lasers what images show there; the mesh stays as it is."""
+    lidar = recording.lidar
+    plans = [view.sweeps for view in asked if view is not None and view.sweeps is not None]
+    if lidar is None or not any(looks_above(lidar, plan) for plan in plans):
+        return dict(models)
+    started = time.perf_counter()
+    above = seen_above(task, recording)
+    output.metadata["above_lasers"] = "unknown: no images show it" if above is None else "answered by images"
+    output.metadata["above_lasers_seconds"] = time.perf_counter() - started
+    return {name: model if name == MESH else replace(model, above=above) for name, model in models.items()}
 
 
 def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel | None:
@@ -149,7 +168,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="12",
+    version="13",
     run=_run,
     per_recipe=True,
     reads_views=True,

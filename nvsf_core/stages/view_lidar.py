@@ -37,6 +37,7 @@ def sweep_arrays(
                 recorded.table,
                 model.votes,
                 correct=model.correct,
+                above=model.above,
                 as_recorded=model.as_recorded,
             )
         )

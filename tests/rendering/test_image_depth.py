@@ -1,0 +1,53 @@
+"""Images prove a wall's distance, and of the sky nothing."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.rendering.image_depth import image_depth
+
+CAMERA = Pinhole(fx=90.0, fy=90.0, cx=95.5, cy=47.5, width=192, height=96)
+WALL_M, TOP_M = 8.0, -1.5
+"""Of a wall across the view: how far ahead, and its upper edge (y points down)."""
+
+
+def pose(right_m: float) -> np.ndarray:
+    place = np.eye(4)
+    place[0, 3] = right_m
+    return place
+
+
+def photograph(right_m: float) -> np.ndarray:
+    """The textured wall under an even sky."""
+    rays = CAMERA.rays(CAMERA.pixels())
+    point = rays / rays[..., 2:] * WALL_M
+    x, y = point[..., 0] + right_m, point[..., 1]
+    waves = [np.sin(5.1 * x + 0.3) * np.cos(4.7 * y), np.sin(3.3 * x + y), np.cos(2.9 * x - 3.6 * y)]
+    wall = 127.0 + 100.0 * np.stack(waves, axis=-1)
+    return np.round(np.where((y < TOP_M)[..., None], [180.0, 200.0, 230.0], wall)).astype(np.uint8)
+
+
+def depths(*places_m: float):
+    images = np.stack([photograph(x) for x in places_m])
+    valid = np.ones((CAMERA.height, CAMERA.width), np.bool_)
+    poses = np.stack([pose(x) for x in places_m])
+    return image_depth(pose(0.0), CAMERA, np.zeros((0, 3), np.float32), images, poses, valid)
+
+
+def test_a_wall_is_as_far_as_it_is_and_the_sky_is_not_near() -> None:
+    found = depths(-0.4, 0.4)
+    height_m = found.direction[:, 1] / found.direction[:, 2] * WALL_M
+    wall, sky = height_m > TOP_M + 1.0, height_m < TOP_M - 1.2
+    assert wall.sum() > 2000 and sky.sum() > 500
+    assert np.isinf(found.range_m[sky]).mean() > 0.95
+    near = wall & np.isfinite(found.range_m)
+    assert near.sum() > 0.95 * wall.sum()
+    z_m = found.range_m[near] * found.direction[near, 2]
+    assert np.median(np.abs(z_m - WALL_M)) < 0.5, "planes lie 0.4 m apart there"
+    assert np.allclose(np.linalg.norm(found.direction, axis=1), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("places_m", [(0.3,), (0.0, 1e-3)], ids=["one image", "two from one place"])
+def test_nothing_is_proven_without_a_second_place(places_m: tuple[float, ...]) -> None:
+    found = depths(*places_m)
+    assert not np.isfinite(found.range_m).any()
