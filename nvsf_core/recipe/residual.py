@@ -150,9 +150,6 @@ class HitsSpec:
     """Width of the network over cells; of 20 the convolutions take three times as long."""
     layers: int = 3
     """Layers of that width."""
-    share: float = 0.6
-    """Its weight beside the ray head's answer, as logits: where both err independently, their mean errs
-    least, and the network, told less of a training scan's own returns, is the one to be trusted more."""
     frames: int = 28
     """Most training frames that the network learns from; evenly spread."""
     training: TrainingSpec

@@ -4,13 +4,14 @@ The ray head of a field has seen the training scans: there its hits look better 
 learned to correct them would trust them too much. So the network here is not told the ray head's hits. It
 starts from the vote, and from what other turns recorded where a ray is expected to end: these are of other
 scans at training and at rendering alike. Where the ray ends, and how bright, is the field's answer, which
-knows a training scan's own returns. The two answers err differently, and are averaged as logits.
+knows a training scan's own returns. The two answers err differently, and are blended (`HitBlend`).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.special import expit
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
@@ -21,6 +22,7 @@ from nvsf_core.recipe import HitsSpec
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.hit_blend import HitBlend
 from nvsf_core.simulation.lidar_rays import SweepRays
 
 FEATURES = 14
@@ -81,18 +83,25 @@ class TurnHits:
 
     network: CellNetwork
     """Trained."""
-    spec: HitsSpec
     turns: RecordedTurns
+    blend: HitBlend
 
-    @torch.no_grad()
     def __call__(self, rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
         """The same answers with other hits; `near` (k,) are the scans that vote, nearest in time first."""
-        cells = turn_cells(self.turns, rays, answers, near)
-        learned = cells.vote_logit + self.network(cells.features[None])[0, 0]
-        back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
-        own = torch.logit(torch.from_numpy(answers.hit), eps=_HIT_LIMIT)
-        hit = torch.sigmoid(self.spec.share * back + (1.0 - self.spec.share) * own).numpy()
+        both = hit_logits(self.network, self.turns, rays, answers, near)
+        hit = expit(self.blend.logit(*both)).astype(np.float32)
         return replace(answers, hit=np.where(np.isfinite(answers.range_m), hit, answers.hit))
+
+
+@torch.no_grad()
+def hit_logits(
+    network: CellNetwork, turns: RecordedTurns, rays: SweepRays, answers: RayAnswers, near: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What network and ray head say of each ray of a turn: logits (r,) float32 of a return."""
+    cells = turn_cells(turns, rays, answers, near)
+    learned = cells.vote_logit + network(cells.features[None])[0, 0]
+    back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
+    return back.numpy(), torch.logit(torch.from_numpy(answers.hit), eps=_HIT_LIMIT).numpy()
 
 
 @dataclass(frozen=True, slots=True)

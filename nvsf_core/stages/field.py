@@ -119,7 +119,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="12",
+    version="13",
     run=_run,
     per_recipe=True,
     laws=LAWS,

@@ -1,7 +1,7 @@
 """The residual recipes' hits in the sensor's own grid: what trains the network there, and who judges it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from nvsf_core.evidence.objects import NearObjects
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.recipe import HitsSpec, ResidualRecipe
+from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.simulation.hit_blend import HitBlend, fit_blend, nats
 from nvsf_core.simulation.lidar_rays import SweepRays
-from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import TurnCorrector
 from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
-from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, turn_cells
+from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.lidar_training_rays import learned_scans
@@ -28,8 +28,8 @@ from nvsf_core.stages.stage import Scalar, Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 
-HITS_CORRECTED = "hits_corrected"
-"""Name of the fact: whether the network says better what returns than the ray head alone."""
+HITS_BLEND = "hits_blend"
+"""Name of the fact: how network and ray head are blended; None where the ray head alone says what returns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +41,28 @@ class TrainedHits:
     metadata: dict[str, Scalar]
     correct: TurnHits | None
     """None where the network is not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedTurn:
+    """A left-out scan's r firings, and what is said of them."""
+
+    network_logit: np.ndarray
+    """(r,) float32."""
+    ray_head_logit: np.ndarray
+    """(r,) float32."""
+    is_answered: np.ndarray
+    """(r,) bool: whether anything is there that could return."""
+    returned: np.ndarray
+    """(r,) bool."""
+
+    def accuracy(self, logit: np.ndarray) -> float:
+        """Share of all firings whose return, or its absence, is expected by logits (r,)."""
+        return float(((self.is_answered & (logit >= 0.0)) == self.returned).mean())
+
+    def nats(self, logit: np.ndarray) -> float:
+        """Mean cross-entropy of logits (r,), of the answered firings."""
+        return nats(logit[self.is_answered], self.returned[self.is_answered])
 
 
 def train_hits(
@@ -72,25 +94,52 @@ def train_hits(
         lambda _, drawn: [cell_step(network, examples, spec.training, recipe.losses, drawn)],
     )  # fmt: skip
     judging = time.perf_counter()
-    correct = TurnHits(network, spec, turns)
-    judged = (left_out.judges.tolist(), left_out.standing)
-    alone, corrected = (_accuracy(field, recipe, lidar, *judged, hits) for hits in (None, correct))
-    is_better = corrected > alone
-    metadata: dict[str, Scalar] = {
-        "hits_judged_accuracy": corrected,
-        "hits_judged_ray_head_accuracy": alone,
-        "hits_shown": "network and ray head" if is_better else "ray head: learning did not beat it",
-    }
+    judged = [
+        _judged(field, recipe, lidar, turns, network, number, left_out.standing)
+        for number in left_out.judges.tolist()
+    ]
+    blend, metadata = blend_in_rotation(judged)
     preparation += time.perf_counter() - judging
     return TrainedHits(
         states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
-        correct=correct if is_better else None,
+        correct=None if blend is None else TurnHits(network, turns, blend),
     )  # fmt: skip
 
 
-def turn_hits(network: CellNetwork, spec: HitsSpec, lidar: LidarRecording) -> TurnHits:
-    """A trained network, ready to correct turns."""
-    return TurnHits(network, spec, recorded_turns(lidar))
+def blend_in_rotation(judged: Sequence[JudgedTurn]) -> tuple[HitBlend | None, dict[str, Scalar]]:
+    """How network and ray head are blended, None where the ray head alone is better, and figures.
+
+    Each of at least two judges is told by a blend that was fitted on the others; what is shown, on all.
+    """
+    alone = [one.accuracy(one.ray_head_logit) for one in judged]
+    blended = []
+    for number, one in enumerate(judged):
+        others = [other for place, other in enumerate(judged) if place != number]
+        blended.append(_fitted(others).logit(one.network_logit, one.ray_head_logit))
+    accuracy = [one.accuracy(logit) for one, logit in zip(judged, blended, strict=True)]
+    is_better = float(np.mean(accuracy)) > float(np.mean(alone))
+    blend = _fitted(judged)
+    metadata: dict[str, Scalar] = {
+        "hits_judged_accuracy": float(np.mean(accuracy)),
+        "hits_judged_ray_head_accuracy": float(np.mean(alone)),
+        "hits_judged_nats": float(np.mean([one.nats(x) for one, x in zip(judged, blended, strict=True)])),
+        "hits_judged_ray_head_nats": float(np.mean([one.nats(one.ray_head_logit) for one in judged])),
+        "hits_blend": f"{blend.network:.2f} network {blend.ray_head:+.2f} ray head {blend.offset:+.2f}",
+        "hits_shown": "network and ray head" if is_better else "ray head: learning did not beat it",
+    }
+    return blend if is_better else None, metadata
+
+
+def _fitted(judged: Sequence[JudgedTurn]) -> HitBlend:
+    """On all answered firings of some judges."""
+    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_answered) for one in judged]
+    network, ray_head, returned, answered = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return fit_blend(network[answered], ray_head[answered], returned[answered])
+
+
+def turn_hits(network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]) -> TurnHits:
+    """A trained network, ready to correct turns; `blend` is the fact `HITS_BLEND`."""
+    return TurnHits(network, recorded_turns(lidar), HitBlend(**blend))
 
 
 def recorded_turns(lidar: LidarRecording) -> RecordedTurns:
@@ -141,18 +190,23 @@ def _example(
     )
 
 
-def _accuracy(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, judges: Sequence[int],
-    standing: Surfels, correct: TurnHits | None,
-) -> float:  # fmt: skip
-    """Share of the judges' firings whose return, or its absence, is expected from what others prove."""
-    prior, found = lidar.evidence.prior, []
-    for number in judges:
-        rays, answers = _fire(field, recipe, lidar, standing, number, correct)
-        expected = np.isfinite(answers.range_m) & (answers.hit >= HIT_THRESHOLD)
-        firing = prior.nearest_firing(number, rays.fraction)
-        found.append(float((expected == prior.is_hit[number, rays.laser, firing]).mean()))
-    return float(np.mean(found))
+def _judged(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns,
+    network: CellNetwork, number: int, standing: Surfels,
+) -> JudgedTurn:  # fmt: skip
+    """A judge as others prove it, and whether its firings returned."""
+    told: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+        told.append(hit_logits(network, turns, rays, answers, near))
+        return answers
+
+    rays, answers = _fire(field, recipe, lidar, standing, number, listen)
+    ((network_logit, ray_head_logit),), prior = told, lidar.evidence.prior
+    firing = prior.nearest_firing(number, rays.fraction)
+    return JudgedTurn(
+        network_logit, ray_head_logit, np.isfinite(answers.range_m), prior.is_hit[number, rays.laser, firing]
+    )
 
 
 def _fire(

@@ -21,7 +21,7 @@ from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import carrying_renderer
 from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, camera_renderer
-from nvsf_core.stages.residual_hits import HITS_CORRECTED, turn_hits
+from nvsf_core.stages.residual_hits import HITS_BLEND, turn_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
 from nvsf_core.stores.checkpoints import load_tensors
@@ -93,9 +93,9 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             most=recipe.evidence.lidar_candidates,
             far_m=recording.lidar.far_m,
         )
-        if recipe.hits is not None and fields.hits is not None and facts.get(HITS_CORRECTED):
+        if recipe.hits is not None and fields.hits is not None and facts.get(HITS_BLEND):
             fields.hits.load_state_dict(_named(tensors, "hits."))
-            correct = turn_hits(fields.hits, recipe.hits, recording.lidar)
+            correct = turn_hits(fields.hits, recording.lidar, facts[HITS_BLEND])
         if recipe.pano is not None:
             if fields.pano is not None:
                 fields.pano.load_state_dict(_named(tensors, "pano."))

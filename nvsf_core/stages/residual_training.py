@@ -1,6 +1,7 @@
 """Training the residual fields: one a sensor that the drive has, one after the other."""
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -10,7 +11,7 @@ from nvsf_core.stages.fitting import Trained, fit
 from nvsf_core.stages.lidar_training_rays import training_rays
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, train_camera
-from nvsf_core.stages.residual_hits import HITS_CORRECTED, train_hits
+from nvsf_core.stages.residual_hits import HITS_BLEND, train_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import CORRECTED, train_pano
@@ -49,7 +50,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
         seconds += hits.preparation_seconds
         metadata |= hits.metadata
         correct = hits.correct
-        facts[HITS_CORRECTED] = correct is not None
+        facts[HITS_BLEND] = None if correct is None else asdict(correct.blend)
         task.progress(f"[{task.scene.name}] field, hits: shows {hits.metadata['hits_shown']}")
     if facts.get(SHOWS_FIELD) and fields.pano and fields.lidar and recording.lidar:
         expected = train_pano(task, work, fields.pano, fields.lidar, recipe, recording.lidar, correct)

@@ -12,11 +12,12 @@ from nvsf_core.recipe import HitsSpec, TrainingSpec
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.simulation.hit_blend import EVEN, HitBlend
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.turn_hits import RecordedTurns, TurnHits, hits_network, turn_cells
 
 LASERS, FIRINGS, SCANS, PERIOD_S = np.arange(0, 64, 4), 300, 3, 0.1
-SPEC = HitsSpec(channels=8, layers=1, share=0.5, training=TrainingSpec(steps=1, rays=1))
+SPEC = HitsSpec(channels=8, layers=1, training=TrainingSpec(steps=1, rays=1))
 NEAR = np.array([1, 0, 2])
 
 
@@ -45,7 +46,7 @@ def logit(share: np.ndarray, limit: float) -> np.ndarray:
 def test_an_untrained_network_leaves_the_mean_of_vote_and_ray_head() -> None:
     turns, rays, answers = scene()
     network = hits_network(SPEC, torch.Generator().manual_seed(0))
-    corrected = TurnHits(network, SPEC, turns)(rays, answers, NEAR)
+    corrected = TurnHits(network, turns, EVEN)(rays, answers, NEAR)
     assert answers.vote is not None
     answered = np.isfinite(answers.range_m)
     mean = 0.5 * logit(answers.vote, 0.02) + 0.5 * logit(answers.hit, 0.003)
@@ -61,8 +62,7 @@ def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
     with torch.no_grad():
         # Logit += 3 x the expected intensity of the cell itself, which is the last feature but one.
         network.layers[0].weight[0, -2, 1, 1] = 3.0  # type: ignore[index]
-    whole = replace(SPEC, share=1.0)
-    found = TurnHits(network, whole, turns)(rays, answers, NEAR)
+    found = TurnHits(network, turns, HitBlend(network=1.0, ray_head=0.0, offset=0.0))(rays, answers, NEAR)
     assert answers.vote is not None
     answered = np.isfinite(answers.range_m)
     expected = logit(answers.vote, 0.02) + 3.0 * answers.intensity

@@ -12,7 +12,13 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.stages.flow import SceneRun
 from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
-from nvsf_core.stages.residual_hits import TrainedHits, recorded_turns, train_hits
+from nvsf_core.stages.residual_hits import (
+    JudgedTurn,
+    TrainedHits,
+    blend_in_rotation,
+    recorded_turns,
+    train_hits,
+)
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import train_pano
 from nvsf_core.stages.stage import Task
@@ -64,13 +70,28 @@ def test_what_helps_on_left_out_scans_is_kept(drive: Drive, tmp_path: Path) -> N
     said = found.metadata
     helps = float(said["hits_judged_accuracy"]) > float(said["hits_judged_ray_head_accuracy"])
     assert helps and found.correct is not None and said["hits_shown"] == "network and ray head"
+    assert float(said["hits_judged_nats"]) < float(said["hits_judged_ray_head_nats"])
+
+
+def test_a_judge_is_told_by_a_blend_that_never_saw_it() -> None:
+    logit, returned = np.array([4.0, 4.0, -4.0, -4.0], np.float32), np.array([True, True, False, False])
+    answered = np.ones(4, np.bool_)
+    network_is_right = JudgedTurn(logit, -logit, answered, returned)
+    ray_head_is_right = JudgedTurn(-logit, logit, answered, returned)
+    blend, said = blend_in_rotation([network_is_right, ray_head_is_right])
+    assert said["hits_judged_accuracy"] == 0.0, "each would be told right by a blend of its own"
+    assert said["hits_judged_ray_head_accuracy"] == 0.5 and blend is None
+    blend, said = blend_in_rotation([network_is_right, network_is_right])
+    assert said["hits_judged_accuracy"] == 1.0 and blend is not None and blend.ray_head == 0.0
 
 
 def test_what_learned_the_contrary_is_not_used_and_that_is_said(drive: Drive, tmp_path: Path) -> None:
     found = drive.train(replace(SMALL, losses=LossWeights(hit=-5.0)), tmp_path / "work", drive.lidar)
     said = found.metadata
-    assert float(said["hits_judged_accuracy"]) < float(said["hits_judged_ray_head_accuracy"])
-    assert found.correct is None and said["hits_shown"] == "ray head: learning did not beat it"
+    assert str(said["hits_blend"]).startswith("0.00 network"), "what is left is the ray head, calibrated"
+    helps = float(said["hits_judged_accuracy"]) > float(said["hits_judged_ray_head_accuracy"])
+    assert (found.correct is not None) == helps
+    assert (said["hits_shown"] == "ray head: learning did not beat it") == (not helps)
 
 
 def test_without_scans_that_judge_nothing_is_learned(drive: Drive, tmp_path: Path) -> None:
