@@ -33,6 +33,10 @@ from nvsf_core.reporting.tables import (
 )
 
 _METHOD_ORDER = ("model", *BASELINES)
+_OF_IMAGES = (
+    " Its lasers look above those that recorded: what no return answers there is told by images, with"
+    " the scene's mean intensity."
+)
 _COSTS = (
     ("lidar4d_scan", "chamfer_m2", "LiDAR: Chamfer [m²], lower is better"),
     ("raw", "range_abs_error_median_m", "LiDAR: median range error [m], lower is better"),
@@ -274,7 +278,7 @@ def _view(view: ViewPictures, recipe: str) -> str:
         sensor = f", sensor {escape(view.sensor)}" if view.sensor else ""
         parts = [
             f"<h3>View <code>{escape(view.view)}</code>{sensor}</h3><p>Nobody recorded this one: rendered by"
-            f" {escape(recipe)} alone, nearest recorded frame {view.frame}.</p>"
+            f" {escape(recipe)} alone, nearest recorded frame {view.frame}.{_OF_IMAGES * view.by_images}</p>"
         ]
     if view.rendered_range_m:
         parts.append(_range_images(view, names))

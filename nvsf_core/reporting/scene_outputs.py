@@ -47,6 +47,8 @@ class ViewPictures:
     view: str
     frame: int
     sensor: str
+    by_images: bool = False
+    """Whether images answered rays above the recorded lasers."""
     recorded_range_m: np.ndarray | None = None
     """(H, W) range image, 0 = no return; None where the instant was not recorded."""
     rendered_range_m: dict[str, np.ndarray] = field(default_factory=dict)
@@ -196,6 +198,7 @@ def _view_pictures(root: Path, folder: Path) -> ViewPictures:
     recorded_range_m, recorded_points_m = _recorded_scan(root, frame) if is_test else (None, None)
     return ViewPictures(
         view=folder.name, frame=frame, sensor=sensor, cameras=cameras,
+        by_images=bool(attrs.get("above_lasers_by_images", False)),
         recorded_range_m=recorded_range_m, rendered_range_m=ranges_m,
         recorded_points_m=recorded_points_m, rendered_points_m=points_m,
     )  # fmt: skip

@@ -58,7 +58,8 @@ def _run(task: Task) -> StageOutput:
             task.progress(f"[{task.scene.name}] novel_views: {entry.name} {NO_LIDAR}")
             continue
         arrays = _rendered(task, recording, view, models[MODEL], MODEL)
-        _publish(task, recording, view, arrays, output)
+        by_images = _asks_images(recording, view, models[MODEL])
+        _publish(task, recording, view, arrays, output, by_images=by_images)
         if task.scene.sequence == DEMO_SEQUENCE:
             _render_beside(task, recording, view, models, arrays)
     return output
@@ -78,6 +79,12 @@ def _with_images(
     output.metadata["above_lasers"] = "unknown: no images show it" if above is None else "answered by images"
     output.metadata["above_lasers_seconds"] = time.perf_counter() - started
     return {name: model if name == MESH else replace(model, above=above) for name, model in models.items()}
+
+
+def _asks_images(recording: Recording, view: View, model: SceneModel) -> bool:
+    if recording.lidar is None or view.sweeps is None or model.above is None:
+        return False
+    return looks_above(recording.lidar, view.sweeps)
 
 
 def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel | None:
@@ -142,20 +149,25 @@ def _rendered(
 
 
 def _publish(
-    task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], output: StageOutput
-) -> None:
+    task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], output: StageOutput, *,
+    by_images: bool = False,
+) -> None:  # fmt: skip
     """The model's arrays, its files as a driver finds them, and what is said of them."""
-    _write(task, recording, view, arrays, MODEL)
+    _write(task, recording, view, arrays, MODEL, by_images=by_images)
     folder = task.folder / view.name
     export_files(folder, arrays, view.plan.frame)
     describe_view(output, view.name, folder, arrays)
 
 
-def _write(task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], method: str) -> None:
+def _write(
+    task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], method: str, *,
+    by_images: bool = False,
+) -> None:  # fmt: skip
     poses = to_world(recording, reference_poses(recording, view.plan))
     known = {"frame": view.plan.frame, "time_s": view.plan.time_s, "lidar_to_world": poses}
     sensor = "" if view.sweeps is None else view.sweeps.table.name
-    write_method(task, view.name, method, arrays | known, sensor, recording.scene_origin_m)
+    origin_m = recording.scene_origin_m
+    write_method(task, view.name, method, arrays | known, sensor, origin_m, by_images=by_images)
 
 
 def _check(task: Task) -> list[Check]:

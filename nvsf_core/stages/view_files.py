@@ -19,6 +19,8 @@ def write_method(
     arrays: dict[str, np.ndarray],
     sensor: str,
     scene_origin_m: np.ndarray,
+    *,
+    by_images: bool = False,
 ) -> None:
     """One method's arrays of a view, and what a table wants to know of the method.
 
@@ -29,6 +31,7 @@ def write_method(
         arrays: Everything that is published, poses included.
         sensor: Name of the simulated LiDAR; empty where there is none.
         scene_origin_m: (3,) in the world.
+        by_images: Whether images answered rays above the recorded lasers.
     """
     folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
@@ -40,6 +43,7 @@ def write_method(
         "seed": task.config.seed,
         "cameras": _cameras(arrays),
         "scene_origin_m": scene_origin_m.tolist(),
+        "above_lasers_by_images": by_images,
         **_costs(task, method),
     }
     write_arrays(folder / f"{method}.zarr", arrays, attrs)

@@ -1,6 +1,7 @@
 """The report shows what was measured, says what was not, and needs nothing but itself."""
 
 import re
+import shutil
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from nvsf_core.errors import StoreError
 from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from street_store import write_street  # tests are no package
@@ -58,6 +60,17 @@ def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> 
                   "defined on", "occupied voxels", "scans_look_recorded"):  # fmt: skip
         assert words in text or words in page, words
     assert page.count("data:image/png") >= 14
+
+
+def test_a_view_that_images_answered_in_part_says_so(tmp_path: Path) -> None:
+    store = write_street(tmp_path, "street")
+    view = store.path("novel_views/quick/0") / "shift_1m" / "model.zarr"
+    told = "is told by images"
+    assert told not in _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1]
+    arrays, attrs = read_arrays(view), read_attrs(view)
+    shutil.rmtree(view)
+    write_arrays(view, arrays, attrs | {"above_lasers_by_images": True})
+    assert _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1].count(told) == 1
 
 
 def test_failures_and_absent_scenes_are_named_with_the_reason(tmp_path: Path) -> None:
