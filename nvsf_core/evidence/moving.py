@@ -45,12 +45,18 @@ class MovingObject:
             return self
         return replace(self, scan=self.scan[kept], time_s=self.time_s[kept], pose=self.pose[kept])
 
-    def is_there(self, time_s: np.ndarray) -> np.ndarray:
-        """Whether (r,) bool the object's place is known at times (r,): up to 1.5 frames beyond its scans."""
+    @property
+    def there_s(self) -> tuple[float, float]:
+        """From when to when the object's place is known: up to 1.5 frames beyond its scans; never without."""
         if len(self.time_s) == 0:
-            return np.zeros(len(time_s), np.bool_)
+            return np.inf, -np.inf
         spare_s = _BEYOND_FRAMES * self.frame_s
-        return np.asarray((time_s >= self.time_s[0] - spare_s) & (time_s <= self.time_s[-1] + spare_s))
+        return float(self.time_s[0] - spare_s), float(self.time_s[-1] + spare_s)
+
+    def is_there(self, time_s: np.ndarray) -> np.ndarray:
+        """Whether (r,) bool the object's place is known at times (r,)."""
+        first_s, last_s = self.there_s
+        return np.asarray((time_s >= first_s) & (time_s <= last_s))
 
     def matrix_at(self, time_s: np.ndarray) -> np.ndarray:
         """Object-to-scene poses (r, 4, 4) at times (r,)."""

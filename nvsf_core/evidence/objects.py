@@ -7,6 +7,7 @@ import numpy as np
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
 from nvsf_core.evidence.object_votes import NearVotes, ObjectVotes
 from nvsf_core.evidence.surfels import Candidates, Surfels, build_surfels, candidates_of
+from nvsf_core.kernels.bounds import rays_into_bounds
 
 OBJECT_VOXEL_M = 0.1
 """For 64 lasers. Where fewer look, voxels are as much larger as keeps the returns in each."""
@@ -14,6 +15,7 @@ NEAREST_SCANS = 4
 """More add nothing, and blur what is not rigid, such as legs."""
 _MOST_CANDIDATES = 12
 _MARGIN_M = 0.1
+_THREADS = 2
 _SOME = 256
 """Rays of a sweep that say where and when it was fired: to some decimetres and hundredths of a second."""
 
@@ -58,7 +60,7 @@ class ObjectEvidence:
             return None
         return build_surfels(
             rays.origin_m[used], rays.direction[used], rays.range_m[used], rays.intensity[used],
-            voxel_m=self.voxel_m, threads=1, is_surface=rays.is_hit[used],
+            voxel_m=self.voxel_m, threads=_THREADS, is_surface=rays.is_hit[used],
         )  # fmt: skip
 
 
@@ -114,9 +116,10 @@ def prove_objects(
         parts = []
         for scan, scan_time_s in zip(path.scan, path.time_s, strict=True):
             part = slice(int(offsets[scan]), int(offsets[scan + 1]))
-            near = part.start + _towards(path, scan_time_s, origin_m[part], direction[part])
-            inside, origin_o, direction_o = _crossing(path, origin_m[near], direction[near], time_s[near])
-            parts.append((near[inside], origin_o, direction_o, np.full(len(origin_o), scan, np.int32)))
+            inside, origin_o, direction_o = _crossing(
+                path, scan_time_s, origin_m[part], direction[part], time_s[part], spare_m=1.0
+            )
+            parts.append((part.start + inside, origin_o, direction_o, np.full(len(inside), scan, np.int32)))
         index = np.concatenate([part[0] for part in parts])
         rays = ObjectRays(
             origin_m=np.concatenate([part[1] for part in parts]),
@@ -195,15 +198,12 @@ def candidates_on(
 
     The candidates (k, 12) have the object's own voxel numbers.
     """
-    # Most rays run elsewhere: whatever costs more is asked of the others only.
     middle_s = float(np.median(_some(time_s))) if len(time_s) > 0 else 0.0
-    rows = _towards(one.path, middle_s, origin_m, direction, spare_m=2.0)
-    rows = rows[one.path.is_there(time_s[rows])]
-    inside, origin_o, direction_o = _crossing(one.path, origin_m[rows], direction[rows], time_s[rows])
+    inside, origin_o, direction_o = _crossing(one.path, middle_s, origin_m, direction, time_s, spare_m=2.0)
     own = candidates_of(one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m)
     met = own.voxel[:, 0] >= 0
     found = Candidates(own.range_m[met], own.voxel[met], own.opacity[met], own.cosine[met])
-    return rows[inside[met]], found
+    return inside[met], found
 
 
 def merge_objects(
@@ -248,38 +248,39 @@ def _some(column: np.ndarray) -> np.ndarray:
     return column[:: len(column) // _SOME + 1]
 
 
-def _towards(
-    path: MovingObject, time_s: float, origin_m: np.ndarray, direction: np.ndarray, *, spare_m: float = 1.0
-) -> np.ndarray:
-    """Rays (k,) int64 that run towards the ball around an object at about a time, some spare around it."""
-    if len(origin_m) == 0:
-        return np.zeros(0, np.int64)
+def _crossing(
+    path: MovingObject,
+    middle_s: float,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    spare_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which rays (k,) int64 of (r, 3) cross the object's bounds while it is there, at their times (r,).
+
+    With the origins and directions (k, 3) float32 of those in its frame. Asked are rays towards the ball
+    around the object as it is at `middle_s`, so much larger as the object moves until they are fired.
+    """
+    axis, least_cosine = _cone(path, middle_s, origin_m, spare_m)
+    first_s, last_s = path.there_s
+    crossing: tuple[np.ndarray, np.ndarray, np.ndarray] = rays_into_bounds(
+        origin_m, direction, time_s, axis, least_cosine, first_s, last_s, path.time_s, path.pose,
+        path.low_m - _MARGIN_M, path.high_m + _MARGIN_M,
+    )  # fmt: skip
+    return crossing
+
+
+def _cone(
+    path: MovingObject, time_s: float, origin_m: np.ndarray, spare_m: float
+) -> tuple[np.ndarray, float]:
+    """Axis (3,) float64 and least cosine of the rays (r, 3) that run towards an object's ball at a time."""
     centre_o = 0.5 * (path.low_m + path.high_m)
     pose = path.matrix_at(np.array([time_s]))[0]
-    centre = (pose[:3, :3] @ centre_o + pose[:3, 3]).astype(np.float32)
-    radius = 0.5 * float(np.linalg.norm(path.high_m - path.low_m)) + spare_m
-    towards = centre - _some(origin_m).mean(axis=0)
-    distance = float(np.linalg.norm(towards))
-    if distance <= radius:
-        return np.arange(len(origin_m))
-    cosine = np.sqrt(1.0 - (radius / distance) ** 2)
-    return np.flatnonzero(direction @ (towards / distance).astype(np.float32) >= cosine)
-
-
-def _crossing(
-    path: MovingObject, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which rays (k,) int64 cross the object's bounds, and their origins and directions in its frame."""
-    pose = path.pose_at(time_s)
-    origin_o = path.turn_to_object(origin_m - pose[:, :3], pose[:, 3])
-    direction_o = path.turn_to_object(direction.astype(np.float64), pose[:, 3])
-    low, high = path.low_m - _MARGIN_M, path.high_m + _MARGIN_M
-    # A direction of exactly 0 along an axis gives infinities of the right signs, or one NaN on the border.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low - origin_o) / direction_o, (high - origin_o) / direction_o
-    near, far = np.minimum(a, b), np.maximum(a, b)
-    # By columns: a reduction over the three numbers of each ray takes numpy far longer. Both pass over NaN.
-    enter = np.fmax(np.fmax(near[:, 0], near[:, 1]), np.fmax(near[:, 2], 0.0))
-    leave = np.fmin(np.fmin(far[:, 0], far[:, 1]), np.fmin(far[:, 2], np.inf))
-    inside = np.flatnonzero(enter < leave)
-    return inside, origin_o[inside].astype(np.float32), direction_o[inside].astype(np.float32)
+    radius_m = 0.5 * float(np.linalg.norm(path.high_m - path.low_m)) + spare_m
+    start_m = _some(origin_m).mean(axis=0) if len(origin_m) > 0 else np.zeros(3)
+    towards_m = pose[:3, :3] @ centre_o + pose[:3, 3] - start_m
+    distance_m = float(np.linalg.norm(towards_m))
+    if distance_m <= radius_m:
+        return np.zeros(3), -1.0
+    return towards_m / distance_m, float(np.sqrt(1.0 - (radius_m / distance_m) ** 2))

@@ -26,7 +26,7 @@ RAYS_A_TASK = 256
 
 
 @njit(inline="always")
-def _clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untyped-def]
+def clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untyped-def]
     """[t_near, t_far] cut to a slab along one axis; an empty interval has t_near > t_far."""
     if direction == 0.0:
         if origin < low or origin >= high:
@@ -128,9 +128,9 @@ def _count_ray(  # type: ignore[no-untyped-def]
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
-    t, t_far = _clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, 0.0, stop_m)
-    t, t_far = _clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
-    t, t_far = _clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
+    t, t_far = clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, 0.0, stop_m)
+    t, t_far = clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
+    t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
     if t >= t_far:
         return
     x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
@@ -189,9 +189,9 @@ def walk(  # type: ignore[no-untyped-def]
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, ny_bricks * BRICK, nz_bricks * BRICK
     ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
     dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-    t, t_far = _clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, near_m, far_m)
-    t, t_far = _clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
-    t, t_far = _clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
+    t, t_far = clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, near_m, far_m)
+    t, t_far = clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
+    t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
     if t >= t_far:
         return 0
     x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)

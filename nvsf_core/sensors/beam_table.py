@@ -39,11 +39,13 @@ def sensor_rays(
     Returns:
         origin_m (..., 3) and unit direction (..., 3), float64.
     """
-    azimuth_rad, laser = np.broadcast_arrays(np.asarray(azimuth_rad, np.float64), laser)
+    # A laser's own numbers are looked up before they are broadcast: often one laser's rays lie in a row.
+    azimuth_rad, laser = np.asarray(azimuth_rad, np.float64), np.asarray(laser)
     elevation = table.elevation_rad[laser]
-    origin_m = _origins(table, azimuth_rad, laser)
+    cos_a, sin_a = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    origin_m = _origins(table, cos_a, sin_a, laser)
     flat = np.cos(elevation)
-    direction = np.stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation)], axis=-1)
+    direction = _stacked(flat * cos_a, flat * sin_a, np.sin(elevation))
     return origin_m, direction
 
 
@@ -77,7 +79,7 @@ def recorded_ray_of_points(
     points_m = points_m.astype(np.float64)
     theta = encoder_angle(table, points_m, laser)
     known = (laser >= 0) & (np.hypot(points_m[:, 0], points_m[:, 1]) > _lever_m(table, laser))
-    origin_m = np.where(known[:, None], _origins(table, theta, laser), 0.0)
+    origin_m = np.where(known[:, None], _origins(table, np.cos(theta), np.sin(theta), laser), 0.0)
     ray = points_m - origin_m
     range_m = np.linalg.norm(ray, axis=1)
     direction = ray / np.where(range_m > 0.0, range_m, 1.0)[:, None]
@@ -185,7 +187,12 @@ def _lever_m(table: LaserTable, laser: np.ndarray) -> np.ndarray:
     return lever
 
 
-def _origins(table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray) -> np.ndarray:
+def _origins(table: LaserTable, cos_a: np.ndarray, sin_a: np.ndarray, laser: np.ndarray) -> np.ndarray:
     height_m = table.vertical_offset_m[laser] / np.cos(table.elevation_rad[laser])
     aside_m = table.horizontal_offset_m[laser]
-    return np.stack([-aside_m * np.sin(azimuth_rad), aside_m * np.cos(azimuth_rad), height_m], axis=-1)
+    return _stacked(-aside_m * sin_a, aside_m * cos_a, height_m)
+
+
+def _stacked(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of coordinates that broadcast against one another."""
+    return np.stack(np.broadcast_arrays(x, y, z), axis=-1)

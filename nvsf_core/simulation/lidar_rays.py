@@ -58,9 +58,12 @@ def sweep_rays(
     azimuth, fraction = firing_grid(table, firings, phase)
     # All lasers fire together: the sensor's pose is looked up once a firing, not once a ray.
     rotation, position = trajectory.at(time_s + fraction * period_s)
-    azimuth = azimuth[lasers].reshape(-1)
-    laser = np.repeat(lasers.astype(np.int64), firings)
-    fired_origin, recorded_direction = sensor_rays(table, azimuth, laser)
+    lasers = lasers.astype(np.int64)
+    azimuth = azimuth[lasers]
+    fired_origin, recorded_direction = (
+        ray.reshape(-1, 3) for ray in sensor_rays(table, azimuth, lasers[:, None])
+    )
+    azimuth, laser = azimuth.reshape(-1), np.repeat(lasers, firings)
     origin, direction = turn_up(fired_origin, recorded_direction, azimuth, table.elevation_correction_rad)
     if mount is not None:
         origin = origin @ mount[:3, :3].T + mount[:3, 3]

@@ -65,23 +65,26 @@ def by_lasers(answers: RayAnswers, laser: np.ndarray, table: LaserTable, *, as_r
 def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:
     """Let rays that met the recording car in most training scans meet it again."""
     cells = evidence.own_range_m.shape[1]
-    origin, direction = rays.recorded_origin_m, rays.recorded_direction
+    # Most lasers look over the car: theirs are not asked.
+    asked = np.flatnonzero(evidence.own_range_m.max(axis=1)[rays.laser] > 0)
+    laser = rays.laser[asked]
+    origin, direction = rays.recorded_origin_m[asked], rays.recorded_direction[asked]
     # The car was learned by azimuth and distance seen from the sensor's centre, not from the laser.
     nearby = origin + direction * _TYPICAL_OWN_RANGE_M
     azimuth = np.arctan2(nearby[:, 1], nearby[:, 0]) % (2 * np.pi)
     cell = np.floor(azimuth / (2 * np.pi) * cells).astype(np.int64) % cells
-    own_m = evidence.own_range_m[rays.laser, cell]
+    own_m = evidence.own_range_m[laser, cell]
     along = np.einsum("ni,ni->n", origin, direction)
     inside = along**2 - np.einsum("ni,ni->n", origin, origin) + own_m.astype(np.float64) ** 2
-    range_m = np.sqrt(np.maximum(inside, 0.0)) - along
     is_own = (own_m > 0) & (inside > 0)
-    return RayAnswers(
-        range_m=np.where(is_own, range_m, answers.range_m).astype(np.float32),
-        hit=np.where(is_own, 1.0, answers.hit).astype(np.float32),
-        intensity=np.where(is_own, evidence.own_intensity[rays.laser, cell], answers.intensity).astype(
-            np.float32
-        ),
+    met = asked[is_own]
+    range_m, hit, intensity = (
+        column.astype(np.float32) for column in (answers.range_m, answers.hit, answers.intensity)
     )
+    range_m[met] = np.sqrt(inside[is_own]) - along[is_own]
+    hit[met] = 1.0
+    intensity[met] = evidence.own_intensity[laser[is_own], cell[is_own]]
+    return RayAnswers(range_m=range_m, hit=hit, intensity=intensity)
 
 
 def recorded_scan(rays: SweepRays, answers: RayAnswers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,84 @@
+"""Rays that cross a moving thing's bounds, each at its own time, in numba.
+
+The thing's poses are x, y, z in scene-local metres and yaw in radians, linear in time between its scans and
+with constant velocity beyond them, as `MovingObject.pose_at` says.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from nvsf_core.kernels.voxel_march import RAYS_A_TASK, clip
+
+
+@njit(inline="always")
+def _interval(time_s, path_time_s):  # type: ignore[no-untyped-def]
+    """The two poses (the same where there is one) that a time's pose is told by, and its share between."""
+    if len(path_time_s) == 1:
+        return 0, 0, 0.0
+    before = 0
+    while before < len(path_time_s) - 2 and path_time_s[before + 1] < time_s:
+        before += 1
+    start_s = path_time_s[before]
+    return before, before + 1, (time_s - start_s) / (path_time_s[before + 1] - start_s)
+
+
+@njit(inline="always")
+def _between(path_pose, axis, a, b, share):  # type: ignore[no-untyped-def]
+    return path_pose[a, axis] + share * (path_pose[b, axis] - path_pose[a, axis])
+
+
+@njit(inline="always")
+def _in_its_frame(origin, direction, time_s, path_time_s, path_pose):  # type: ignore[no-untyped-def]
+    """Origin and direction, three numbers each, in the thing's frame at a time."""
+    a, b, share = _interval(time_s, path_time_s)
+    yaw_rad = _between(path_pose, 3, a, b, share)
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    ox = origin[0] - _between(path_pose, 0, a, b, share)
+    oy = origin[1] - _between(path_pose, 1, a, b, share)
+    oz = origin[2] - _between(path_pose, 2, a, b, share)
+    dx, dy, dz = float(direction[0]), float(direction[1]), float(direction[2])
+    return (
+        cosine * ox + sine * oy, cosine * oy - sine * ox, oz,
+        cosine * dx + sine * dy, cosine * dy - sine * dx, dz,
+    )  # fmt: skip
+
+
+@njit(parallel=True, cache=True)
+def rays_into_bounds(  # type: ignore[no-untyped-def]
+    origins, directions, time_s, axis, least_cosine, first_s, last_s, path_time_s, path_pose, low_m, high_m
+):
+    """Which of n rays, origins and unit directions (n, 3) at times (n,), cross bounds that move.
+
+    Asked first, and of every ray: whether it runs within an angle of the unit `axis` (3,), whose cosine is
+    `least_cosine`, and is fired between `first_s` and `last_s`. The bounds `low_m`, `high_m` (3,) are in the
+    thing's frame; its k poses (k, 4) are at `path_time_s` (k,), k >= 1.
+
+    Returns:
+        ray (m,) int64 ascending; origins and directions (m, 3) float32 in the thing's frame.
+    """
+    n = len(time_s)
+    crosses = np.zeros(n, np.bool_)
+    for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
+        for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
+            d = directions[ray]
+            if d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2] < least_cosine:
+                continue
+            if time_s[ray] < first_s or time_s[ray] > last_s:
+                continue
+            ox, oy, oz, dx, dy, dz = _in_its_frame(origins[ray], d, time_s[ray], path_time_s, path_pose)
+            enter, leave = clip(ox, dx, low_m[0], high_m[0], 0.0, math.inf)
+            enter, leave = clip(oy, dy, low_m[1], high_m[1], enter, leave)
+            enter, leave = clip(oz, dz, low_m[2], high_m[2], enter, leave)
+            crosses[ray] = enter < leave
+    rays = np.flatnonzero(crosses)
+    origins_o, directions_o = np.empty((len(rays), 3), np.float32), np.empty((len(rays), 3), np.float32)
+    for i in prange(len(rays)):
+        ray = rays[i]
+        ox, oy, oz, dx, dy, dz = _in_its_frame(
+            origins[ray], directions[ray], time_s[ray], path_time_s, path_pose
+        )
+        origins_o[i, 0], origins_o[i, 1], origins_o[i, 2] = ox, oy, oz
+        directions_o[i, 0], directions_o[i, 1], directions_o[i, 2] = dx, dy, dz
+    return rays, origins_o, directions_o
