@@ -22,6 +22,10 @@ _PROTOCOLS = {
     "masked": "in the boxes of moving objects",
     "image": "images",
 }
+_ABOUT_MASKED = """\
+Hits are compared in all cells that either side's returns in the boxes fill. A method that returns the road or
+a wall where the object is fills more cells, most of which return anyway: read its accuracy beside its CD.
+"""
 _COLUMNS: dict[str, tuple[tuple[str, str, int, str], ...]] = {
     "lidar4d": (
         ("chamfer_m2", "CD m²", 4, _LOWER), ("f_score", "F", 4, _HIGHER),
@@ -149,7 +153,8 @@ def as_document(rows: Iterable[Row]) -> str:
         for protocol, words in _PROTOCOLS.items():
             table = _errors(scene, protocol, mine)
             if table:
-                parts += [f"### {words} (`{protocol}`)\n", table]
+                about = [_ABOUT_MASKED] if protocol == "masked" else []
+                parts += [f"### {words} (`{protocol}`)\n", *about, table]
         parts += _views(mine)
     return "\n".join([*parts, *_others(others)])
 

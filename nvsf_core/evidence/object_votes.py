@@ -1,5 +1,6 @@
 """Whether a place on a moving object returns: the scans that saw the object vote, each where it was then."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,8 +8,7 @@ import numpy as np
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving import MovingObject
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
-from nvsf_core.kernels.grid_votes import read_grid
-from nvsf_core.sensors.beam_table import turn_up
+from nvsf_core.kernels.grid_votes import share_of_scans
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
@@ -28,36 +28,26 @@ class ObjectVotes:
     table: LaserTable
     elevation_correction_rad: float
 
-    def near(self, path: MovingObject, scans: np.ndarray, time_s: float) -> "NearVotes":
-        """The votes of some of an object's `scans` (k,) about a time; silent ones are not asked."""
-        scans = scans[~self.prior.is_silent[scans]]
-        own_s = path.time_s[np.searchsorted(path.scan, scans)]
-        rotation, position = self.trajectory.at(own_s)
-        return NearVotes(
-            self,
-            scans,
-            np.exp(-np.abs(own_s - time_s) / (_FORGOTTEN_FRAMES * path.frame_s)),
-            invert_pose(pose_from_parts(rotation, position)) @ path.matrix_at(own_s),
+    def near(
+        self, asked: Sequence[tuple[MovingObject, np.ndarray]], time_s: float
+    ) -> tuple["NearVotes", ...]:
+        """The votes on each object of some of its scans (k,) about a time; silent ones are not asked."""
+        is_silent = self.prior.is_silent
+        paths = [path for path, _ in asked]
+        speaking = [scans[~is_silent[scans]] for _, scans in asked]
+        own_s = [path.time_s[np.searchsorted(path.scan, s)] for path, s in zip(paths, speaking, strict=True)]
+        # One look-up for all objects: of so few times it costs the same.
+        to_sensor = invert_pose(pose_from_parts(*self.trajectory.at(np.concatenate([*own_s, np.zeros(0)]))))
+        ends = np.cumsum([len(instants) for instants in own_s], dtype=np.int64)
+        return tuple(
+            NearVotes(
+                self,
+                scans.astype(np.int64),
+                np.exp(-np.abs(instants - time_s) / (_FORGOTTEN_FRAMES * path.frame_s)),
+                to_sensor[end - len(instants) : end] @ path.matrix_at(instants),
+            )
+            for path, scans, instants, end in zip(paths, speaking, own_s, ends, strict=True)
         )
-
-    def returned(self, point_m: np.ndarray, scan: int) -> np.ndarray:
-        """Share (v,) float32 of a scan's firings at points (v, 3) of its sensor's frame that returned.
-
-        The two lasers and two firings of each that look beside a point are weighted by how near to it
-        they do.
-        """
-        azimuth = np.arctan2(point_m[:, 1], point_m[:, 0])
-        recorded, _ = turn_up(point_m, point_m, azimuth, -self.elevation_correction_rad)
-        flat_m = np.hypot(recorded[:, 0], recorded[:, 1])
-        table = self.table
-        found: np.ndarray = read_grid(
-            azimuth, np.arctan2(recorded[:, 2], flat_m), flat_m, np.linalg.norm(recorded, axis=1),
-            self.lasers.astype(np.int64), table.elevation_rad, table.vertical_offset_m,
-            table.horizontal_offset_m, (table.phase_steps - table.firing_shift_steps) * table.step_rad,
-            self.prior.fraction[scan][: self.prior.firings_of(scan)].astype(np.float64),
-            self.prior.is_hit[scan],
-        )  # fmt: skip
-        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +56,7 @@ class NearVotes:
 
     votes: ObjectVotes
     scans: np.ndarray
-    """(k,) int32 training scans."""
+    """(k,) int64 training scans."""
     weight: np.ndarray
     """(k,) float64 above 0."""
     object_to_sensor: np.ndarray
@@ -79,7 +69,12 @@ class NearVotes:
         """
         if len(self.scans) == 0:
             return np.ones(len(place_o), np.float32)
-        total = np.zeros(len(place_o))
-        for scan, weight, pose in zip(self.scans.tolist(), self.weight, self.object_to_sensor, strict=True):
-            total += weight * self.votes.returned(place_o @ pose[:3, :3].T + pose[:3, 3], scan)
-        return (total / self.weight.sum()).astype(np.float32)
+        votes, table, prior = self.votes, self.votes.table, self.votes.prior
+        found: np.ndarray = share_of_scans(
+            np.ascontiguousarray(place_o, np.float64), self.object_to_sensor, self.weight,
+            votes.elevation_correction_rad, votes.lasers.astype(np.int64), table.elevation_rad,
+            table.vertical_offset_m, table.horizontal_offset_m,
+            (table.phase_steps - table.firing_shift_steps) * table.step_rad, self.scans, prior.fraction,
+            prior.is_hit,
+        )  # fmt: skip
+        return found

@@ -144,7 +144,7 @@ def objects_at(
 
     The scan `leave_out` tells neither what they look like nor where they are: both as if it were held out.
     """
-    there = []
+    there, asked = [], []
     for number, one in enumerate(evidence):
         path = one.path.without(leave_out)
         spare = np.array([time_s - path.frame_s, time_s, time_s + path.frame_s])
@@ -153,8 +153,12 @@ def objects_at(
         scans = one.scans_near(time_s, leave_out=leave_out)
         surfels = one.surfels_from(scans)
         if surfels is not None:
-            there.append(ObjectSurfels(number, path, surfels, votes.near(path, scans, time_s)))
-    return tuple(there)
+            there.append((number, path, surfels))
+            asked.append((path, scans))
+    return tuple(
+        ObjectSurfels(*one, own_votes)
+        for one, own_votes in zip(there, votes.near(asked, time_s), strict=True)
+    )
 
 
 class NearObjects:

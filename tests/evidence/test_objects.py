@@ -103,7 +103,7 @@ def test_a_scan_of_which_no_laser_is_known_has_no_vote_on_an_object(passing) -> 
     (plate,) = objects_at(dynamic.objects, 0.2, votes)
     assert plate.votes.share(place)[0] == 1.0
     # Where no scan that saw it has a vote it is known by its returns alone.
-    nobody = votes.near(plate.path, np.array([2]), 0.2)
+    (nobody,) = votes.near([(plate.path, np.array([2]))], 0.2)
     assert nobody.share(place).tolist() == [1.0]
 
 
