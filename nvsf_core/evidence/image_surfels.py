@@ -23,11 +23,6 @@ class DepthRays:
     range_m: np.ndarray
     """(n,) float32; infinite where the images prove nothing nearer than the sky."""
 
-    def above(self, up: np.ndarray, elevation_rad: float) -> "DepthRays":
-        """Those that rise by more than an elevation over the plane with the unit normal `up` (3,)."""
-        kept = self.direction @ up > np.sin(elevation_rad)
-        return DepthRays(self.origin_m, self.direction[kept], self.range_m[kept])
-
 
 def image_surfels(
     views: Sequence[DepthRays], *, far_m: float, intensity: float, threads: int

@@ -17,12 +17,11 @@ from nvsf_core.rendering.reproject_camera import (
     FAR_M,
     SweepOptions,
     box_mean,
+    inverse_depth,
     nearest_sources,
-    render_by_warping,
 )
 from nvsf_core.rendering.warping import (
     plane_rays,
-    ray_length,
     relative_motion,
     sample,
     shrunk,
@@ -41,43 +40,59 @@ def image_depth(
     images: np.ndarray,
     poses: np.ndarray,
     valid: np.ndarray,
+    *,
+    up: np.ndarray,
+    elevation_rad: float,
 ) -> DepthRays:
-    """Rays of a view's shrunk pixels that two images show; none with a single image.
+    """Rays of a view's shrunk pixels that look up steeply and that two images show; none with one image.
 
-    Arguments as of `render_by_warping`, which gives the depths: the view's pose and camera, points that
-    pull them, the images with their poses, and their pixels that show anything.
+    Args:
+        pose: (4, 4) camera to scene-local frame.
+        pinhole: Intrinsics of the view and of all images.
+        points_m: (m, 3) float32 scene-local, which pull the depths.
+        images: (k, H, W, 3) uint8.
+        poses: (k, 4, 4) their cameras to the scene-local frame.
+        valid: (H, W) bool, their pixels that show anything.
+        up: (3,) unit normal, scene-local, of the plane that elevations are counted from.
+        elevation_rad: What rays exceed.
     """
+    nowhere = DepthRays(pose[:3, 3].astype(np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
     options = SweepOptions()
-    factor = max(1, round(pinhole.width / options.width_px))
+    factor = options.shrinking(pinhole)
     small = shrunk(pinhole, factor)
+    rays = plane_rays(small).numpy() @ pose[:3, :3].T
+    direction = (rays / np.linalg.norm(rays, axis=2, keepdims=True)).astype(np.float32)
+    asked = direction @ up > np.sin(elevation_rad)
     chosen = nearest_sources(pose, poses)
-    if len(chosen) < 2:
-        return DepthRays(
-            pose[:3, 3].astype(np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        )
-    swept = render_by_warping(pose, pinhole, points_m, images, poses, source_valid=valid)
+    if len(chosen) < 2 or not asked.any():
+        return nowhere
+    # What is not asked is not swept, but for the windows around the lowest of what is.
+    rows = min(small.height, int(np.flatnonzero(asked.any(axis=1))[-1]) + 1 + options.window_px)
+    colours = to_float(images[chosen])
+    swept = inverse_depth(pose, pinhole, points_m, colours, poses[chosen], sweep=options, rows=rows * factor)
     middle = slice(factor // 2, None, factor)
-    range_m = torch.from_numpy(swept.range_m[middle, middle][: small.height, : small.width].copy())
+    inverse = swept[middle, middle][:, : small.width]
     shown = torch.from_numpy(valid).float().expand(2, 1, -1, -1)
-    sources = functional.avg_pool2d(torch.cat([to_float(images[chosen]), shown], dim=1), factor)
+    sources = functional.avg_pool2d(torch.cat([colours, shown], dim=1), factor)
     motions = [relative_motion(pose, poses[index]) for index in chosen]
-    inverse = ray_length(torch.ones_like(range_m), small) / range_m
     near, sky = (
         _disagreement(sources, motions, depth, small, options.window_px)
         for depth in (inverse, torch.full_like(inverse, 1.0 / FAR_M))
     )
-    is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy()
+    is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy() & asked[:rows]
+    range_m = torch.linalg.vector_norm(plane_rays(small)[:rows], dim=-1) / inverse
     proven = torch.where(sky > near + _NOISE, range_m, torch.inf).numpy()
-    rays = plane_rays(small).numpy()[is_known] @ pose[:3, :3].T
-    direction = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return DepthRays(pose[:3, 3].astype(np.float32), direction.astype(np.float32), proven[is_known])
+    return DepthRays(nowhere.origin_m, direction[:rows][is_known], proven[is_known])
 
 
 def _disagreement(
     sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, pinhole: Pinhole, window_px: int
 ) -> Tensor:
-    """Mean difference (h, w) of what two sources (2, 4, h, w) show around each pixel; NaN unless both do."""
-    rays, colours = plane_rays(pinhole), []
+    """Mean difference (r, w) of what two sources (2, 4, h, w) show around each pixel; NaN unless both do.
+
+    Of the upper r rows, whose inverse depths (r, w) are given.
+    """
+    rays, colours = plane_rays(pinhole)[: len(inverse)], []
     seen = torch.ones(inverse.shape, dtype=torch.bool)
     for source, motion in zip(sources, motions, strict=True):
         grid, inside = source_pixels(motion, rays, inverse, pinhole)

@@ -7,7 +7,7 @@ guess, a plane sweep between the two source images corrects it.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -64,6 +64,10 @@ class SweepOptions:
     """Cost of leaving the filled depth, grey values (0..1) for the whole span of inverse depths; where no
     point is seen at all there is no depth to leave."""
 
+    def shrinking(self, pinhole: Pinhole) -> int:
+        """By how much images are shrunk for the comparison."""
+        return max(1, round(pinhole.width / self.width_px))
+
 
 def render_by_warping(
     target_pose: np.ndarray,
@@ -99,12 +103,10 @@ def render_by_warping(
     if source_valid is None:
         source_valid = np.ones((pinhole.height, pinhole.width), np.bool_)
     valid = torch.from_numpy(source_valid).float()[None]
-    depth_m, gap_px = view_depth(target_pose, pinhole, depth_points_local)
-    inverse = torch.from_numpy(1.0 / depth_m)
     rays = plane_rays(pinhole)
-    if sweep is not None and len(chosen) == 2 and _baseline(source_poses[chosen]) > _BASELINE_FLOOR_M:
-        gap = torch.from_numpy(gap_px)
-        inverse = _sweep(images, motions, pinhole, inverse, gap, sweep)
+    inverse = inverse_depth(
+        target_pose, pinhole, depth_points_local, images, source_poses[chosen], sweep=sweep
+    )
     total = torch.zeros(3, pinhole.height, pinhole.width)
     weight = torch.zeros(pinhole.height, pinhole.width)
     for image, motion, index in zip(images, motions, chosen, strict=True):
@@ -119,6 +121,37 @@ def render_by_warping(
     return WarpedView(
         rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy(), answered.numpy()
     )
+
+
+def inverse_depth(
+    target_pose: np.ndarray,
+    pinhole: Pinhole,
+    depth_points_local: np.ndarray,
+    images: Tensor,
+    source_poses: np.ndarray,
+    *,
+    sweep: SweepOptions | None,
+    rows: int | None = None,
+) -> Tensor:
+    """Inverse depth (rows, W) along z, 1/m, of a view's upper rows: of all (None) or of so many.
+
+    Args:
+        target_pose: (4, 4) camera to scene-local frame.
+        pinhole: Intrinsics of the wanted view and of all sources.
+        depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
+        images: (k, 3, H, W) float32 in 0..1; two of them are swept.
+        source_poses: (k, 4, 4) camera to scene-local frame.
+        sweep: How depth is found far from returns; None = the nearest return's depth stays.
+        rows: Of the view. Depth near the lowest of them is told by points below them, too, and is the less
+            exact for it: ask for some more.
+    """
+    seen = pinhole if rows is None else replace(pinhole, height=rows)
+    depth_m, gap_px = view_depth(target_pose, seen, depth_points_local)
+    inverse = torch.from_numpy(1.0 / depth_m)
+    if sweep is None or len(images) != 2 or _distance(*source_poses) <= _BASELINE_FLOOR_M:
+        return inverse
+    motions = [relative_motion(target_pose, one) for one in source_poses]
+    return _sweep(images, motions, pinhole, inverse, torch.from_numpy(gap_px), sweep)
 
 
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
@@ -188,13 +221,13 @@ def _sweep(
     gap_px: Tensor,
     options: SweepOptions,
 ) -> Tensor:
-    """Replace inverse depth far from returns by that at which both images agree best."""
-    factor = max(1, round(pinhole.width / options.width_px))
+    """Replace inverse depth (h, W), of the upper rows, far from returns by that at which both images agree."""
+    factor = options.shrinking(pinhole)
     small = shrunk(pinhole, factor)
     grey = functional.avg_pool2d(images.mean(dim=1, keepdim=True), factor)
-    size = (small.height, small.width)
+    size = (len(inverse) // factor, small.width)
     prior = functional.interpolate(inverse[None, None], size, mode="nearest")[0, 0]
-    rays = plane_rays(small)
+    rays = plane_rays(small)[: size[0]]
     # Without a single return the fill is a placeholder: pulling towards it cost 0.6 dB on a real street.
     pull = options.pull if bool(torch.isfinite(gap_px).any()) else 0.0
     span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
@@ -226,10 +259,6 @@ def box_mean(image: Tensor, side: int) -> Tensor:
 
 def _distance(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
-
-
-def _baseline(poses: np.ndarray) -> float:
-    return _distance(poses[0], poses[1])
 
 
 def _check(pinhole: Pinhole, images: np.ndarray, poses: np.ndarray) -> None:

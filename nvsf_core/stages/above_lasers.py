@@ -34,8 +34,7 @@ def seen_above(task: Task, recording: Recording) -> RayRenderer | None:
     for name in recording.cameras:
         halves = _half_way(recording.cameras[name].training_time_s)
         for number, instant_s in enumerate(halves.tolist()):
-            pose, up = _camera_pose(recording, name, instant_s)
-            views.append(_depths(recording, name, pose, instant_s).above(up, highest))
+            views.append(_depths(recording, name, instant_s, highest))
             task.progress(
                 f"[{task.scene.name}] novel_views: above the lasers, {name} {number + 1}/{len(halves)}"
             )
@@ -56,14 +55,12 @@ def _half_way(time_s: np.ndarray) -> np.ndarray:
     return halves[chosen]
 
 
-def _camera_pose(recording: Recording, camera: str, instant_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """A camera's pose (4, 4), scene-local, and the LiDAR's own upward axis (3,) there."""
+def _depths(recording: Recording, camera: str, instant_s: float, highest_rad: float) -> DepthRays:
+    """What a camera sees at an instant above that elevation over the LiDAR's own plane."""
     rotation, position_m = recording.trajectory.at(np.array([instant_s]))
     pose = pose_from_parts(rotation, position_m)[0] @ recording.cameras[camera].in_lidar
-    return pose, rotation[0, :, 2]
-
-
-def _depths(recording: Recording, camera: str, pose: np.ndarray, instant_s: float) -> DepthRays:
     images = recording.cameras[camera].training
-    points_m = depth_points(recording, instant_s)
-    return image_depth(pose, images.pinhole, points_m, images.rgb, images.pose, images.valid)
+    return image_depth(
+        pose, images.pinhole, depth_points(recording, instant_s), images.rgb, images.pose, images.valid,
+        up=rotation[0, :, 2], elevation_rad=highest_rad,
+    )  # fmt: skip

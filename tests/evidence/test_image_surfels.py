@@ -53,12 +53,3 @@ def test_what_most_views_look_through_hardly_stops_a_ray() -> None:
     surfels = surfels_of(*seen, *through)
     assert surfels is not None
     assert (answers_of(surfels).hit[:2] < 0.5).all()
-
-
-def test_above_keeps_what_rises_over_the_sensor_s_own_plane() -> None:
-    view = a_view(0.0)
-    kept = view.above(np.array([0.0, 0.0, 1.0]), np.arctan2(2.0, WALL_X_M))
-    assert 0 < len(kept.range_m) < len(view.range_m)
-    assert (kept.direction[:, 2] > np.sin(np.arctan2(2.0, WALL_X_M))).all()
-    nodding = np.array([np.sin(0.2), 0.0, np.cos(0.2)])
-    assert len(view.above(nodding, 0.15).range_m) > len(view.above(np.array([0.0, 0.0, 1.0]), 0.15).range_m)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from nvsf_core.evidence.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.image_depth import image_depth
 
@@ -27,11 +28,15 @@ def photograph(right_m: float) -> np.ndarray:
     return np.round(np.where((y < TOP_M)[..., None], [180.0, 200.0, 230.0], wall)).astype(np.uint8)
 
 
-def depths(*places_m: float):
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def depths(*places_m: float, up: np.ndarray = UP, elevation_rad: float = -1.5) -> DepthRays:
     images = np.stack([photograph(x) for x in places_m])
     valid = np.ones((CAMERA.height, CAMERA.width), np.bool_)
     poses = np.stack([pose(x) for x in places_m])
-    return image_depth(pose(0.0), CAMERA, np.zeros((0, 3), np.float32), images, poses, valid)
+    nothing = np.zeros((0, 3), np.float32)
+    return image_depth(pose(0.0), CAMERA, nothing, images, poses, valid, up=up, elevation_rad=elevation_rad)
 
 
 def test_a_wall_is_as_far_as_it_is_and_the_sky_is_not_near() -> None:
@@ -51,3 +56,14 @@ def test_a_wall_is_as_far_as_it_is_and_the_sky_is_not_near() -> None:
 def test_nothing_is_proven_without_a_second_place(places_m: tuple[float, ...]) -> None:
     found = depths(*places_m)
     assert not np.isfinite(found.range_m).any()
+
+
+def test_rays_that_rise_are_told_as_if_all_were_asked() -> None:
+    everything, rising = depths(-0.4, 0.4), depths(-0.4, 0.4, elevation_rad=0.1)
+    asked = everything.direction @ UP > np.sin(0.1)
+    assert 1000 < asked.sum() < 0.5 * len(asked)
+    assert np.array_equal(rising.direction, everything.direction[asked])
+    assert np.array_equal(rising.range_m, everything.range_m[asked]), "the wall's texture needs no pull"
+    nodding = np.array([0.0, -np.cos(0.2), np.sin(0.2)])
+    assert len(depths(-0.4, 0.4, up=nodding, elevation_rad=0.1).range_m) > asked.sum()
+    assert len(depths(-0.4, 0.4, elevation_rad=1.5).range_m) == 0
