@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from benchmarks.commit import commit
 from nvsf_core.evidence.find_moving import STANDING_M
 from nvsf_core.evidence.ground import build_ground
 from nvsf_core.evidence.objects import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
+from nvsf_core.evidence.rigidity import FAR_OFF_M, NEIGHBOURS, surface_distance_m
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.rendering.reproject import reproject_rays
@@ -37,31 +37,12 @@ VEHICLE_M = 2.5
 """What is at least as long is a vehicle; smaller things are people, on foot or on wheels."""
 FEWEST_RETURNS = 1000
 """Of an object that is told by itself: below it, its own surface is hardly known."""
-FAR_OFF_M = 0.1
-"""A return farther off its surface than this would be seen to be wrong."""
-_NEIGHBOURS = 8
-_UNSEEN_M = 0.5
-"""Without a return so near in the other scans a place was not seen by them: no surface to compare with."""
 _HIGHEST_M = 2.5
 _STANDING_A_SCAN = 4000
 _RENDERED_EVERY = 4
 """Of the scans of what stands: surfels of a whole street take longer than those of an object."""
 _MOST_SURFACES = 24
 _NEAR_M, _FAR_M = 4.0, 40.0
-
-
-def surface_distance_m(point_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points (n, 3) to the plane through the 8 nearest of others (m, 3), m >= 8.
-
-    NaN where the nearest lies more than 0.5 m off.
-    """
-    near_m, near = cKDTree(seen_m).query(point_m, _NEIGHBOURS)
-    around = seen_m[near]
-    centre = around.mean(axis=1)
-    apart = around - centre[:, None]
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
-    distance = np.abs(np.einsum("ni,ni->n", point_m - centre, axes[:, :, 0]))
-    return np.where(near_m[:, 0] <= _UNSEEN_M, distance, np.nan)
 
 
 def object_distances_m(one: ObjectEvidence, *, is_moved: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +60,7 @@ def object_distances_m(one: ObjectEvidence, *, is_moved: bool) -> tuple[np.ndarr
     for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
         mine = rays.is_hit & (rays.scan == scan)
         others = rays.is_hit & np.isin(rays.scan, one.scans_near(float(time_s), leave_out=int(scan)))
-        if mine.any() and others.sum() >= _NEIGHBOURS:
+        if mine.any() and others.sum() >= NEIGHBOURS:
             distances.append(surface_distance_m(point_o[mine], point_o[others]))
             ranges.append(rays.range_m[mine])
     return np.concatenate([[], *distances]), np.concatenate([[], *ranges])
@@ -138,7 +119,7 @@ def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> 
     for k in range(returns.scan_count):
         others = np.argsort(np.abs(np.arange(returns.scan_count) - k), kind="stable")[1 : NEAREST_SCANS + 1]
         near, mine = np.isin(scan, others), np.flatnonzero(used & (scan == k))
-        if len(mine) == 0 or (used & near).sum() < _NEIGHBOURS:
+        if len(mine) == 0 or (used & near).sum() < NEIGHBOURS:
             continue
         mine = random.choice(mine, min(len(mine), _STANDING_A_SCAN), replace=False)
         seen = returns.point_m[used & near].astype(np.float64)

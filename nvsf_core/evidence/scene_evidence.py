@@ -9,7 +9,7 @@ from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.surfels import Surfels
 
-_RENDERED = "rendered_"
+_RENDERED, _UNKNOWN = "rendered_", "unknown_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
 
 
@@ -67,6 +67,8 @@ class SceneEvidence:
     `standing`."""
     left_out: LeftOutEvidence | None = None
     """For judging what is learned of the scene; None where there are too few scans to leave any out."""
+    unknown: Surfels | None = None
+    """Planes of what stays, continued into space that no ray crossed; None where there are none."""
 
     @property
     def standing(self) -> Surfels:
@@ -84,7 +86,8 @@ class SceneEvidence:
         at_rest = {} if self.at_rest is None else self.at_rest.to_arrays()
         rendered = {} if self.rendered is None else _prefixed(_RENDERED, self.rendered)
         left_out = {} if self.left_out is None else self.left_out.to_arrays()
-        return self.surfels.to_arrays() | moving | at_rest | rendered | left_out | {
+        unknown = {} if self.unknown is None else _prefixed(_UNKNOWN, self.unknown)
+        return self.surfels.to_arrays() | moving | at_rest | rendered | left_out | unknown | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -100,6 +103,7 @@ class SceneEvidence:
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
             dynamic=DynamicEvidence.from_arrays(a), at_rest=AtRest.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
+            unknown=_surfels(_UNKNOWN, a),
         )  # fmt: skip
 
 

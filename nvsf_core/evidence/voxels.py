@@ -27,6 +27,26 @@ class VoxelIndex:
         """Number of voxels that hold a return."""
         return int(self.cells.max(initial=-1)) + 1
 
+    def places(self) -> np.ndarray:
+        """(v, 3) int64: which voxel of the grid each numbered one is, along each axis from its corner."""
+        brick = np.argwhere(self.bricks >= 0)
+        corner = np.empty_like(brick)
+        corner[self.bricks[tuple(brick.T)]] = brick * BRICK
+        row, cell = np.nonzero(self.cells >= 0)
+        found = np.empty((self.count, 3), np.int64)
+        found[self.cells[row, cell]] = corner[row] + np.stack(np.unravel_index(cell, (BRICK,) * 3), axis=1)
+        return found
+
+    def find(self, place: np.ndarray) -> np.ndarray:
+        """(n,) int32 numbers of the voxels at places (n, 3) int of the grid; -1 where there is none."""
+        inside = np.all((place >= 0) & (place < np.array(self.bricks.shape) * BRICK), axis=1)
+        x, y, z = place[inside].T
+        row = self.bricks[x // BRICK, y // BRICK, z // BRICK]
+        number = self.cells[row, x % BRICK * BRICK**2 + y % BRICK * BRICK + z % BRICK]
+        found = np.full(len(place), -1, np.int32)
+        found[inside] = np.where(row >= 0, number, -1)
+        return found
+
 
 def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.ndarray]:
     """Build the index over points (n, 3), scene-local metres, and say which voxel each point lies in.

@@ -221,7 +221,7 @@ def _sweep(
     gap_px: Tensor,
     options: SweepOptions,
 ) -> Tensor:
-    """Replace inverse depth (h, W), of the upper rows, far from returns by that at which both images agree."""
+    """Replace inverse depth (h, W) of the upper rows far from returns by that at which both images agree."""
     factor = options.shrinking(pinhole)
     small = shrunk(pinhole, factor)
     grey = functional.avg_pool2d(images.mean(dim=1, keepdim=True), factor)

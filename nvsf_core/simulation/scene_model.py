@@ -83,6 +83,9 @@ class SceneModel:
     above: RayRenderer | None = None
     """Answers rays of other sensors that look above all recorded lasers and that `lidar` has no answer for.
     None where nobody knows what is there."""
+    unknown: RayRenderer | None = None
+    """Answers rays of the recording sensor in its own place that `lidar` has no answer for, though all scans
+    that vote returned there. None where such a ray does not return."""
     votes: int = VOTES
     """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""
     as_recorded: bool = False

@@ -1,6 +1,6 @@
 """One simulated sweep: every firing answered, the scan as a driver records it, and its range image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -157,12 +157,13 @@ def simulate_sweep(
     *,
     correct: TurnCorrector | None = None,
     above: RayRenderer | None = None,
+    unknown: RayRenderer | None = None,
     as_recorded: bool = False,
 ) -> SimulatedSweep:
     """Fire one turn of the plan's sensor around `time_s` and record what comes back."""
     rays, answers = fire_sweep(
         plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes, correct=correct,
-        above=above, as_recorded=as_recorded,
+        above=above, unknown=unknown, as_recorded=as_recorded,
     )  # fmt: skip
     points, intensity, laser = recorded_scan(rays, answers)
     pano = LinearPano(quirks=True)
@@ -190,6 +191,7 @@ def fire_sweep(
     *,
     correct: TurnCorrector | None = None,
     above: RayRenderer | None = None,
+    unknown: RayRenderer | None = None,
     phase: float = 0.5,
     leave_out_s: float | None = None,
     as_recorded: bool = False,
@@ -197,8 +199,8 @@ def fire_sweep(
     """All rays of one turn of the plan's sensor around `time_s`, answered; the own vehicle is put back.
 
     `phase` says where the turn starts against its firings; the training scan at `leave_out_s` is silent;
-    `as_recorded` and `above` are `SceneModel`'s, and so is `correct`, which is asked where the recording
-    sensor is in its own place.
+    `as_recorded` and `above` are `SceneModel`'s, and so are `correct` and `unknown`, which are asked where
+    the recording sensor is in its own place.
     """
     near = evidence.prior.nearest_scans(time_s, votes, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
@@ -214,14 +216,18 @@ def fire_sweep(
     answers = answer_in_chunks(render, rays.origin_m, rays.direction, vote, fired_s)
     if above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(recorded_table, evidence)
-        unknown = np.flatnonzero(is_above & ~np.isfinite(answers.range_m))
-        seen = above(rays.origin_m[unknown], rays.direction[unknown], vote[unknown], fired_s[unknown])
-        for name in ("range_m", "hit", "intensity"):
-            getattr(answers, name)[unknown] = getattr(seen, name)
+        asked = np.flatnonzero(is_above & ~np.isfinite(answers.range_m))
+        seen = above(rays.origin_m[asked], rays.direction[asked], vote[asked], fired_s[asked])
+        answers = _with(answers, asked, seen)
     answers = by_lasers(answers, rays.laser, plan.table, as_recorded=as_recorded)
-    if correct is not None and plan.is_recorded_sensor and plan.mount is None:
+    is_in_place = plan.is_recorded_sensor and plan.mount is None
+    if correct is not None and is_in_place:
         answers = correct(rays, answers, near)
-    if plan.is_recorded_sensor and plan.mount is None and not as_recorded:
+    if unknown is not None and is_in_place:
+        answers = ask_unknown(
+            answers, unknown, rays.origin_m, rays.direction, vote, fired_s, rays.laser, plan.table
+        )
+    if is_in_place and not as_recorded:
         own = None if leave_out_s is None else int(np.abs(evidence.prior.time_s - leave_out_s).argmin())
         answers = measured_at_rest(
             answers, rays.laser, rays.fraction, evidence, time_s, trajectory, period_s,
@@ -230,6 +236,43 @@ def fire_sweep(
     if plan.is_recorded_sensor:
         answers = put_back_own_vehicle(answers, rays, evidence)
     return rays, answers
+
+
+def ask_unknown(
+    answers: RayAnswers,
+    unknown: RayRenderer,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    vote: np.ndarray,
+    time_s: np.ndarray,
+    laser: np.ndarray,
+    table: LaserTable,
+) -> RayAnswers:
+    """Let `SceneModel.unknown` answer rays (r, 3) that met nothing though all scans that vote returned there.
+
+    Args:
+        answers: In the terms of a stored scan, as `by_lasers` gives them.
+        unknown: Of the model.
+        origin_m: (r, 3) scene-local.
+        direction: (r, 3) unit.
+        vote: (r,) share of the nearest scans that returned; what these rays' hits become.
+        time_s: (r,) when each ray is fired.
+        laser: (r,) of the table; -1 = unknown.
+        table: Of the sensor that fires.
+    """
+    asked = np.flatnonzero(~np.isfinite(answers.range_m) & (vote >= 1.0))
+    if len(asked) == 0:
+        return answers
+    found = unknown(origin_m[asked], direction[asked], vote[asked], time_s[asked])
+    return _with(answers, asked, by_lasers(found, laser[asked], table, as_recorded=False))
+
+
+def _with(answers: RayAnswers, asked: np.ndarray, found: RayAnswers) -> RayAnswers:
+    """The same answers, but for rays (k,) `asked`, which another renderer found."""
+    columns = {name: getattr(answers, name).copy() for name in ("range_m", "hit", "intensity")}
+    for name, column in columns.items():
+        column[asked] = getattr(found, name)
+    return replace(answers, **columns)
 
 
 def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:

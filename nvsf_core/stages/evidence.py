@@ -15,6 +15,7 @@ from nvsf_core.evidence.objects import prove_objects
 from nvsf_core.evidence.returns import TimedReturns
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.evidence.unknown_space import unknown_beside
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 from nvsf_core.stages.profile import scene_profile
@@ -119,6 +120,7 @@ def _run(task: Task) -> StageOutput:
             "planar_share": float(surfels.is_planar.mean()),
             "seen_through_share": seen_through,
             **_plane_thickness(surfels),
+            "unknown_voxels": 0 if evidence.unknown is None else len(evidence.unknown.hits),
             "own_vehicle_cells": int((evidence.own_range_m > 0).sum()),
         },
         checks=[
@@ -164,20 +166,23 @@ def _prove(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         rays, silent=training[prior.is_silent], far_m=float(sweeps.table.max_range_m), threads=_THREADS
     )
     best_m = FIELD_VOXEL_M if choice is None else choice.best_m
+    surfels = build_surfels(
+        rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M, threads=_THREADS
+    )
+    dynamic = None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays)
+    standing = surfels if dynamic is None else dynamic.background
     evidence = SceneEvidence(
-        surfels=build_surfels(
-            rays.origin_m, rays.direction, rays.range_m, rays.intensity,
-            voxel_m=FIELD_VOXEL_M, threads=_THREADS,
-        ),
+        surfels=surfels,
         prior=prior,
         lasers=lasers[lasers >= 0].astype(np.int16),
         firings=firings.astype(np.int32),
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
-        dynamic=None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays),
+        dynamic=dynamic,
         at_rest=_keep_at_rest(sweeps, of_training, prior),
         rendered=rays.surfels(best_m, _THREADS, shaped=True),
         left_out=None if choice is None else _without_judges(choice, training),
+        unknown=unknown_beside(standing, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
     for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
@@ -274,6 +279,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="11",
+    version="12",
     run=_run,
 )

@@ -180,7 +180,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for.",
-    version="13",
+    version="14",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -1,10 +1,16 @@
 """What a scene needs, from what its evidence proves, whatever is trained."""
 
+import math
+
 import numpy as np
 
+from nvsf_core.evidence.rigidity import not_rigid_share
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.stages.stage import Scalar
+
+MOST_NOT_RIGID = 0.1
+"""Share of moving returns off their rigid surfaces up to which what moves counts as rigid."""
 
 
 def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float) -> dict[str, Scalar]:
@@ -19,13 +25,14 @@ def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float
     voxel_m = surfels.index.voxel_m
     proven_m2 = surface_m2(surfels)
     spacing_m = point_spacing_m(surfels)
+    motion = _motion(evidence, duration_s)
     # Not the extremes: a stray return far away bounds nothing.
     low, high = np.percentile(surfels.mean_m, (0.5, 99.5), axis=0)
     sensors = f"LiDAR and {', '.join(cameras)}" if cameras else "LiDAR, no camera"
     return {
-        "profile": f"{motion_in_words(evidence)}; {sensors}; about {proven_m2:,.0f} m2 of surface, seen by "
-        f"points {100 * spacing_m:.0f} cm apart",
-        **_motion(evidence, duration_s),
+        "profile": f"{motion_in_words(evidence)}{_rigidity_in_words(motion)}; {sensors}; about "
+        f"{proven_m2:,.0f} m2 of surface, seen by points {100 * spacing_m:.0f} cm apart",
+        **motion,
         "cameras": len(cameras),
         "voxels": len(surfels.hits),
         "voxel_m": voxel_m,
@@ -43,6 +50,18 @@ def motion_in_words(evidence: SceneEvidence | None) -> str:
         return "static street: no time branch"
     count = len(evidence.dynamic.objects)
     return f"dynamic: {count} moving object{'s' if count > 1 else ''}, each in its own frame"
+
+
+def _rigidity_in_words(motion: dict[str, Scalar]) -> str:
+    """Whether a flow is needed; nothing where nothing moves."""
+    share = motion.get("moving_not_rigid_share")
+    if not isinstance(share, float):
+        return ""
+    if math.isnan(share):
+        return ", seen too little to tell whether it is rigid"
+    if share > MOST_NOT_RIGID:
+        return f", {share:.0%} of whose returns fit no rigid motion: shown as the nearest scans saw them"
+    return f", {1.0 - share:.0%} of whose returns fit a rigid motion: no flow"
 
 
 def surface_m2(surfels: Surfels) -> float:
@@ -74,6 +93,7 @@ def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
         "moving_objects": len(objects),
         "moving_returns_share": hits / float(evidence.surfels.hits.sum()),
         "moving_time_share": float(np.clip(_covered_s(spans) / max(duration_s, 1e-9), 0.0, 1.0)),
+        "moving_not_rigid_share": not_rigid_share(objects),
         "moving_where": f"x {low[0]:.0f} to {high[0]:.0f} m, y {low[1]:.0f} to {high[1]:.0f} m of the scene",
     }
 

@@ -21,7 +21,8 @@ def reprojection(recording: Recording) -> SceneModel:
     """The baseline of a scene, the same for every recipe."""
     lidar = None if recording.lidar is None else carrying_renderer(recording.lidar)
     camera = warping_renderer(recording) if recording.cameras else None
-    return SceneModel(lidar=lidar, camera=camera, votes=EvidenceSpec().votes)
+    unknown = None if recording.lidar is None else unknown_renderer(recording.lidar)
+    return SceneModel(lidar=lidar, camera=camera, unknown=unknown, votes=EvidenceSpec().votes)
 
 
 def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
@@ -29,6 +30,14 @@ def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
     return evidence_renderer(
         lidar.evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
     )
+
+
+def unknown_renderer(lidar: LidarRecording) -> RayRenderer | None:
+    """What may lie in unknown space; None where no space beside what is proven is unknown."""
+    unknown = lidar.evidence.unknown
+    if unknown is None:
+        return None
+    return evidence_renderer(unknown, None, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
 
 
 def warping_renderer(recording: Recording) -> ImageRenderer:

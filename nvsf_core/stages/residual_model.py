@@ -19,7 +19,7 @@ from nvsf_core.simulation.turn_hits import hits_network
 from nvsf_core.stages.aligned_drive import corrections_from
 from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.recording import Recording
-from nvsf_core.stages.reprojection import carrying_renderer
+from nvsf_core.stages.reprojection import carrying_renderer, unknown_renderer
 from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, camera_renderer
 from nvsf_core.stages.residual_hits import HITS_BLEND, turn_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
@@ -80,7 +80,9 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
     torch.set_num_threads(recipe.lidar_training.threads)
     tensors, facts = load_tensors(folder / "weights.safetensors")
     fields = make_fields(recipe, recording, 0)
-    lidar = camera = correct = pano = None
+    lidar = camera = correct = pano = unknown = None
+    if recording.lidar is not None:
+        unknown = unknown_renderer(recording.lidar)
     if recording.lidar is not None and not facts.get(SHOWS_FIELD, True):
         # Its pano is the projection of its scan, as the baseline's.
         lidar = carrying_renderer(recording.lidar)
@@ -100,13 +102,15 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             if fields.pano is not None:
                 fields.pano.load_state_dict(_named(tensors, "pano."))
             votes, corrected = recipe.evidence.votes, facts.get(CORRECTED, ())
-            pano = pano_renderer(recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct)
+            pano = pano_renderer(
+                recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct, unknown
+            )
     if fields.camera is not None:
         fields.camera.load_state_dict(_named(tensors, "camera."))
         corrections = corrections_from(facts.get(ALIGNED, {}))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
     return SceneModel(
-        lidar=lidar, camera=camera, correct=correct, pano=pano, votes=recipe.evidence.votes
+        lidar=lidar, camera=camera, correct=correct, pano=pano, unknown=unknown, votes=recipe.evidence.votes
     )
 
 

@@ -167,6 +167,7 @@ def pano_renderer(
     network: CellNetwork | None,
     corrected: Sequence[str] = (),
     correct: TurnCorrector | None = None,
+    unknown: RayRenderer | None = None,
 ) -> PanoRenderer:
     """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
 
@@ -178,6 +179,7 @@ def pano_renderer(
         network: Trained; None where there is none.
         corrected: What it corrects.
         correct: Of the model: corrects the turns that the pano is made of.
+        unknown: Of the model.
     """
     panos = recorded_panos(lidar) if network is not None and corrected else None
 
@@ -188,7 +190,9 @@ def pano_renderer(
         mount = invert_pose(recorded) @ pose
         is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
         place = None if is_there else mount
-        estimate = expected_pano(lidar, spec, render, votes, time_s, place, correct=correct)
+        estimate = expected_pano(
+            lidar, spec, render, votes, time_s, place, correct=correct, unknown=unknown
+        )
         if network is None or panos is None or not is_there:
             return phases_alone(estimate)
         neighbours = _neighbours(lidar, panos, spec, estimate, time_s)
@@ -206,6 +210,7 @@ def expected_pano(
     mount: np.ndarray | None,
     *,
     correct: TurnCorrector | None,
+    unknown: RayRenderer | None = None,
     leave_out_s: float | None = None,
 ) -> PanoEstimate:
     """The pano at a time, from the phases; the training scan at `leave_out_s` does not vote."""
@@ -214,7 +219,7 @@ def expected_pano(
     return estimate_pano(
         lambda phase: fire_sweep(
             plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, votes,
-            correct=correct, phase=phase, leave_out_s=leave_out_s,
+            correct=correct, unknown=unknown, phase=phase, leave_out_s=leave_out_s,
         ),
         LinearPano(quirks=True), spec.phases, parts=spec.parts,
     )  # fmt: skip

@@ -10,7 +10,12 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
 from nvsf_core.simulation.scan import HIT_THRESHOLD, by_lasers, measured_at_rest
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
-from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answer_in_chunks, simulate_sweep
+from nvsf_core.simulation.sweep_simulation import (
+    SimulatedSweep,
+    answer_in_chunks,
+    ask_unknown,
+    simulate_sweep,
+)
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.stages.stage import Task
@@ -38,6 +43,7 @@ def sweep_arrays(
                 model.votes,
                 correct=model.correct,
                 above=model.above,
+                unknown=model.unknown,
                 as_recorded=model.as_recorded,
             )
         )
@@ -127,6 +133,10 @@ def answers_along(
     fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
     answers = answer_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
     answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
+    if model.unknown is not None:
+        answers = ask_unknown(
+            answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table
+        )
     if model.as_recorded:
         return answers
     return measured_at_rest(answers, known, fraction, evidence, time_s, sweeps.trajectory, sweeps.period_s)

@@ -1,4 +1,4 @@
-"""Variants of `lean`: the first is its own training; how rigid a thing moved is read off its surface."""
+"""Variants of `lean`: the first is its own training."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,6 @@ import torch
 
 from benchmarks.lean_ablation import VARIANTS, helps, make_field
 from benchmarks.lean_variants import PATCH, RayGrid, Variant, VariantStep, huber_depth_loss, ray_grid
-from benchmarks.rigidity import surface_distance_m
 from nvsf_core.kitti360.catalogue import load_catalogue
 from nvsf_core.losses.depth import depth_loss
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
@@ -114,12 +113,3 @@ def test_a_variant_helps_only_beyond_the_spread_of_the_seeds():
     assert not helps(near, base, "f_score")
     assert helps(far, base, "f_score")
     assert not helps(far[:1], base, "f_score")
-
-
-def test_distance_to_a_surface_is_that_to_its_plane_and_unknown_where_nothing_was_seen():
-    random = np.random.default_rng(0)
-    seen = np.concatenate([random.uniform(-1, 1, (4000, 2)), random.normal(0, 1e-4, (4000, 1))], axis=1)
-    asked = np.array([[0.0, 0.0, 0.03], [0.2, -0.3, 0.0], [0.0, 0.0, 2.0]])
-    found = surface_distance_m(asked, seen)
-    np.testing.assert_allclose(found[:2], [0.03, 0.0], atol=2e-3)
-    assert np.isnan(found[2])

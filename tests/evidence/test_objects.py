@@ -203,7 +203,9 @@ def test_evidence_comes_back_from_its_arrays(passing) -> None:
         lasers=1, nominal_firings=4,
     )  # fmt: skip
     own = np.zeros((1, 4), np.float32)
-    scene = SceneEvidence(everything, prior, np.zeros(1, np.int16), np.array([4]), own, own, dynamic)
+    scene = SceneEvidence(
+        everything, prior, np.zeros(1, np.int16), np.array([4]), own, own, dynamic, unknown=everything
+    )
     arrays = scene.to_arrays()
     again = SceneEvidence.from_arrays(arrays).to_arrays()
     assert arrays.keys() == again.keys()

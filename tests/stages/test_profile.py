@@ -49,6 +49,8 @@ def test_a_static_scene_says_so_with_its_sensors_and_extent(static: tuple[Record
     said = outcome.metadata
     assert str(said["profile"]).startswith("static street: no time branch; LiDAR and image_00; about ")
     assert said["moving_objects"] == 0 and said["cameras"] == 1
+    unknown = recording.lidar.evidence.unknown
+    assert unknown is not None and said["unknown_voxels"] == len(unknown.hits) > 0
     assert 0.0 < float(said["point_spacing_m"]) <= float(said["voxel_m"])
     assert 1.0 < float(said["extent_x_m"]) < 200.0
 

@@ -1,0 +1,102 @@
+"""Who is asked about unknown space: rays of the sensor in its own place, all of whose voters returned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E, VLP_16
+from nvsf_core.simulation.sweep_simulation import ask_unknown, fire_sweep
+from nvsf_core.simulation.view_plan import SweepPlan
+
+SCANS, FIRINGS, PERIOD_S = 3, 60, 0.1
+LASERS = np.arange(8, 12, dtype=np.int16)
+
+
+def of_unknown(asked: list[int]):
+    """A renderer that notes how many rays it is asked about and puts all of them 7 m away."""
+
+    def answer(origin_m, direction, vote, time_s) -> RayAnswers:
+        asked.append(len(vote))
+        return RayAnswers(np.full(len(vote), 7.0, np.float32), vote, np.full(len(vote), 0.5, np.float32))
+
+    return answer
+
+
+def answers_half(origin_m, direction, vote, time_s) -> RayAnswers:
+    """Every other ray meets something at 20 m."""
+    met = np.arange(len(vote)) % 2 == 0
+    return RayAnswers(
+        np.where(met, 20.0, np.inf).astype(np.float32), np.where(met, 0.6, 0.0).astype(np.float32),
+        np.full(len(vote), 0.1, np.float32),
+    )  # fmt: skip
+
+
+def scene() -> tuple[SceneEvidence, Trajectory]:
+    """All firings of the upper two lasers always returned, of the others in two scans of three."""
+    is_hit = np.zeros((SCANS, 64, FIRINGS), bool)
+    is_hit[:, LASERS] = True
+    is_hit[0, LASERS[2:]] = False
+    fraction = np.tile((np.arange(FIRINGS, dtype=np.float32) + 0.5) / FIRINGS - 0.5, (SCANS, 1))
+    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    place = np.array([[1.0, 0.0, 0.0]], np.float32)
+    surfels = build_surfels(0 * place, place, np.full(1, 90.0), np.ones(1), voxel_m=0.2, threads=1)
+    own = np.zeros((64, 4), np.float32)
+    prior = DropPrior(path.times_s, fraction, is_hit)
+    return SceneEvidence(surfels, prior, LASERS, np.full(SCANS, FIRINGS), own, own), path
+
+
+def fire(plan: SweepPlan, unknown) -> RayAnswers:
+    evidence, path = scene()
+    _, answers = fire_sweep(
+        plan, PERIOD_S, evidence, answers_half, path, PERIOD_S, HDL_64E, SCANS, unknown=unknown
+    )
+    return answers
+
+
+IN_PLACE = SweepPlan("x", np.zeros(1, np.int64), np.array([PERIOD_S]), None, HDL_64E, True)
+
+
+def test_what_met_nothing_though_all_scans_returned_is_answered_and_nothing_else() -> None:
+    asked: list[int] = []
+    before, after = fire(IN_PLACE, None), fire(IN_PLACE, of_unknown(asked))
+    upper = np.repeat([True, True, False, False], FIRINGS)
+    open_rays = upper & ~np.isfinite(before.range_m)
+    assert asked == [FIRINGS] and open_rays.sum() == FIRINGS
+    assert (after.range_m[open_rays] == 7.0).all() and (after.hit[open_rays] == 1.0).all()
+    for name in ("range_m", "hit", "intensity"):
+        assert np.array_equal(getattr(after, name)[~open_rays], getattr(before, name)[~open_rays])
+    assert not np.isfinite(after.range_m[~upper]).all(), "one scan of three had no return there"
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        replace(IN_PLACE, mount=np.array([[1.0, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]])),
+        replace(IN_PLACE, table=VLP_16, is_recorded_sensor=False),
+    ],
+    ids=["elsewhere", "another sensor"],
+)
+def test_scans_tell_nothing_of_another_place_or_sensor(plan: SweepPlan) -> None:
+    asked: list[int] = []
+    fire(plan, of_unknown(asked))
+    assert asked == []
+
+
+def test_its_intensity_has_the_laser_s_gain_and_answers_stay_as_they_were() -> None:
+    gain = np.ones(64)
+    gain[9] = 1.5
+    table = replace(HDL_64E, intensity_gain=gain)
+    nothing = RayAnswers(np.full(2, np.inf, np.float32), np.zeros(2, np.float32), np.zeros(2, np.float32))
+    place, sure = np.zeros((2, 3), np.float32), np.ones(2, np.float32)
+    found = ask_unknown(nothing, of_unknown([]), place, place, sure, np.zeros(2), np.array([9, -1]), table)
+    assert np.allclose(found.intensity, [0.75, 0.5]) and (found.range_m == 7.0).all()
+    assert np.isinf(nothing.range_m).all(), "others may hold them"
+    unsure = np.full(2, 5.0 / 6.0, np.float32)
+    same = ask_unknown(nothing, of_unknown([]), place, place, unsure, np.zeros(2), np.array([9, -1]), table)
+    assert same is nothing
