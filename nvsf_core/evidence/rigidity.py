@@ -29,14 +29,14 @@ def surface_distance_m(point_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
     return np.where(near_m[:, 0] <= _UNSEEN_M, distance, np.nan)
 
 
-def not_rigid_share(objects: tuple[ObjectEvidence, ...]) -> float:
+def not_rigid_share(objects: tuple[ObjectEvidence, ...]) -> float | None:
     """Share of moving returns over 10 cm off what the scan before or the scan after shows of their thing.
 
     Scans are laid over each other by the thing's rigid path. Of returns within 30 m whose place one of the
-    two saw; NaN without any. Edges of rigid things are among them: some hundredths.
+    two saw; None without any. Edges of rigid things and errors of the path are among them: up to a tenth.
     """
     off_m = np.concatenate([[], *(_off_m(one) for one in objects)])
-    return float((off_m > FAR_OFF_M).mean()) if len(off_m) else float("nan")
+    return float((off_m > FAR_OFF_M).mean()) if len(off_m) else None
 
 
 def _off_m(one: ObjectEvidence) -> np.ndarray:

@@ -1,16 +1,11 @@
 """What a scene needs, from what its evidence proves, whatever is trained."""
 
-import math
-
 import numpy as np
 
 from nvsf_core.evidence.rigidity import not_rigid_share
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.stages.stage import Scalar
-
-MOST_NOT_RIGID = 0.1
-"""Share of moving returns off their rigid surfaces up to which what moves counts as rigid."""
 
 
 def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float) -> dict[str, Scalar]:
@@ -53,15 +48,9 @@ def motion_in_words(evidence: SceneEvidence | None) -> str:
 
 
 def _rigidity_in_words(motion: dict[str, Scalar]) -> str:
-    """Whether a flow is needed; nothing where nothing moves."""
+    """How much of what moves fits a rigid motion; nothing where nothing moves or too little was seen."""
     share = motion.get("moving_not_rigid_share")
-    if not isinstance(share, float):
-        return ""
-    if math.isnan(share):
-        return ", seen too little to tell whether it is rigid"
-    if share > MOST_NOT_RIGID:
-        return f", {share:.0%} of whose returns fit no rigid motion: shown as the nearest scans saw them"
-    return f", {1.0 - share:.0%} of whose returns fit a rigid motion: no flow"
+    return "" if share is None else f", {1.0 - float(share):.0%} of whose returns fit a rigid motion"
 
 
 def surface_m2(surfels: Surfels) -> float:
@@ -85,6 +74,7 @@ def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
     if evidence.dynamic is None:
         return {"moving_objects": 0}
     objects = evidence.dynamic.objects
+    not_rigid = not_rigid_share(objects)
     hits = sum(int(one.rays.is_hit.sum()) for one in objects)
     spans = np.array([(one.path.time_s.min(), one.path.time_s.max()) for one in objects])
     places = np.concatenate([one.path.pose[:, :2] for one in objects])
@@ -93,7 +83,7 @@ def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
         "moving_objects": len(objects),
         "moving_returns_share": hits / float(evidence.surfels.hits.sum()),
         "moving_time_share": float(np.clip(_covered_s(spans) / max(duration_s, 1e-9), 0.0, 1.0)),
-        "moving_not_rigid_share": not_rigid_share(objects),
+        **({} if not_rigid is None else {"moving_not_rigid_share": not_rigid}),
         "moving_where": f"x {low[0]:.0f} to {high[0]:.0f} m, y {low[1]:.0f} to {high[1]:.0f} m of the scene",
     }
 

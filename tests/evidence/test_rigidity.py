@@ -5,9 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving import MovingObject
 from nvsf_core.evidence.objects import ObjectEvidence, ObjectRays
 from nvsf_core.evidence.rigidity import not_rigid_share, surface_distance_m
+from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.stages.profile import scene_profile
 
 SCANS, RETURNS, SPEED_M = 6, 800, 0.3
 """Scans that see a thing, its returns in each, and how far it comes from scan to scan."""
@@ -54,11 +59,31 @@ def test_a_wrong_path_fits_as_little_as_no_rigidity() -> None:
     assert not_rigid_share((replace(plate, rays=replace(plate.rays, origin_m=nearer)),)) > 0.95
 
 
+def test_the_profile_says_it_of_what_moves_and_nothing_of_what_was_not_seen_enough() -> None:
+    plate, place = passing(np.zeros(SCANS)), np.array([[1.0, 0.0, 0.0]], np.float32)
+    surfels = build_surfels(0 * place, place, np.full(1, 9.0), np.ones(1), voxel_m=0.2, threads=1)
+    nobody = np.zeros((0, 0), np.float32)
+    prior = DropPrior(plate.path.time_s, nobody, nobody.astype(bool))
+    scene = SceneEvidence(
+        surfels, prior, np.zeros(0, np.int16), np.zeros(0, np.int32), nobody, nobody,
+        DynamicEvidence(surfels, (plate,)),
+    )  # fmt: skip
+    said = scene_profile(scene, [], 0.5)
+    assert said["moving_not_rigid_share"] == 0.0
+    assert "1 moving object, each in its own frame, 100% of whose returns fit a rigid motion; LiDAR" in str(
+        said["profile"]
+    )
+    once = replace(plate, path=plate.path.without(0).without(1).without(2).without(3).without(4))
+    said = scene_profile(replace(scene, dynamic=DynamicEvidence(surfels, (once,))), [], 0.5)
+    assert "moving_not_rigid_share" not in said
+    assert "each in its own frame; LiDAR" in str(said["profile"])
+
+
 def test_nothing_is_told_of_what_one_scan_saw() -> None:
     plate = passing(np.zeros(SCANS))
     once = replace(plate, path=plate.path.without(0).without(1).without(2).without(3).without(4))
-    assert np.isnan(not_rigid_share((once,)))
-    assert np.isnan(not_rigid_share(()))
+    assert not_rigid_share((once,)) is None
+    assert not_rigid_share(()) is None
 
 
 def test_nothing_is_told_of_what_is_too_far_to_be_resolved() -> None:
@@ -66,7 +91,7 @@ def test_nothing_is_told_of_what_is_too_far_to_be_resolved() -> None:
     far = replace(
         bent.rays, range_m=bent.rays.range_m + 40.0, origin_m=bent.rays.origin_m - 40.0 * bent.rays.direction
     )
-    assert np.isnan(not_rigid_share((replace(bent, rays=far),)))
+    assert not_rigid_share((replace(bent, rays=far),)) is None
 
 
 def test_distance_to_a_surface_is_that_to_its_plane_and_unknown_where_nothing_was_seen():
