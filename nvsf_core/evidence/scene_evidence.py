@@ -68,7 +68,7 @@ class SceneEvidence:
     left_out: LeftOutEvidence | None = None
     """For judging what is learned of the scene; None where there are too few scans to leave any out."""
     unknown: Surfels | None = None
-    """Planes of what stays, continued into space that no ray crossed; None where there are none."""
+    """Voxels beside what stays of which no ray tells anything: `unknown_beside`; None where there is none."""
 
     @property
     def standing(self) -> Surfels:
