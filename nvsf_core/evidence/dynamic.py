@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.moving import MovingObject
-from nvsf_core.evidence.objects import ObjectEvidence, ObjectRays
+from nvsf_core.evidence.object_evidence import ObjectEvidence, ObjectRays
 from nvsf_core.evidence.surfels import Surfels
 
 _PATH = ("scan", "time_s", "pose")
@@ -21,6 +21,11 @@ class DynamicEvidence:
     objects: tuple[ObjectEvidence, ...]
     """At least one."""
 
+    @property
+    def flowing(self) -> int:
+        """How many of them have a flow, because no rigid motion explains how they move."""
+        return sum(one.flow_m is not None for one in self.objects)
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         paths, rays = [one.path for one in self.objects], [one.rays for one in self.objects]
@@ -30,6 +35,9 @@ class DynamicEvidence:
         arrays["object_bounds_m"] = np.array([[path.low_m, path.high_m] for path in paths], np.float64)
         arrays["object_frame_s"] = np.array([path.frame_s for path in paths], np.float64)
         arrays["object_voxel_m"] = np.array([one.voxel_m for one in self.objects], np.float64)
+        for number, one in enumerate(self.objects):
+            if one.flow_m is not None:
+                arrays[f"object_flow_m_{number}"] = one.flow_m
         for name in _PATH:
             arrays[f"object_path_{name}"] = np.concatenate([getattr(path, name) for path in paths])
         for name in _RAYS:
@@ -58,6 +66,7 @@ class DynamicEvidence:
                     ),
                     ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in _RAYS)),
                     float(arrays["object_voxel_m"][number]),
+                    arrays.get(f"object_flow_m_{number}"),
                 )
             )
         background = {name: arrays[f"background_{name}"] for name in Surfels.ARRAYS}

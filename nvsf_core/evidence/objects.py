@@ -5,63 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
+from nvsf_core.evidence.object_evidence import OBJECT_VOXEL_M, ObjectEvidence, ObjectRays
 from nvsf_core.evidence.object_votes import NearVotes, ObjectVotes
-from nvsf_core.evidence.surfels import Candidates, Surfels, build_surfels, candidates_of
+from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.bounds import rays_into_bounds
 
-OBJECT_VOXEL_M = 0.1
-"""For 64 lasers. Where fewer look, voxels are as much larger as keeps the returns in each."""
-NEAREST_SCANS = 4
-"""More add nothing, and blur what is not rigid, such as legs."""
 _MOST_CANDIDATES = 12
 _MARGIN_M = 0.1
-_THREADS = 2
+_STEPS_A_FRAME = 8
+"""Instants at which objects are built: what bends moves 2 cm between them."""
 _SOME = 256
 """Rays of a sweep that say where and when it was fired: to some decimetres and hundredths of a second."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectRays:
-    """Training rays that cross an object's bounds, in its frame at each ray's own time."""
-
-    origin_m: np.ndarray
-    """(n, 3) float32."""
-    direction: np.ndarray
-    """(n, 3) float32 unit."""
-    range_m: np.ndarray
-    """(n,) float32 to the return, on the object, before it or behind it."""
-    intensity: np.ndarray
-    """(n,) float32 of the return."""
-    is_hit: np.ndarray
-    """(n,) bool: the return is the object's."""
-    scan: np.ndarray
-    """(n,) int32 training scan, ascending."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectEvidence:
-    """One moving object: its path and all rays that met its place."""
-
-    path: MovingObject
-    rays: ObjectRays
-    voxel_m: float = OBJECT_VOXEL_M
-    """Edge of its surfels' voxels."""
-
-    def scans_near(self, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
-        """Its nearest 4 scans (k,); the training scan `leave_out` is not among them."""
-        scans = self.path.scan[np.argsort(np.abs(self.path.time_s - time_s), kind="stable")]
-        return (scans if leave_out is None else scans[scans != leave_out])[:NEAREST_SCANS]
-
-    def surfels_from(self, scans: np.ndarray) -> Surfels | None:
-        """What some of its scans prove of it, in its frame; None where they saw nothing of it."""
-        rays = self.rays
-        used = np.isin(rays.scan, scans)
-        if not rays.is_hit[used].any():
-            return None
-        return build_surfels(
-            rays.origin_m[used], rays.direction[used], rays.range_m[used], rays.intensity[used],
-            voxel_m=self.voxel_m, threads=_THREADS, is_surface=rays.is_hit[used],
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +105,7 @@ def objects_at(
         if not path.is_there(spare).any():
             continue
         scans = one.scans_near(time_s, leave_out=leave_out)
-        surfels = one.surfels_from(scans)
+        surfels = one.surfels_from(scans, time_s + _lag_s(one.path, scans, votes))
         if surfels is not None:
             there.append((number, path, surfels))
             asked.append((path, scans))
@@ -171,21 +125,21 @@ class NearObjects:
         self.evidence = evidence
         self._votes = votes
         self._leave_out = leave_out
-        self._half_frame: int | None = None
+        self._instant: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
     def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
-        """The objects about the middle of times (r,), taken to half frames; none without rays."""
+        """The objects about the middle of times (r,), taken to eighths of a frame; none without rays."""
         if len(time_s) == 0 or not self.evidence:
             return ()
         frame_s = self.evidence[0].path.frame_s
-        # Parts of a sweep agree: their middles lie near its own, which is most often a frame's or half-way.
-        half_frame = round(2.0 * float(np.median(time_s)) / frame_s)
-        if half_frame != self._half_frame:
+        # Parts of a sweep agree: their middles lie near its own.
+        instant = round(_STEPS_A_FRAME * float(np.median(time_s)) / frame_s)
+        if instant != self._instant:
             self._objects = objects_at(
-                self.evidence, 0.5 * half_frame * frame_s, self._votes, leave_out=self._leave_out
+                self.evidence, instant * frame_s / _STEPS_A_FRAME, self._votes, leave_out=self._leave_out
             )
-            self._half_frame = half_frame
+            self._instant = instant
         return self._objects
 
 
@@ -245,6 +199,12 @@ def merge_objects(
         for target, mine in ((opacity, own.opacity), (cosine, own.cosine)):
             target[rows] = np.take_along_axis(np.concatenate([target[rows], mine], axis=1), order, axis=1)
     return Candidates(range_m, voxel, opacity, cosine)
+
+
+def _lag_s(path: MovingObject, scans: np.ndarray, votes: ObjectVotes) -> float:
+    """How long after the middle of a sweep an object is met, as in some of its scans (k,)."""
+    met_s = path.time_s[np.searchsorted(path.scan, scans)]
+    return float(np.median(met_s - votes.prior.time_s[scans])) if len(scans) else 0.0
 
 
 def _some(column: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.evidence.unknown_space import unknown_beside
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
+from nvsf_core.stages.flow_choice import choose_flow
 from nvsf_core.stages.profile import scene_profile
 from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
@@ -249,13 +250,14 @@ def _prove_motion(
         rays: Those that evidence is made of.
     """
     a = sweeps.arrays
+    objects = prove_objects(
+        moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
+        sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
+    )  # fmt: skip
     return DynamicEvidence(
         background=rays.surfels(FIELD_VOXEL_M, _THREADS, shaped=False),
-        objects=prove_objects(
-            moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
-            sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
-        ),
-    )  # fmt: skip
+        objects=choose_flow(objects),
+    )
 
 
 def _plane_thickness(surfels: Surfels) -> dict[str, float]:
@@ -279,6 +281,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "drop votes, the own vehicle, what moves and how, and what the scene needs.",
-    version="12",
+    version="13",
     run=_run,
 )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.moving import MovingObject
-from nvsf_core.evidence.objects import ObjectEvidence
+from nvsf_core.evidence.object_evidence import ObjectEvidence
 from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.rendering.camera_view import MovingThing, moving_pixels
 from nvsf_core.stages.evidence import Sweeps
@@ -96,13 +96,9 @@ class MovingWorld:
 
 
 def _own_points(one: ObjectEvidence, instant_s: float, leave_out: int | None) -> np.ndarray | None:
-    """Returns (m, 3) of an object's nearest scans in its own frame; None where they saw nothing of it."""
-    rays = one.rays
-    used = np.isin(rays.scan, one.scans_near(instant_s, leave_out=leave_out)) & rays.is_hit
-    if not used.any():
-        return None
-    points: np.ndarray = rays.origin_m[used] + rays.direction[used] * rays.range_m[used, None]
-    return points
+    """Returns (m, 3) of an object's nearest scans, in its frame, as it is at an instant; None without any."""
+    rays = one.rays_at(one.scans_near(instant_s, leave_out=leave_out), instant_s)
+    return rays.point_m(rays.is_hit) if rays.is_hit.any() else None
 
 
 def _holds(path: MovingObject, points_m: np.ndarray, fired_s: np.ndarray) -> np.ndarray:

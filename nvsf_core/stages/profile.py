@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from nvsf_core.evidence.rigidity import not_rigid_share
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.stages.stage import Scalar
@@ -25,7 +24,7 @@ def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float
     low, high = np.percentile(surfels.mean_m, (0.5, 99.5), axis=0)
     sensors = f"LiDAR and {', '.join(cameras)}" if cameras else "LiDAR, no camera"
     return {
-        "profile": f"{motion_in_words(evidence)}{_rigidity_in_words(motion)}; {sensors}; about "
+        "profile": f"{motion_in_words(evidence)}; {sensors}; about "
         f"{proven_m2:,.0f} m2 of surface, seen by points {100 * spacing_m:.0f} cm apart",
         **motion,
         "cameras": len(cameras),
@@ -43,14 +42,9 @@ def motion_in_words(evidence: SceneEvidence | None) -> str:
         return "unknown without LiDAR: taken as static, no time branch"
     if evidence.dynamic is None:
         return "static street: no time branch"
-    count = len(evidence.dynamic.objects)
-    return f"dynamic: {count} moving object{'s' if count > 1 else ''}, each in its own frame"
-
-
-def _rigidity_in_words(motion: dict[str, Scalar]) -> str:
-    """How much of what moves fits a rigid motion; nothing where nothing moves or too little was seen."""
-    share = motion.get("moving_not_rigid_share")
-    return "" if share is None else f", {1.0 - float(share):.0%} of whose returns fit a rigid motion"
+    count, flowing = len(evidence.dynamic.objects), evidence.dynamic.flowing
+    flows = "no flow" if flowing == 0 else f"a flow for {flowing} that no rigid motion explains"
+    return f"dynamic: {count} moving object{'s' if count > 1 else ''}, each in its own frame, {flows}"
 
 
 def surface_m2(surfels: Surfels) -> float:
@@ -74,7 +68,6 @@ def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
     if evidence.dynamic is None:
         return {"moving_objects": 0}
     objects = evidence.dynamic.objects
-    not_rigid = not_rigid_share(objects)
     hits = sum(int(one.rays.is_hit.sum()) for one in objects)
     spans = np.array([(one.path.time_s.min(), one.path.time_s.max()) for one in objects])
     places = np.concatenate([one.path.pose[:, :2] for one in objects])
@@ -83,7 +76,7 @@ def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
         "moving_objects": len(objects),
         "moving_returns_share": hits / float(evidence.surfels.hits.sum()),
         "moving_time_share": float(np.clip(_covered_s(spans) / max(duration_s, 1e-9), 0.0, 1.0)),
-        **({} if not_rigid is None else {"moving_not_rigid_share": not_rigid}),
+        "moving_objects_with_flow": evidence.dynamic.flowing,
         "moving_where": f"x {low[0]:.0f} to {high[0]:.0f} m, y {low[1]:.0f} to {high[1]:.0f} m of the scene",
     }
 

@@ -145,7 +145,7 @@ def test_a_left_out_scan_is_not_asked(passing) -> None:
     others = plate.scans_near(0.2, leave_out=2)
     assert set(others) == {0, 1, 3, 4}
     hits = plate.rays.is_hit & np.isin(plate.rays.scan, others)
-    assert plate.surfels_from(others).hits.sum() == hits.sum()
+    assert plate.surfels_from(others, 0.2).hits.sum() == hits.sum()
 
 
 def test_where_an_object_was_is_not_told_by_a_left_out_scan(passing) -> None:
@@ -173,7 +173,7 @@ def test_an_object_that_only_the_left_out_scan_saw_is_not_there(passing) -> None
 
 
 def test_scans_that_did_not_see_an_object_prove_nothing_of_it(passing) -> None:
-    assert passing[0].objects[0].surfels_from(np.array([99])) is None
+    assert passing[0].objects[0].surfels_from(np.array([99]), 0.2) is None
 
 
 def test_parts_of_a_sweep_share_what_was_built(passing) -> None:

@@ -24,7 +24,10 @@ from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.training_cost import expected_memory_mb, expected_seconds
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M
 
-OF_MOTION = ("evidence/objects.py", "evidence/object_votes.py", "fields/object_surfaces.py")
+OF_MOTION = (
+    "evidence/objects.py", "evidence/object_evidence.py", "evidence/object_votes.py",
+    "evidence/soft_motion.py", "fields/object_surfaces.py",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
