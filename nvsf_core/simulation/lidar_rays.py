@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.sensors.beam_table import firing_grid, sensor_rays, turn_up
+from nvsf_core.kernels.moved_rays import move_turn
+from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
@@ -60,31 +61,20 @@ def sweep_rays(
     rotation, position = trajectory.at(time_s + fraction * period_s)
     lasers = lasers.astype(np.int64)
     azimuth = azimuth[lasers]
-    fired_origin, recorded_direction = (
-        ray.reshape(-1, 3) for ray in sensor_rays(table, azimuth, lasers[:, None])
-    )
-    azimuth, laser = azimuth.reshape(-1), np.repeat(lasers, firings)
-    origin, direction = turn_up(fired_origin, recorded_direction, azimuth, table.elevation_correction_rad)
-    if mount is not None:
-        origin = origin @ mount[:3, :3].T + mount[:3, 3]
-        direction = direction @ mount[:3, :3].T
+    fired = sensor_rays(table, azimuth, lasers[:, None])
+    origin, direction = move_turn(
+        *fired, azimuth, table.elevation_correction_rad,
+        np.eye(4) if mount is None else np.ascontiguousarray(mount, np.float64), rotation, position,
+    )  # fmt: skip
+    fired_origin, recorded_direction = (ray.reshape(-1, 3) for ray in fired)
+    laser = np.repeat(lasers, firings)
     return SweepRays(
         shape=(len(lasers), firings),
         laser=laser,
-        azimuth_rad=azimuth,
+        azimuth_rad=azimuth.reshape(-1),
         fraction=np.tile(fraction, len(lasers)),
         recorded_origin_m=fired_origin + table.range_bias_m[laser, None] * recorded_direction,
         recorded_direction=recorded_direction,
-        origin_m=_turned(rotation, origin, position),
-        direction=_turned(rotation, direction, np.zeros((1, 3))),
+        origin_m=origin,
+        direction=direction,
     )
-
-
-def _turned(rotation: np.ndarray, vector: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Vectors (l * f, 3) turned by their firings' rotations (f, 3, 3), and shifted (f, 3): float32."""
-    of_firing = vector.reshape(-1, len(rotation), 3)
-    x, y, z = of_firing[..., 0], of_firing[..., 1], of_firing[..., 2]
-    turned = np.empty(of_firing.shape, np.float32)
-    for i in range(3):
-        turned[..., i] = rotation[:, i, 0] * x + rotation[:, i, 1] * y + rotation[:, i, 2] * z + shift[:, i]
-    return turned.reshape(-1, 3)
