@@ -8,8 +8,9 @@ import numpy as np
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.answered_turn import AnsweredTurn
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import put_back_own_vehicle, recorded_scan
+from nvsf_core.simulation.scan import put_back_own_vehicle
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -88,7 +89,7 @@ def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> 
 
     def answer(number: int) -> tuple[PanoImage, np.ndarray]:
         frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
-        points, intensity, laser = recorded_scan(*_quarter_turn(lidar, plan, model, time_s))
+        points, intensity, laser = AnsweredTurn.of(*_quarter_turn(lidar, plan, model, time_s)).scan()
         pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
         a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
         rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))

@@ -222,7 +222,8 @@ def measure(store: SceneStore) -> dict[str, Any]:
             })  # fmt: skip
     for kind, parts in kinds.items():
         joined = Moved(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        rows.append(_row(f"all of kind {kind}", joined, standing, total) | {"objects": len(parts)})
+        of_kind = {"objects": len(parts), "has_flow": False}
+        rows.append(_row(f"all of kind {kind}", joined, standing, total) | of_kind)
     return {"scene": store.scene, "returns": total, "rows": rows}
 
 
@@ -250,7 +251,7 @@ def table(found: dict[str, Any]) -> str:
         distances = " | ".join(_both(row[name]) for name in ("rigid", "standing", "if_it_stood"))
         errors = " | ".join(_both(row[name]) for name in _SHOWN)
         shares = " | ".join(f"{row[name]['far_off_share']:.1%}" for name in _SHOWN)
-        flow = ", with a flow" if row.get("has_flow") else ""
+        flow = ", with a flow" if row["has_flow"] else ""
         lines.append(
             f"| {row['name']}{flow} | {row['rigid']['returns']} | {row['range_m']:.1f} | {distances} "
             f"| {errors} | {shares} | {row['excess_share_of_all_returns']:.3%} |"

@@ -12,7 +12,7 @@ _BEYOND_FRAMES = 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingObject:
-    """One rigid thing and its path; its own frame has z up and x ahead at first."""
+    """One thing that moves and its rigid path; its own frame has z up and x ahead at first."""
 
     scan: np.ndarray
     """(k,) int32 training scans that saw it, ascending."""

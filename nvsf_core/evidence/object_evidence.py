@@ -33,14 +33,14 @@ class ObjectRays:
     """(n,) int32 training scan, ascending."""
 
     def of(self, chosen: np.ndarray) -> "ObjectRays":
-        """Chosen rays, by number or (n,) bool."""
+        """Chosen rays, by number (m,) or (n,) bool."""
         return ObjectRays(
             self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
             self.is_hit[chosen], self.scan[chosen],
         )  # fmt: skip
 
     def point_m(self, chosen: np.ndarray) -> np.ndarray:
-        """Where chosen (n,) bool rays returned, (m, 3)."""
+        """Where chosen rays, by number (m,) or (n,) bool, returned: (m, 3)."""
         point: np.ndarray = self.origin_m[chosen] + self.direction[chosen] * self.range_m[chosen, None]
         return point
 
@@ -55,22 +55,23 @@ class ObjectEvidence:
     """Edge of its surfels' voxels."""
     flow_m: np.ndarray | None = None
     """(n, 2, 3) float32 how far each ray's return moves, in its frame, until the path's scan before sees it,
-    and until the scan after does; 0 of no return and without that scan. None of what is rigid."""
+    and until the scan after does; 0 of no return and without that scan. None where it is taken as rigid."""
 
     def of_scans(self, scans: np.ndarray) -> "ObjectEvidence":
-        """As if only those scans had seen it; taken as rigid."""
+        """Its path and rays in those scans alone, in the same frame and bounds; without a flow."""
         path = self.path
         kept = np.isin(path.scan, scans)
         return ObjectEvidence(
             replace(path, scan=path.scan[kept], time_s=path.time_s[kept], pose=path.pose[kept]),
-            self.rays.of(np.isin(self.rays.scan, scans)), self.voxel_m,
+            self.rays.of(self._rows_of(scans)), self.voxel_m,
         )  # fmt: skip
 
     def with_flow(self) -> "ObjectEvidence":
         """The same object, taken as one that bends."""
         flow_m = np.zeros((len(self.rays.scan), 2, 3), np.float32)
-        returns = [self._returns_of(scan) for scan in self.path.scan]
-        points = [self.rays.point_m(rows) for rows in returns]
+        rows = [self._rows_of(np.array([scan])) for scan in self.path.scan]
+        returns = [own[self.rays.is_hit[own]] for own in rows]
+        points = [self.rays.point_m(own) for own in returns]
         for before in range(len(points) - 1):
             flow_m[returns[before], 1] = flow_between(points[before], points[before + 1])
             flow_m[returns[before + 1], 0] = flow_between(points[before + 1], points[before])
@@ -83,26 +84,28 @@ class ObjectEvidence:
 
     def rays_at(self, scans: np.ndarray, time_s: float) -> ObjectRays:
         """Rays (m,) of some of its scans; those that returned, laid where its flow has them at an instant."""
-        used = np.isin(self.rays.scan, scans)
+        used = self._rows_of(scans)
         rays = self.rays.of(used)
         if self.flow_m is None:
             return rays
-        seen = [scan for scan in self.path.scan if (rays.is_hit & (rays.scan == scan)).any()]
-        returns = [self._returns_of(scan) for scan in seen]
-        points = [self.rays.point_m(rows) for rows in returns]
-        places = np.searchsorted(self.path.scan, seen)
+        flow_m = self.flow_m[used]
+        returns = [np.flatnonzero(rays.is_hit & (rays.scan == scan)) for scan in np.unique(rays.scan)]
+        returns = [rows for rows in returns if len(rows)]
+        points = [rays.point_m(rows) for rows in returns]
+        places = np.searchsorted(self.path.scan, [rays.scan[rows[0]] for rows in returns])
 
         def step(first: int, second: int) -> np.ndarray:
+            # A scan that is left out between two: nothing that is stored was seen without it.
             if abs(places[second] - places[first]) != 1:
                 return flow_between(points[first], points[second])
-            assert self.flow_m is not None
-            return self.flow_m[returns[first], int(second > first)]
+            stored: np.ndarray = flow_m[returns[first], int(second > first)]
+            return stored
 
-        origin_m = self.rays.origin_m.copy()
+        origin_m = rays.origin_m.copy()
         moved = flow_to(points, self.path.time_s[places], time_s, step)
         for rows, shift_m in zip(returns, moved, strict=True):
             origin_m[rows] += shift_m
-        return replace(rays, origin_m=origin_m[used])
+        return replace(rays, origin_m=origin_m)
 
     def surfels_from(self, scans: np.ndarray, time_s: float) -> Surfels | None:
         """What some of its scans prove of it at an instant, in its frame; None where they saw nothing."""
@@ -114,7 +117,9 @@ class ObjectEvidence:
             voxel_m=self.voxel_m, threads=_THREADS, is_surface=rays.is_hit,
         )  # fmt: skip
 
-    def _returns_of(self, scan: int) -> np.ndarray:
-        """(n,) bool its returns in a scan."""
-        rows: np.ndarray = self.rays.is_hit & (self.rays.scan == scan)
-        return rows
+    def _rows_of(self, scans: np.ndarray) -> np.ndarray:
+        """(m,) int64 ascending: its rays in some scans."""
+        starts = np.searchsorted(self.rays.scan, np.sort(scans), side="left")
+        ends = np.searchsorted(self.rays.scan, np.sort(scans), side="right")
+        rows = [np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
+        return np.concatenate([np.zeros(0, np.int64), *rows])

@@ -202,7 +202,10 @@ def merge_objects(
 
 
 def _lag_s(path: MovingObject, scans: np.ndarray, votes: ObjectVotes) -> float:
-    """How long after the middle of a sweep an object is met, as in some of its scans (k,)."""
+    """How long after a sweep's instant an object is met, as in some of its scans (k,).
+
+    By the recording sensor: another one, turned by half a turn, meets it up to half a frame earlier or later.
+    """
     met_s = path.time_s[np.searchsorted(path.scan, scans)]
     return float(np.median(met_s - votes.prior.time_s[scans])) if len(scans) else 0.0
 

@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from nvsf_core.evidence.local_planes import PLANE_POINTS, planes_around
 from nvsf_core.kernels.registration import register_pairs
 
 _MOST_POINTS = 400
-_NEIGHBOURS = 8
 _PLANE_EIGENVALUE_RATIO = 4.0
 _GATES_M = np.array([1.2, 0.8, 0.5, 0.35])
 _YAW_RETURNS = 40
@@ -61,12 +60,10 @@ def make_cloud(point_m: np.ndarray) -> Cloud:
     centre = thinned.mean(axis=0, dtype=np.float64)
     local = thinned - centre
     normal = np.zeros_like(local)
-    if len(local) > _NEIGHBOURS:
-        _, near = cKDTree(local).query(local, _NEIGHBOURS)
-        apart = local[near] - local[near].mean(axis=1, keepdims=True)
-        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    if len(local) > PLANE_POINTS:
+        values, across = planes_around(local)
         planar = values[:, 1] > _PLANE_EIGENVALUE_RATIO * values[:, 0]
-        normal[planar] = vectors[planar, :, 0]
+        normal[planar] = across[planar]
     return Cloud(centre, local.astype(np.float32), normal.astype(np.float32))
 
 

@@ -5,10 +5,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from nvsf_core.evidence.local_planes import PLANE_POINTS, planes_around
+
 _STEPS = 12
 _MOST_POINTS = 500
 """Of a cloud: neighbours on a leg are then still some centimetres apart."""
-_PLANE_POINTS = 8
 _SMOOTH_POINTS = 12
 _SMOOTH_M = 0.25
 """About as far as a limb moves alike."""
@@ -24,21 +25,21 @@ Step = Callable[[int, int], np.ndarray]
 def flow_between(source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
     """How far each return of a thing moves until another scan sees it.
 
-    Each step moves every return onto the plane through the 8 target returns that surround its nearest one,
-    and then as its neighbours within some 25 cm do. Along a surface nothing is moved: where on it a laser
-    hits tells nothing of how it moves.
+    Each step moves every return onto the plane through its nearest target return, whose normal the 8 around
+    that tell, and then as its neighbours within some 25 cm do. Along a surface nothing is moved: where on it
+    a laser hits tells nothing of how it moves.
 
     Args:
         source_m: (n, 3), in the thing's own frame.
         target_m: (m, 3), in the same.
 
     Returns:
-        (n, 3) float32 metres; 0 where either has fewer than 8 returns.
+        (n, 3) float32 metres; 0 where either has fewer than 8 returns, about 0 of what finds nothing near.
     """
-    if min(len(source_m), len(target_m)) < _PLANE_POINTS:
+    if min(len(source_m), len(target_m)) < PLANE_POINTS:
         return np.zeros((len(source_m), 3), np.float32)
     source, target = _thinned(source_m), _thinned(target_m)
-    tree, normal = cKDTree(target), _normals(target)
+    tree, (_, normal) = cKDTree(target), planes_around(target)
     apart_m, near = cKDTree(source).query(source, min(_SMOOTH_POINTS, len(source)))
     closeness = np.exp(-np.square(apart_m / _SMOOTH_M))
     flow = np.zeros_like(source)
@@ -59,23 +60,24 @@ def flow_to(
 ) -> list[np.ndarray]:
     """How far returns of scans before and after an instant have moved at that instant.
 
-    The last scan before it and the first after it are laid half-way between each other, by time; returns of
-    earlier and later ones flow to the next nearer scan, and go on as its returns there do.
+    The last scan before it and the first after it are laid between each other, in proportion to time; returns
+    of earlier and later ones flow to the next nearer scan, and go on as its returns there do.
 
     Args:
         clouds: Each (n, 3), n >= 1, in the thing's own frame, in order of time.
         cloud_time_s: (k,) ascending.
-        time_s: The instant; beyond the first and the last scan, nothing is moved.
+        time_s: The instant; beyond the first or the last scan, what that scan saw stays.
         step: Gives the flow between neighbours in time, and between the two about the instant.
 
     Returns:
         Of each cloud (n, 3) float32 metres.
     """
-    after = int(np.searchsorted(cloud_time_s, time_s))
     moved: list[np.ndarray] = [np.zeros((len(cloud), 3), np.float32) for cloud in clouds]
-    if after in (0, len(clouds)):
+    if len(clouds) < 2:
         return moved
-    share = float((time_s - cloud_time_s[after - 1]) / (cloud_time_s[after] - cloud_time_s[after - 1]))
+    after = int(np.clip(np.searchsorted(cloud_time_s, time_s), 1, len(clouds) - 1))
+    before_s, after_s = cloud_time_s[after - 1 : after + 1]
+    share = float(np.clip((time_s - before_s) / (after_s - before_s), 0.0, 1.0))
     moved[after - 1] = share * step(after - 1, after)
     moved[after] = (1.0 - share) * step(after, after - 1)
     for order, towards in ((range(after - 2, -1, -1), 1), (range(after + 1, len(clouds)), -1)):
@@ -99,11 +101,3 @@ def _thinned(cloud_m: np.ndarray) -> np.ndarray:
     """At most 500 points of a cloud (n, 3), evenly chosen, float64."""
     chosen = np.linspace(0, len(cloud_m) - 1, min(len(cloud_m), _MOST_POINTS)).astype(np.int64)
     return cloud_m[chosen].astype(np.float64)
-
-
-def _normals(cloud_m: np.ndarray) -> np.ndarray:
-    """(n, 3) unit: across the plane through the 8 points of the cloud (n, 3) nearest to each."""
-    _, near = cKDTree(cloud_m).query(cloud_m, _PLANE_POINTS)
-    apart = cloud_m[near] - cloud_m[near].mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
-    return np.asarray(axes[:, :, 0])

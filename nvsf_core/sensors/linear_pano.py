@@ -57,18 +57,23 @@ class LinearPano:
         if not np.isfinite(range_m).all():
             count = int((~np.isfinite(range_m)).sum())
             raise DataError(f"expected finite points, found {count} of {len(x)} not finite; drop them first")
+        row, column, kept = self.cells_towards(np.arctan2(y, x), np.arctan2(z, np.sqrt(x * x + y * y)))
+        return row, column, range_m, kept & (range_m > 0.0) & (range_m < self.max_range_m)
+
+    def cells_towards(
+        self, azimuth_rad: np.ndarray, elevation_rad: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Row (N,), column (N,) and whether there is such a cell (N,), of directions from the centre (N,)."""
         fov_rad = np.deg2rad(self.fov_deg)
         fov_down_rad = np.deg2rad(self.fov_deg - self.fov_up_deg)
-        beta = np.pi - np.arctan2(y, x)
-        alpha = np.arctan2(z, np.sqrt(x * x + y * y)) + fov_down_rad
-        column = np.rint(beta / (2.0 * np.pi / self.width)).astype(np.int64)
-        row = np.rint(self.height - alpha / (fov_rad / self.height)).astype(np.int64)
-        kept = (row >= 0) & (row < self.height) & (range_m > 0.0) & (range_m < self.max_range_m)
+        column = np.rint((np.pi - azimuth_rad) / (2.0 * np.pi / self.width)).astype(np.int64)
+        row = np.rint(self.height - (elevation_rad + fov_down_rad) / (fov_rad / self.height)).astype(np.int64)
+        kept = (row >= 0) & (row < self.height)
         if self.quirks:
             kept &= column < self.width
         else:
             column %= self.width
-        return row, column, range_m, kept
+        return row, column, kept
 
     def directions(self) -> np.ndarray:
         """Unit directions (H, W, 3) float64 of the cells' centres, in the sensor's frame."""

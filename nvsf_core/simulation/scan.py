@@ -85,24 +85,3 @@ def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEv
     hit[met] = 1.0
     intensity[met] = evidence.own_intensity[laser[is_own], cell[is_own]]
     return RayAnswers(range_m=range_m, hit=hit, intensity=intensity)
-
-
-def recorded_scan(rays: SweepRays, answers: RayAnswers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (m, 3) in the sensor's own frame at each firing, intensity (m,), laser (m,).
-
-    Laser by laser from the top, azimuth ascending in [0, 360) degrees within it.
-    """
-    returned = np.flatnonzero((answers.hit >= HIT_THRESHOLD) & np.isfinite(answers.range_m))
-    points = (
-        rays.recorded_origin_m[returned] + rays.recorded_direction[returned] * answers.range_m[returned, None]
-    )
-    azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
-    # Rays lie laser by laser: each sorted by itself takes a sixth of the time.
-    starts = np.flatnonzero(np.diff(rays.laser[returned])) + 1
-    orders = [np.argsort(part, kind="stable") for part in np.split(azimuth, starts)]
-    order = np.concatenate([own + first for own, first in zip(orders, [0, *starts], strict=True)])
-    return (
-        points[order].astype(np.float32),
-        np.clip(answers.intensity[returned][order], 0, 1).astype(np.float32),
-        rays.laser[returned][order].astype(np.int16),
-    )

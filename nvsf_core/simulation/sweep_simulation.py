@@ -17,8 +17,9 @@ from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.answered_turn import AnsweredTurn
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_vehicle, recorded_scan
+from nvsf_core.simulation.scan import by_lasers, measured_at_rest, put_back_own_vehicle
 from nvsf_core.simulation.scene_model import RayRenderer, TurnCorrector
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -165,17 +166,12 @@ def simulate_sweep(
         plan, time_s, evidence, render, trajectory, period_s, recorded_table, votes, correct=correct,
         above=above, unknown=unknown, as_recorded=as_recorded,
     )  # fmt: skip
-    points, intensity, laser = recorded_scan(rays, answers)
+    turn = AnsweredTurn.of(rays, answers)
+    points, intensity, laser = turn.scan()
     pano = LinearPano(quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
     return SimulatedSweep(
-        points,
-        intensity,
-        laser,
-        pano_range,
-        pano_intensity,
-        _pano_hit(pano, rays, answers),
-        _grid(rays, answers),
+        points, intensity, laser, pano_range, pano_intensity, turn.pano_hit(pano), turn.grid()
     )
 
 
@@ -280,30 +276,3 @@ def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvid
     seen = evidence.lasers.astype(np.int64)
     apart = np.abs(table.elevation_rad[:, None] - recorded.elevation_rad[seen][None, :])
     return seen[apart.argmin(axis=1)]
-
-
-def _grid(rays: SweepRays, answers: RayAnswers) -> dict[str, np.ndarray]:
-    """Points as recorded, by laser and firing: range and angles from the sensor's centre; 0 = no answer."""
-    known = np.isfinite(answers.range_m)
-    distance = np.where(known, answers.range_m, 0.0)
-    points = rays.recorded_origin_m + rays.recorded_direction * distance[:, None]
-    horizontal = np.hypot(points[:, 0], points[:, 1])
-    columns = {
-        "grid_range_m": np.where(known, np.linalg.norm(points, axis=1), 0.0),
-        "grid_hit": np.where(known, answers.hit, 0.0),
-        "grid_intensity": np.clip(answers.intensity, 0.0, 1.0),
-        "grid_azimuth_rad": np.arctan2(points[:, 1], points[:, 0]),
-        "grid_elevation_rad": np.arctan2(points[:, 2], horizontal),
-    }
-    return {name: column.reshape(rays.shape).astype(np.float32) for name, column in columns.items()}
-
-
-def _pano_hit(pano: LinearPano, rays: SweepRays, answers: RayAnswers) -> np.ndarray:
-    """1 - prod(1 - p) over the rays that fall into each cell."""
-    known = np.isfinite(answers.range_m)
-    points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * answers.range_m[known, None]
-    row, column, _, kept = pano.cells(points)
-    missed = np.log1p(-np.clip(answers.hit[known][kept].astype(np.float64), 0.0, 1.0 - 1e-7))
-    cell = row[kept] * pano.width + column[kept]
-    total = np.bincount(cell, weights=missed, minlength=pano.height * pano.width)
-    return -np.expm1(total).reshape(pano.height, pano.width).astype(np.float32)

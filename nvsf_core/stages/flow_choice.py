@@ -3,8 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.object_evidence import ObjectEvidence
-from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.rendering.reproject import reproject_rays
+from nvsf_core.stages.range_error import mean_range_error_m
 
 _JUDGES = 12
 """Scans of an object that are left out in turn, at most."""
@@ -15,7 +14,7 @@ _FEWEST_RETURNS = 20
 _RESOLVED_M = 30.0
 """Farther away 64 lasers lie over 20 cm apart on a thing: it shows no limbs."""
 _WORST_M = 0.5
-"""What a ray is at most off by in the score, and is without an answer: beyond it wrong is wrong."""
+"""What a ray is at most off by in the score."""
 _SURE = 2.0
 """Standard errors by which the mean gain over the judges must exceed none."""
 
@@ -63,9 +62,6 @@ def _error_m(shown: ObjectEvidence, one: ObjectEvidence, asked: np.ndarray, time
     if surfels is None:
         return _WORST_M
     rays = one.rays.of(asked)
-    answers = reproject_rays(
-        surfels, rays.origin_m, rays.direction, np.ones(len(rays.range_m), np.float32),
-        most=EvidenceSpec().lidar_candidates, far_m=2.0 * _RESOLVED_M,
-    )  # fmt: skip
-    off_m = np.abs(answers.range_m.astype(np.float64) - rays.range_m)
-    return float(np.minimum(np.where(np.isfinite(off_m), off_m, _WORST_M), _WORST_M).mean())
+    return mean_range_error_m(
+        surfels, rays.origin_m, rays.direction, rays.range_m, far_m=2.0 * _RESOLVED_M, worst_m=_WORST_M
+    )

@@ -37,7 +37,7 @@ def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float
 
 
 def motion_in_words(evidence: SceneEvidence | None) -> str:
-    """Whether the scene needs a branch for what moves."""
+    """Whether the scene needs a branch for what moves, and a flow for some of that."""
     if evidence is None:
         return "unknown without LiDAR: taken as static, no time branch"
     if evidence.dynamic is None:

@@ -14,7 +14,8 @@ from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.scan import HIT_THRESHOLD, recorded_scan
+from nvsf_core.simulation.answered_turn import AnsweredTurn
+from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -114,7 +115,7 @@ def _score(
         plan, time_s, evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table,
         recipe.evidence.votes, leave_out_s=time_s,
     )  # fmt: skip
-    points_m, intensity, laser = recorded_scan(rays, answers)
+    points_m, intensity, laser = AnsweredTurn.of(rays, answers).scan()
     shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
     found = {
         **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),

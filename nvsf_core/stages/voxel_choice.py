@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.rendering.reproject import reproject_rays
+from nvsf_core.stages.range_error import mean_range_error_m
 
 FIELD_VOXEL_M = 0.2
 """Edge of the voxels that a field corrects: it makes nothing of finer ones, and its steps take longer."""
@@ -19,7 +18,7 @@ _FEWEST_SCANS = 6
 """With fewer training scans, two less are another scene: nothing is chosen."""
 _RAYS_A_JUDGE = 20_000
 _WORST_M = 1.0
-"""What a ray is at most off by in the score: beyond it wrong is wrong."""
+"""What a ray is at most off by in the score."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,17 +93,11 @@ def choose_voxel_m(rays: ScanRays, *, silent: np.ndarray, far_m: float, threads:
     rendered: dict[float, Surfels] = {}
     for voxel_m in CANDIDATES_M:
         rendered[voxel_m] = rays.surfels(voxel_m, threads, ~judged, shaped=True)
-        errors_m[voxel_m] = _error_m(rendered[voxel_m], rays, asked, far_m)
+        errors_m[voxel_m] = mean_range_error_m(
+            rendered[voxel_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
+            far_m=far_m, worst_m=_WORST_M,
+        )  # fmt: skip
         if errors_m[voxel_m] > min(errors_m.values()):
             break
     standing = rays.surfels(FIELD_VOXEL_M, threads, ~judged, shaped=False)
     return VoxelChoice(errors_m=errors_m, judges=judges, standing=standing, rendered=rendered)
-
-
-def _error_m(surfels: Surfels, rays: ScanRays, asked: np.ndarray, far_m: float) -> float:
-    answers = reproject_rays(
-        surfels, rays.origin_m[asked], rays.direction[asked], np.ones(len(asked), np.float32),
-        most=EvidenceSpec().lidar_candidates, far_m=far_m,
-    )  # fmt: skip
-    off_m = np.abs(answers.range_m.astype(np.float64) - rays.range_m[asked])
-    return float(np.minimum(np.where(np.isfinite(off_m), off_m, _WORST_M), _WORST_M).mean())

@@ -44,14 +44,17 @@ def test_scans_about_an_instant_meet_there_and_those_beyond_follow() -> None:
             np.testing.assert_allclose(cloud[:, 0] + flow[:, 0], time_s, atol=0.01)
 
 
-@pytest.mark.parametrize("time_s", [-0.1, 0.0, 0.31])
-def test_beyond_its_scans_nothing_is_moved(time_s: float) -> None:
-    clouds = [sheet(0.1 * number, 20, number) for number in range(4)]
+@pytest.mark.parametrize(("time_s", "shown_m"), [(-0.1, 0.0), (0.0, 0.0), (0.3, 0.3), (0.45, 0.3)])
+def test_beyond_the_first_and_the_last_scan_what_they_saw_stays(time_s: float, shown_m: float) -> None:
+    clouds = [sheet(0.1 * number, 200, number) for number in range(4)]
+    moved = flow_to(clouds, 0.1 * np.arange(4), time_s, lambda a, b: flow_between(clouds[a], clouds[b]))
+    for cloud, flow in zip(clouds, moved, strict=True):
+        np.testing.assert_allclose(cloud[:, 0] + flow[:, 0], shown_m, atol=0.01)
 
-    def never(first: int, second: int) -> np.ndarray:
-        raise AssertionError((first, second))
 
-    assert all(not flow.any() for flow in flow_to(clouds, 0.1 * np.arange(4), time_s, never))
+def test_one_scan_alone_does_not_move() -> None:
+    (flow,) = flow_to([sheet(0.0, 20, 0)], np.zeros(1), 0.05, lambda a, b: np.full((20, 3), np.nan))
+    np.testing.assert_array_equal(flow, np.zeros((20, 3), np.float32))
 
 
 def test_what_is_carried_is_near_ones_mean_and_a_lone_ones_own() -> None:

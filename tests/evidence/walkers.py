@@ -61,7 +61,7 @@ def walk_past(amplitude_rad: float, scans: int) -> Walk:
 
 
 def rays_towards(walk: Walk, time_s: float) -> tuple[np.ndarray, ...]:
-    """Rays that return from there, in the body's frame: origin, direction, range, whether of the person."""
+    """Rays fired about the person that return, in its frame: origin, direction, range, whether of it."""
     return _rays(walk.world, walk.body, time_s)
 
 

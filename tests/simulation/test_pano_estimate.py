@@ -6,9 +6,9 @@ from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.simulation.answered_turn import AnsweredTurn
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.pano_estimate import QUANTILES, PanoRays, combine_phases, estimate_pano
-from nvsf_core.simulation.scan import recorded_scan
 
 SMALL = LinearPano(height=3, width=5)
 PANO = LinearPano(quirks=True)
@@ -71,7 +71,7 @@ def test_the_same_phase_twice_is_that_phase() -> None:
 def test_one_certain_turn_is_the_projection_of_its_scan() -> None:
     rays, answers = fired(0.5)
     estimate = estimate_pano(lambda _: (rays, answers), PANO, 1)
-    points, intensity, _ = recorded_scan(rays, answers)
+    points, intensity, _ = AnsweredTurn.of(rays, answers).scan()
     range_m, bright = PANO.project(points, intensity)
     # A scan's points are float32: a few lie on the border between two cells.
     assert np.mean((estimate.hit > 0.5) != (range_m > 0)) < 1e-3

@@ -8,9 +8,13 @@ import pytest
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.dynamic import DynamicEvidence
 from nvsf_core.evidence.object_evidence import ObjectEvidence
+from nvsf_core.evidence.object_votes import ObjectVotes
+from nvsf_core.evidence.objects import objects_at
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.flow_choice import choose_flow
 from nvsf_core.stages.profile import scene_profile
 from tests.evidence.walkers import FRAME_S, Walk, rays_towards, walk_past
@@ -36,7 +40,8 @@ def error_m(walk: Walk, one: ObjectEvidence) -> float:
             surfels, origin[is_hit], direction[is_hit], np.ones(is_hit.sum(), np.float32), most=24, far_m=60.0
         )
         off_m.append(np.abs(answers.range_m - range_m[is_hit]))
-    return float(np.minimum(np.nan_to_num(np.concatenate(off_m), posinf=0.5), 0.5).mean())
+    off = np.concatenate(off_m)
+    return float(np.minimum(np.where(np.isfinite(off), off, 0.5), 0.5).mean())
 
 
 def test_limbs_that_swing_get_a_flow_that_shows_them_between_scans(walking: Walk) -> None:
@@ -55,10 +60,26 @@ def test_a_scan_left_out_of_it_tells_the_flow_nothing(walking: Walk) -> None:
     own = np.flatnonzero(shown.rays.scan == scan)
     elsewhere = shown.rays.origin_m.copy()
     elsewhere[own] += 3.0
-    moved = replace(shown, rays=replace(shown.rays, origin_m=elsewhere))
+    moved = replace(shown, rays=replace(shown.rays, origin_m=elsewhere)).with_flow()
     asked = [one.rays_at(others, time_s).origin_m for one in (shown, moved)]
     np.testing.assert_array_equal(*asked)
     assert not np.array_equal(asked[0], walking.evidence.rays_at(others, time_s).origin_m)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.03, -0.04])
+def test_an_object_is_shown_as_it_is_when_the_sweep_meets_it(walking: Walk, lag_s: float) -> None:
+    """Its scans met it so long after their instants: asked for is a sweep's instant."""
+    shown = walking.evidence.with_flow()
+    met_s = shown.path.time_s
+    instants = met_s - lag_s
+    prior = DropPrior(instants, np.zeros((SCANS, 1), np.float32), np.ones((SCANS, 64, 1), bool))
+    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    votes = ObjectVotes(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+    between_s = float(0.5 * (met_s[6] + met_s[7]))
+    (one,) = objects_at((shown,), between_s - lag_s, votes)
+    expected = shown.surfels_from(np.arange(5, 9), between_s)
+    assert expected is not None
+    np.testing.assert_allclose(one.surfels.mean_m, expected.mean_m, atol=1e-5)
 
 
 def test_what_few_scans_saw_stays_rigid(walking: Walk) -> None:
