@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 from benchmarks.commit import commit
 from nvsf_core.evidence.find_moving import STANDING_M
 from nvsf_core.evidence.ground import build_ground
+from nvsf_core.evidence.local_planes import PLANE_POINTS
 from nvsf_core.evidence.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.kitti360.catalogue import home_from_environment
@@ -36,8 +37,6 @@ from nvsf_core.stores.scene_store import SceneStore
 RESULTS = Path(__file__).resolve().parent / "results" / "rigidity.json"
 FAR_OFF_M = 0.1
 """A return farther off its surface than this would be seen to be wrong."""
-NEIGHBOURS = 8
-"""Returns that tell a plane."""
 _UNSEEN_M = 0.5
 """Without a return so near in a scan a place was not seen by it: no surface to compare with."""
 VEHICLE_M = 2.5
@@ -58,7 +57,7 @@ def surface_distance_m(point_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
 
     NaN where the nearest lies more than 0.5 m off.
     """
-    near_m, near = cKDTree(seen_m).query(point_m, NEIGHBOURS)
+    near_m, near = cKDTree(seen_m).query(point_m, PLANE_POINTS)
     around = seen_m[near]
     centre = around.mean(axis=1)
     apart = around - centre[:, None]
@@ -82,7 +81,7 @@ def object_distances_m(one: ObjectEvidence, *, is_moved: bool) -> tuple[np.ndarr
     for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
         mine = rays.is_hit & (rays.scan == scan)
         others = rays.is_hit & np.isin(rays.scan, one.scans_near(float(time_s), leave_out=int(scan)))
-        if mine.any() and others.sum() >= NEIGHBOURS:
+        if mine.any() and others.sum() >= PLANE_POINTS:
             distances.append(surface_distance_m(point_o[mine], point_o[others]))
             ranges.append(rays.range_m[mine])
     return np.concatenate([[], *distances]), np.concatenate([[], *ranges])
@@ -144,7 +143,7 @@ def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> 
     for k in range(returns.scan_count):
         others = np.argsort(np.abs(np.arange(returns.scan_count) - k), kind="stable")[1 : NEAREST_SCANS + 1]
         near, mine = np.isin(scan, others), np.flatnonzero(used & (scan == k))
-        if len(mine) == 0 or (used & near).sum() < NEIGHBOURS:
+        if len(mine) == 0 or (used & near).sum() < PLANE_POINTS:
             continue
         mine = random.choice(mine, min(len(mine), _STANDING_A_SCAN), replace=False)
         seen = returns.point_m[used & near].astype(np.float64)

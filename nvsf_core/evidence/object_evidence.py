@@ -119,7 +119,8 @@ class ObjectEvidence:
 
     def _rows_of(self, scans: np.ndarray) -> np.ndarray:
         """(m,) int64 ascending: its rays in some scans."""
-        starts = np.searchsorted(self.rays.scan, np.sort(scans), side="left")
-        ends = np.searchsorted(self.rays.scan, np.sort(scans), side="right")
+        ordered = np.sort(scans)
+        starts = np.searchsorted(self.rays.scan, ordered, side="left")
+        ends = np.searchsorted(self.rays.scan, ordered, side="right")
         rows = [np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         return np.concatenate([np.zeros(0, np.int64), *rows])

@@ -88,6 +88,12 @@ def test_what_few_scans_saw_stays_rigid(walking: Walk) -> None:
     assert choose_flow((few.of_scans(np.zeros(0)),))[0].flow_m is None
 
 
+def test_what_is_too_far_to_be_resolved_stays_rigid(walking: Walk) -> None:
+    rays = walking.evidence.rays
+    far = replace(rays, range_m=rays.range_m + 40.0, origin_m=rays.origin_m - 40.0 * rays.direction)
+    assert choose_flow((replace(walking.evidence, rays=far),))[0].flow_m is None
+
+
 def test_only_the_flow_of_what_bends_is_stored(walking: Walk) -> None:
     shown = walking.evidence.with_flow()
     arrays = DynamicEvidence(ANYTHING, (walking.evidence, shown)).to_arrays()
