@@ -21,6 +21,8 @@ from nvsf_core.stages.machine import machine
 from nvsf_core.stores.tables import read_rows
 
 ROOT = Path(__file__).parents[1]
+RECIPES = Path("benchmarks", "results", "recipes")
+"""Where in a checkout the finished runs' results lie, a JSON a recipe."""
 BEGIN, END = "<!-- results -->\n", "<!-- end of results -->"
 _SCAN, _IMAGE = "lidar4d_scan", "image"
 _BASELINES = "baselines"
@@ -84,7 +86,7 @@ def write(home: Path, root: Path) -> str:
     Returns:
         The table.
     """
-    results = root / "benchmarks" / "results" / "recipes"
+    results = root / RECIPES
     results.mkdir(parents=True, exist_ok=True)
     for recipe, rows in collect(home).items():
         target = results / f"{recipe}.json"
