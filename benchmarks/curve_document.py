@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.curve_plan import FULL, VAL
+from benchmarks.curve_plan import FULL, MARKS_S, VAL
 from benchmarks.curve_sizes import SIZE_SECONDS, sizes_rows
 from nvsf_core.reporting.speed_error import (
     COSTS,
@@ -47,8 +47,9 @@ may lack its neighbour, which costs the more the farther a method's points lie o
 
 `paper_cpu` is the paper's system at the best of six sizes, each trained for about {seconds:g} s (as many
 steps as the first few promised to fit; their table has the seconds that it took) and scored on frames of the
-same scene that were left out for it, and then trained for as long as the last column; the paper's own size
-needs a GPU. Published figures are of other scenes and longer training and stand in no table here.
+same scene that were left out for it, and then trained with as many steps as the first few promised to fit
+into {longest:g} s; the paper's own size needs a GPU. Published figures are of other scenes and longer
+training and stand in no table here.
 """
 
 
@@ -59,7 +60,7 @@ def write_document(results: Path, document: Path = DOCUMENT) -> Path:
     pictures.mkdir(parents=True, exist_ok=True)
     for old in pictures.glob("*.png"):
         old.unlink()
-    parts = [_INTRODUCTION.format(seconds=SIZE_SECONDS)]
+    parts = [_INTRODUCTION.format(seconds=SIZE_SECONDS, longest=max(MARKS_S))]
     for (scene, split), runs in found.items():
         if split == VAL or split.startswith(_GROWTH):
             continue

@@ -85,7 +85,7 @@ def test_a_judge_is_told_by_a_blend_that_never_saw_it() -> None:
     assert said["hits_judged_accuracy"] == 1.0 and blend is not None and blend.ray_head == 0.0
 
 
-def test_what_learned_the_contrary_is_not_used_and_that_is_said(drive: Drive, tmp_path: Path) -> None:
+def test_what_learned_the_contrary_has_no_say_in_the_blend(drive: Drive, tmp_path: Path) -> None:
     found = drive.train(replace(SMALL, losses=LossWeights(hit=-5.0)), tmp_path / "work", drive.lidar)
     said = found.metadata
     assert str(said["hits_blend"]).startswith("0.00 network"), "what is left is the ray head, calibrated"
