@@ -6,7 +6,6 @@ judges every held-out frame, and brings the results up to date. It reads what ``
 the curve and `lean`.
 """
 
-import json
 import os
 import statistics
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 from benchmarks.curve_plan import FULL, RESULTS, read_result, result_path
 from benchmarks.curve_sizes import NAME, chosen_size, timed
 from benchmarks.curves import SCENE
-from benchmarks.results_table import RECIPES, ROOT, write
+from benchmarks.results_table import RECIPES, ROOT, measured_rows, write
 from nvsf_core.errors import DataError
 from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.recipe import PaperRecipe
@@ -38,8 +37,7 @@ def equally_long(curves: Path, recipes: Path, scene: str) -> PaperRecipe:
     """
     curve_path = result_path(curves, scene, FULL, NAME, _SEED)
     curve, lean = read_result(curve_path), recipes / f"{DEFAULT_RECIPE}.json"
-    rows = json.loads(lean.read_text())["rows"] if lean.is_file() else []
-    seconds = [row["train_seconds"] for row in rows if row["scene"] == scene]
+    seconds = [row["train_seconds"] for row in measured_rows(lean) if row["scene"] == scene]
     if curve is None or not seconds:
         raise DataError(
             f"expected the curve {curve_path} and a run of {scene} in {lean}, found "

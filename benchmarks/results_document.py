@@ -50,9 +50,10 @@ _COLUMNS: dict[str, tuple[tuple[str, str, int, str], ...]] = {
     ),
 }  # fmt: skip
 _COLUMNS["lidar4d_scan"] = _COLUMNS["lidar4d"]
+_SWEEP = ("render_seconds", "a sweep s", 2)
 _COSTS = (
     ("train_seconds", "training s", 0), ("parameters", "parameters", 0), ("model_mb", "model MB", 1),
-    ("render_seconds", "a sweep s", 2), ("image_seconds", "an image s", 2),
+    _SWEEP, ("image_seconds", "an image s", 2),
 )  # fmt: skip
 _OTHERS = (
     ("lidar4d_scan", "chamfer_m2", "CD m²", 4, _LOWER), ("lidar4d_scan", "f_score", "F", 4, _HIGHER),
@@ -168,6 +169,7 @@ def _others(found: dict[tuple[str, str], Measured]) -> list[str]:
     if not found:
         return []
     lines = []
+    name, sweep, sweep_digits = _SWEEP
     for (scene, method), mine in found.items():
         cells = []
         for protocol, metric, _, digits, _ in _OTHERS:
@@ -175,10 +177,10 @@ def _others(found: dict[tuple[str, str], Measured]) -> list[str]:
             is_asked = method not in BASELINES and protocol == "lidar4d_scan" and metric in NEVER_WORSE
             is_missed = is_asked and _is_worse(mine, found.get((scene, _COPY)), protocol, metric)
             cells.append(_marked(text, is_missed=is_missed))
-        cells.append(_cost(method, mine, "render_seconds", 2))
+        cells.append(_cost(method, mine, name, sweep_digits))
         lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
     head = ["drive", "method", "seeds", *(f"{title} {way}" for _, _, title, _, way in _OTHERS)]
-    head += ["a sweep s", "commit"]
+    head += [sweep, "commit"]
     return [_ABOUT_OTHERS, _provenance(found.values()), _table(head, lines)]
 
 

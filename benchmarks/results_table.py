@@ -50,6 +50,12 @@ def collect(home: Path) -> dict[str, list[Row]]:
     return found
 
 
+def measured_rows(path: Path) -> list[Row]:
+    """The rows of a recipe's file, sorted; none where there is no file."""
+    rows: list[Row] = json.loads(path.read_text())["rows"] if path.is_file() else []
+    return rows
+
+
 def merged(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
     """Rows of both, sorted; a new row takes the place of the old one of its scene, method and seed."""
     rows = {(row["scene"], row["seed"], row["method"]): row for row in [*old, *new]}
@@ -90,10 +96,8 @@ def write(home: Path, root: Path) -> str:
     results.mkdir(parents=True, exist_ok=True)
     for recipe, rows in collect(home).items():
         target = results / f"{recipe}.json"
-        old = json.loads(target.read_text())["rows"] if target.is_file() else []
-        target.write_text(json.dumps({"rows": merged(old, rows)}, indent=1) + "\n")
-    files = [json.loads(path.read_text()) for path in sorted(results.glob("*.json"))]
-    everything = [row for found in files for row in found["rows"]]
+        target.write_text(json.dumps({"rows": merged(measured_rows(target), rows)}, indent=1) + "\n")
+    everything = [row for path in sorted(results.glob("*.json")) for row in measured_rows(path)]
     sections = [as_document(everything), walk_table(root)]
     (root / "docs" / "results.md").write_text("\n".join(filter(None, sections)))
     table = as_markdown(row for row in everything if not row["scene"].startswith(OTHER))

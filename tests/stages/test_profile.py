@@ -67,6 +67,7 @@ def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Rec
     stored = recording.lidar.evidence.to_arrays()
     assert stored and not [name for name in stored if name.startswith(("object_", "background_"))]
     names = make_fields(recipe, recording, 0).tensors()
+    assert names and not [name for name in names if any(w in name for w in ("time", "flow", "dynamic"))]
     said = field_profile(recipe, recording)
     total = sum(value.numel() for value in names.values())
     assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera", "hits"))
