@@ -5,11 +5,13 @@ from pathlib import Path
 
 from benchmarks.curve_plan import FULL, MARKS_S, VAL
 from benchmarks.curve_sizes import SIZE_SECONDS, sizes_rows
+from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting.speed_error import (
     COSTS,
     METRICS,
     Run,
     cost_rows,
+    final_values,
     groups,
     labelled,
     provenance,
@@ -149,20 +151,29 @@ def _sizes(found: dict[tuple[str, str], list[Run]]) -> str:
     for (scene, split), runs in found.items():
         if split != VAL:
             continue
-        seconds = {run["run"]["recipe"]: max(run["run"]["clock_seconds"].values()) for run in runs}
-        metrics = [metric for metric in METRICS if any(metric.key in row[1] for row in sizes_rows(runs))]
+        named = {run["run"]["recipe"]: run for run in runs}
+        ranked = [(name, errors, f"{rank:.2f}") for name, errors, rank in sizes_rows(runs)]
+        # What learns nothing is no size, and has no rank among them.
+        ranked += [(name, final_values(named[name]), "") for name in BASELINES if name in named]
+        metrics = [metric for metric in METRICS if any(metric.key in errors for _, errors, _ in ranked)]
         rows = [
             [
                 f"`{name}`",
-                f"{seconds[name]:.0f}",
+                f"{_trained_s(named[name]):.0f}",
                 *(f"{errors[m.key]:.{m.digits}f}" if m.key in errors else "—" for m in metrics),
-                f"{rank:.2f}",
+                rank,
             ]
-            for name, errors, rank in sizes_rows(runs)
+            for name, errors, rank in ranked
         ]
         head = ["size", "seconds", *(metric.title for metric in metrics), "mean rank"]
         parts += [f"## {scene}: the size of paper_cpu\n", f"{provenance(runs)}\n", _markdown(head, rows)]
     return "\n".join(parts)
+
+
+def _trained_s(run: Run) -> float:
+    """By the run's own clock; of what learns nothing, what it took to prepare."""
+    clocks = run["run"].get("clock_seconds")
+    return float(max(clocks.values()) if clocks else run["run"]["train_seconds"])
 
 
 def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -79,7 +79,8 @@ def probe(recipe: PaperRecipe, steps: int) -> PaperRecipe:
 
 
 def sizes_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, dict[str, float], float]]:
-    """Name, errors and mean rank of each size that was measured, best first."""
-    values = {result["run"]["recipe"]: final_values(result) for result in found}
+    """Name, errors and mean rank of each size that was measured, best first; other runs are left out."""
+    names = {result["run"]["recipe"]: result for result in found}
+    values = {name: final_values(result) for name, result in names.items() if name in SIZES}
     ranks = mean_ranks(values)
     return [(name, values[name], ranks[name]) for name in sorted(values, key=lambda name: ranks[name])]

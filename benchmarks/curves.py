@@ -72,7 +72,7 @@ def measure(asked: Asked, results: Path = RESULTS) -> list[str]:
         if is_done(results, scene, split, recipe, seed):
             say_on_stderr(f"[{scene}] {recipe}, split {split}, seed {seed}: measured before")
             continue
-        sizes = list(SIZES) if recipe == PAPER_CPU else []
+        sizes = [*SIZES, *BASELINES] if recipe == PAPER_CPU else []
         wanted = [
             (VAL, size, [SIZE_SECONDS]) for size in sizes if not is_done(results, scene, VAL, size, seed)
         ]

@@ -127,7 +127,8 @@ def unlearned_errors(scene: Scene, name: str) -> dict[str, float]:
 
     model = mesh_baseline(scene.store, recording)
     if model is None:
-        raise DataError(f"scene {scene.split.entry.name}: expected a mesh, found none; its stage.json says why")
+        place = scene.store.path("mesh")
+        raise DataError(f"{place}: expected a mesh, found none; its stage.json says why")
     return scene.judge.errors(model, thin_images=False)
 
 

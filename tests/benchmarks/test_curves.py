@@ -190,14 +190,16 @@ def test_document_and_report_show_means_over_seeds_and_say_where_they_are_from(t
         write_invented(tmp_path / "curves", "full", "quick", seed, value, "")
     write_invented(tmp_path / "curves", "frames8", "quick", 0, 0.5, "")
     write_invented(tmp_path / "curves", "val", "paper_cpu_t13_r512_s48", 0, 0.7, "")
+    write_invented(tmp_path / "curves", "val", "reproject", 0, 0.1, "")
     runs = [run for run in read_runs(tmp_path / "curves") if run["run"]["split"] == "full"]
     (end,) = (p for p in curve(runs, "quick", "chamfer_m2") if p.mark_s is None)
     assert end.value == pytest.approx(0.03) and end.seeds == 2
     document = write_document(tmp_path / "curves", tmp_path / "speed.md")
     text = document.read_text()
     assert "0.030 ± 0.014 (61 s)" in text and "how the cost grows" in text and "12,345" in text
-    assert "took 4.5 minutes, scoring included, the six sizes among them" in text
+    assert "took 6.0 minutes, scoring included, the six sizes among them" in text
     assert "| `paper_cpu_t13_r512_s48` | 61 | 0.700 | 0.00 |" in text
+    assert "| `reproject` | 61 | 0.100 |  |" in text, "a baseline has no rank among sizes"
     assert all(word in text for word in ("a machine", "c0ffee", "Not measured on KITTI-360's ten scenes"))
     assert (tmp_path / "speed/s-full.png").stat().st_size < 200_000
     page = speed_section(tmp_path / "curves")

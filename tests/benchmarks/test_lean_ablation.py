@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.lean_ablation import VARIANTS, helps, make_field
+from benchmarks.lean_ablation import VARIANTS, helps, make_field, read_rows
 from benchmarks.lean_variants import PATCH, RayGrid, Variant, VariantStep, huber_depth_loss, ray_grid
 from nvsf_core.kitti360.catalogue import load_catalogue
 from nvsf_core.losses.depth import depth_loss
+from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
 from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.flow import plan_run
@@ -51,6 +52,12 @@ def test_the_first_variant_is_the_recipes_own_training(made):
     (other,) = step(0, drawn)
     assert torch.equal(own.total, other.total)
     assert own.terms == other.terms
+
+
+def test_every_table_on_record_carries_what_learns_nothing():
+    rows = read_rows()
+    for place in {(row["scene"], row["steps"]) for row in rows}:
+        assert set(BASELINES) <= {row["variant"] for row in rows if (row["scene"], row["steps"]) == place}
 
 
 def test_nearly_every_training_ray_lies_in_the_grid_beside_its_neighbours(made):
