@@ -3,31 +3,28 @@
 Run ``python -m benchmarks.ablation [--seeds 3] [--table]`` (``make ablation``). A finished run stands in
 benchmarks/results/ablation.json and is never repeated; a killed one goes on from its checkpoint.
 Scored on the held-out frames: every fourth pano column (protocol `lidar4d`), images at a quarter of
-width and height. `--table` only writes docs/ablation.md from the results.
+width and height; the baselines as the newest views of the scene that `make train` published show them.
+`--table` only writes docs/ablation.md from the results.
 """
 
 import argparse
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from benchmarks.ablation_baselines import baseline_rows
+from benchmarks.ablation_scoring import COLUMN_STEP, Scene, Scored, quarter, rows_of, score_image, score_pano
 from benchmarks.ablation_table import RESULTS, Row, read_rows, write_rows, write_table
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
-from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kitti360.catalogue import home_from_environment
-from nvsf_core.metrics.foreground import lidar4d_regions
-from nvsf_core.metrics.image import image_metrics
-from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.protocols import PanoImage, Scan, lidar4d, project_scan
+from nvsf_core.metrics.protocols import PanoImage
+from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
-from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.stages import STAGES
 from nvsf_core.stages.fitting import Trained
@@ -39,48 +36,18 @@ from nvsf_core.stages.flow import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.moving_boxes import MovingBoxes, read_moving_boxes
+from nvsf_core.stages.moving_boxes import read_moving_boxes
 from nvsf_core.stages.paper_model import device, frame_at, frame_count, read_frames
 from nvsf_core.stages.paper_training import train_on_frames
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.stage import Task
 from nvsf_core.stores.arrays import read_arrays
-from nvsf_core.training.paper_frames import PaperFrames
 
 PLAN: tuple[tuple[str, tuple[PaperRecipe, ...]], ...] = (
     ("demo", ABLATION),
     ("kitti0005_van_cyclist", ABLATION),
     ("k360_street", ENCODINGS),
 )
-COLUMN_STEP, IMAGE_STEP = 4, 4
-LIDAR_METRICS = (
-    "chamfer_m2", "f_score", "range_rmse_m", "range_psnr_db", "range_ssim", "intensity_rmse", "hit_rmse",
-)  # fmt: skip
-IMAGE_METRICS = ("image_psnr_db", "image_ssim")
-
-
-class SparsePano(LinearPano):
-    """Every fourth column of the pano."""
-
-    def directions(self) -> np.ndarray:
-        """(66, 258, 3) unit directions."""
-        return super().directions()[:, ::COLUMN_STEP]
-
-    def points(self, range_m: np.ndarray) -> np.ndarray:
-        """Points of the filled cells of an image (66, 258)."""
-        filled = range_m > 0.0
-        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
-        return found
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
-    """What all runs of a scene share."""
-
-    run: SceneRun
-    recording: Recording
-    frames: PaperFrames
-    boxes: MovingBoxes | None
 
 
 def main() -> None:
@@ -100,10 +67,13 @@ def _run_scene(name: str, recipes: tuple[PaperRecipe, ...], seeds: int) -> None:
     done = {(row["variant"], row["seed"]) for row in read_rows() if row["scene"] == name}
     # Seeds outermost: one whole ablation stands before any variant is repeated.
     left = [(r, seed) for seed in range(seeds) for r in recipes if (r.name, seed) not in done]
-    if not left:
+    unlearned = [one for one in BASELINES if (one, 0) not in done]
+    if not left and not unlearned:
         say_on_stderr(f"[{name}] all runs are done ({RESULTS})")
         return
     scene = _prepare(name, recipes[0])
+    for one in unlearned:
+        write_rows([*read_rows(), *baseline_rows(scene, one)])
     for recipe, seed in left:
         started = time.perf_counter()
         rows = [*read_rows(), *_run(scene, recipe, seed)]
@@ -145,20 +115,9 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
         )
         trained = train_on_frames(task, recipe, scene.recording, scene.frames, work)
     model = _model(recipe, scene, trained)
-    values: dict[tuple[str, str], list[float]] = {}
-    for region, measures in _scored(scene, model, recipe):
-        for metric, measure in measures.items():
-            if metric in LIDAR_METRICS + IMAGE_METRICS and measure.n_valid:
-                values.setdefault((region, metric), []).append(measure.value)
+    rows = rows_of(_scored(scene, model, recipe), scene.run.scene.name, recipe.name, seed)
     scene.run.store.drop_work_dir(f"ablation/{recipe.name}/{seed}")
-
-    def row(region: str, metric: str, value: float) -> Row:
-        name, known = scene.run.scene.name, value if np.isfinite(value) else None
-        return Row(
-            variant=recipe.name, scene=name, seed=seed, region=region, metric=metric, value=known
-        )  # fmt: skip
-
-    return [row(region, metric, float(np.mean(found))) for (region, metric), found in values.items()]
+    return rows
 
 
 def _model(recipe: PaperRecipe, scene: Scene, trained: Trained) -> PaperModel:
@@ -176,71 +135,39 @@ def _named(trained: Trained, prefix: str) -> dict[str, torch.Tensor]:
     return {k.removeprefix(prefix): v for k, v in trained.tensors.items() if k.startswith(prefix)}
 
 
-def _scored(
-    scene: Scene, model: PaperModel, recipe: PaperRecipe
-) -> Iterator[tuple[str, Mapping[str, Measure]]]:
-    """Region and metrics of each held-out frame and sensor."""
+def _scored(scene: Scene, model: PaperModel, recipe: PaperRecipe) -> Scored:
+    """Of each held-out frame and sensor."""
     for frame in scene.run.scene.test_frames:
-        yield from _scored_pano(scene, model, frame)
+        yield from score_pano(scene, frame, _shown_pano(scene, model, frame))
     if recipe.sampling.camera:
         yield from _scored_images(scene, model)
 
 
-def _scored_pano(scene: Scene, model: PaperModel, frame: int) -> Iterator[tuple[str, Mapping[str, Measure]]]:
+def _shown_pano(scene: Scene, model: PaperModel, frame: int) -> PanoImage:
     lidar = scene.recording.lidar
     assert lidar is not None
     a = lidar.sweeps.arrays
     k = int(np.flatnonzero(a["frame"] == frame)[0])
-    part = lidar.sweeps.returns_of(k)
-    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    whole = project_scan(LinearPano(quirks=True), scan)
-    truth = PanoImage(
-        **{name: getattr(whole, name)[:, ::COLUMN_STEP] for name in ("range_m", "intensity", "hit")}
-    )
     rotation, position = lidar.sweeps.trajectory.at(a["time_s"][k : k + 1])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation[0], position[0]
     range_m, intensity, hit = model.render_pano(pose, float(a["time_s"][k]), column_step=COLUMN_STEP)
-    predicted = PanoImage(range_m=range_m, intensity=intensity, hit=hit)
-    yield "all", lidar4d(predicted, truth, SparsePano(), None)
-    if scene.boxes is not None:
-        regions = lidar4d_regions(predicted, truth, SparsePano(), scene.boxes.in_lidar(frame), None)
-        yield "foreground", regions["foreground"]
+    return PanoImage(range_m=range_m, intensity=intensity, hit=hit)
 
 
-def _scored_images(scene: Scene, model: PaperModel) -> Iterator[tuple[str, Mapping[str, Measure]]]:
+def _scored_images(scene: Scene, model: PaperModel) -> Scored:
     folder = scene.run.store.require("undistorted") / "images.zarr"
     origin_m = scene.recording.scene_origin_m
     time_of = dict(zip(scene.recording.posed_frame.tolist(), scene.recording.posed_time_s, strict=True))
     for name, camera in scene.recording.cameras.items():
         keys = [f"{name}_{part}" for part in ("rgb", "valid", "frame", "camera_to_world")]
         rgb, valid, frame, pose = (read_arrays(folder, *keys)[key] for key in keys)
-        small = _quarter(camera.training.pinhole)
+        small = quarter(camera.training.pinhole)
         for k in np.flatnonzero(np.isin(frame, scene.run.scene.test_frames)).tolist():
             local = pose[k].copy()
             local[:3, 3] -= origin_m
             shown = model.render_image(name, small, local, float(time_of[int(frame[k])])).rgb
-            seen = _averaged(valid.astype(np.float64)) == 1.0
-            truth = np.rint(_averaged(rgb[k].astype(np.float64))).astype(np.uint8)
-            yield "all", image_metrics(shown, truth, seen, None)
-
-
-def _quarter(camera: Pinhole) -> Pinhole:
-    """The camera whose pixels are the means of 4 x 4 of this one's; centres lie on whole numbers."""
-    half = (IMAGE_STEP - 1) / 2.0
-    return Pinhole(
-        fx=camera.fx / IMAGE_STEP, fy=camera.fy / IMAGE_STEP, cx=(camera.cx - half) / IMAGE_STEP,
-        cy=(camera.cy - half) / IMAGE_STEP, width=camera.width // IMAGE_STEP,
-        height=camera.height // IMAGE_STEP,
-    )  # fmt: skip
-
-
-def _averaged(image: np.ndarray) -> np.ndarray:
-    """Means of 4 x 4 pixels; a rest at the right and lower edge is left out."""
-    height, width = (side // IMAGE_STEP for side in image.shape[:2])
-    cut = image[: height * IMAGE_STEP, : width * IMAGE_STEP]
-    found: np.ndarray = cut.reshape(height, IMAGE_STEP, width, IMAGE_STEP, *image.shape[2:]).mean(axis=(1, 3))
-    return found
+            yield "all", score_image(shown, rgb[k], valid)
 
 
 if __name__ == "__main__":

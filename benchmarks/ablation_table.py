@@ -6,6 +6,7 @@ from statistics import fmean, stdev
 from typing import TypedDict
 
 from benchmarks.commit import commit
+from nvsf_core.metrics.table import BASELINES
 from nvsf_core.stages.machine import machine
 
 _ROOT = Path(__file__).resolve().parent.parent
@@ -78,8 +79,8 @@ def write_table() -> None:
         "not edit. Mean over seeds ± their standard deviation, held-out frames, protocol `lidar4d` on every",
         "fourth pano column, images at a quarter of width and height. Not measured on KITTI-360's ten",
         "scenes. A Chamfer distance is undefined for a seed that renders no point into a frame's boxes.",
-        "These rows compare ways of training with each other; the baselines that learn nothing stand in",
-        "[results.md](results.md). What the paper prints stands in tables of its own, at the end.",
+        "The first rows compare ways of training with each other; `reproject`, `copy_nearest` and `mesh`",
+        "learn nothing. What the paper prints stands in tables of its own, at the end.",
         "",
         f"Machine: {machine()}. Table written at commit {commit()}.",
         "",
@@ -114,9 +115,10 @@ def _table(
     here = [row for row in rows if row["scene"] == scene and row["region"] == region]
     lines = [f"## {scene}, {region}", "", "| variant | seeds | " + " | ".join(metrics.values()) + " |"]
     lines.append("|" + "---|" * (len(metrics) + 2))
-    for variant, name in variants.items():
+    for variant, name in (variants | {one: f"`{one}`" for one in BASELINES}).items():
         cells = [_cell(here, variant, metric) for metric in metrics]
-        seeds = len({row["seed"] for row in here if row["variant"] == variant})
+        measured = {row["seed"] for row in here if row["variant"] == variant}
+        seeds = "" if variant in BASELINES else len(measured)
         lines.append(f"| {name} | {seeds} | " + " | ".join(cells) + " |")
     return [*lines, "", *_effects(here, variants, metrics), ""]
 
