@@ -14,8 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import CalibrationError, ShapeError
+from nvsf_core.geometry.intrinsics import intrinsics_fault
 from nvsf_core.geometry.pinhole import contains
 
+_MOST_DISTORTION = 100.0
+"""Of any real lens all five numbers are below 10."""
 _NEWTON_STEPS = 12
 _NEWTON_RESIDUAL = 1e-9
 """A solution counts where its distorted image is this near, in units of the normalised plane."""
@@ -26,7 +29,7 @@ class MeiFisheye:
     """A fisheye camera by KITTI-360's `image_02.yaml` and `image_03.yaml`.
 
     Raises:
-        CalibrationError: A value is not finite, or a scale or an image side is not positive.
+        CalibrationError: A value is not finite, or unphysical (see `intrinsics_fault`).
     """
 
     xi: float
@@ -54,13 +57,16 @@ class MeiFisheye:
 
     def __post_init__(self) -> None:
         """Refuse what is no camera."""
-        values = [self.xi, self.k1, self.k2, self.p1, self.p2, self.gamma1, self.gamma2, self.u0, self.v0]
-        positive = self.gamma1 > 0 and self.gamma2 > 0 and self.width > 0 and self.height > 0 and self.xi >= 0
-        if not np.isfinite(values).all() or not positive:
+        lens = (self.xi, self.k1, self.k2, self.p1, self.p2)
+        # NaN compares false.
+        if not (self.xi >= 0.0 and all(abs(value) <= _MOST_DISTORTION for value in lens)):
             raise CalibrationError(
-                f"expected finite MEI parameters, xi >= 0, positive gammas and sides; found {self}; "
+                f"expected xi >= 0 and xi, k1, k2, p1, p2 within +-{_MOST_DISTORTION:g}, found {lens}; "
                 "check the camera's yaml"
             )
+        fault = intrinsics_fault((self.gamma1, self.gamma2), (self.u0, self.v0), (self.width, self.height))
+        if fault is not None:
+            raise CalibrationError(f"{fault} (gamma1 and gamma2, u0 and v0); check the camera's yaml")
 
     @property
     def matrix(self) -> np.ndarray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import CalibrationError, ShapeError
+from nvsf_core.geometry.intrinsics import intrinsics_fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,7 @@ class Pinhole:
     """A rectified camera: u = fx x/z + cx, v = fy y/z + cy.
 
     Raises:
-        CalibrationError: A focal length or a side of the image is not positive, or a value is not finite.
+        CalibrationError: A value is not finite, or unphysical (see `intrinsics_fault`).
     """
 
     fx: float
@@ -34,11 +35,9 @@ class Pinhole:
 
     def __post_init__(self) -> None:
         """Refuse what is no camera."""
-        finite = bool(np.isfinite([self.fx, self.fy, self.cx, self.cy]).all())
-        if not finite or self.fx <= 0 or self.fy <= 0 or self.width <= 0 or self.height <= 0:
-            raise CalibrationError(
-                f"expected positive focal lengths and image sides, found {self}; check P_rect"
-            )
+        fault = intrinsics_fault((self.fx, self.fy), (self.cx, self.cy), (self.width, self.height))
+        if fault is not None:
+            raise CalibrationError(f"{fault}; check P_rect and S_rect")
 
     @property
     def matrix(self) -> np.ndarray:

@@ -27,11 +27,13 @@ from nvsf_core.recipe.residual import (
     ResidualRecipe,
     TrainingSpec,
 )
+from nvsf_core.recipe.seed import MOST_SEED, require_seed, seed_from_text
 from nvsf_core.recipe.slower import differ_in_step_size, full_name, share_of, slower
 
 __all__ = [
     "ABLATION",
     "ENCODINGS",
+    "MOST_SEED",
     "AuthorsSlips",
     "CameraSpec",
     "EncoderSpec",
@@ -58,6 +60,8 @@ __all__ = [
     "full_name",
     "preset",
     "recipe_from_json",
+    "require_seed",
+    "seed_from_text",
     "share_of",
     "slower",
 ]

@@ -7,6 +7,7 @@ from types import UnionType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from nvsf_core.errors import RecipeError
+from nvsf_core.names import name_fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,6 +19,12 @@ class Recipe:
 
     name: str
     """Names the output folders."""
+
+    def __post_init__(self) -> None:
+        """Refuse a name that is no folder's."""
+        fault = name_fault(self.name)
+        if fault is not None:
+            raise RecipeError(f"recipe: {fault}")
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values, with the family."""

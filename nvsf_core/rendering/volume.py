@@ -37,8 +37,14 @@ class VolumeRender:
 
 
 def render_volume(
-    density: Density, attributes: Attributes, rays: ScaledRays, *, samples: int, bound: float,
-    generator: torch.Generator | None = None, optical_factor: float = 1.0,
+    density: Density,
+    attributes: Attributes,
+    rays: ScaledRays,
+    *,
+    samples: int,
+    bound: float,
+    generator: torch.Generator | None = None,
+    optical_factor: float = 1.0,
 ) -> VolumeRender:
     """Eq. 3: D = sum_i T_i alpha_i t_i, alpha_i = 1 - exp(-sigma_i d_i), T_i = exp(-sum_{j<i} sigma_j d_j).
 

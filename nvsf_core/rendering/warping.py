@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.numerics import require_finite
 
 _NEAREST_Z = 1e-3
 """Of a point scaled by its inverse depth; what is nearer lies behind the source."""
@@ -40,7 +41,14 @@ def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhol
 
 
 def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "bilinear") -> Tensor:
-    """Values (c, H, W) of an image (c, h, w): between its pixels, or those of the nearest pixel."""
+    """Values (c, H, W) of an image (c, h, w): between its pixels, or those of the nearest pixel.
+
+    The one place that calls grid_sample: its backward crashes the process (signal 11) on a NaN coordinate.
+
+    Raises:
+        DivergedError: A coordinate of `grid` (H, W, 2) is not finite.
+    """
+    require_finite("coordinates of warped pixels", grid)
     return functional.grid_sample(
         image[None], grid[None], mode=mode, padding_mode="border", align_corners=False
     )[0]

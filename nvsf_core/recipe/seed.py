@@ -1,0 +1,35 @@
+"""Seeds: what every random number of a run is made from."""
+
+from nvsf_core.errors import RecipeError
+
+__all__ = ["MOST_SEED", "require_seed", "seed_from_text"]
+
+MOST_SEED = 2**32 - 1
+"""What numpy, torch and a table's int64 column all take."""
+
+
+def require_seed(seed: object, what: str = "seed") -> int:
+    """The seed, if it is one.
+
+    Args:
+        seed: Anything.
+        what: What to call it in the message.
+
+    Raises:
+        RecipeError: It is no whole number from 0 to `MOST_SEED`.
+    """
+    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= MOST_SEED:
+        found = repr(seed) if len(repr(seed)) <= 40 else f"{repr(seed)[:40]}..."
+        raise RecipeError(f"{what}: expected a whole number from 0 to {MOST_SEED}, found {found}")
+    return seed
+
+
+def seed_from_text(text: str, what: str) -> int:
+    """The seed that an environment variable or an argument writes.
+
+    Raises:
+        RecipeError: It is no whole number from 0 to `MOST_SEED`.
+    """
+    # Longer texts are no seed, and Python refuses to read those of more than 4300 digits.
+    is_whole = text.isascii() and text.isdecimal() and len(text) <= 20
+    return require_seed(int(text) if is_whole else text, what)
