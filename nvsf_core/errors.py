@@ -9,6 +9,7 @@ NvsfError
 ├── RecipeError              a recipe asks for something impossible
 ├── StoreError               an output is absent, half-written, or not what its schema says
 ├── CheckFailedError         a blocking check of a stage failed
+├── StageKilledError         the process of a stage died
 ├── MissingLibraryError      a library or a system library is absent: the message names the package
 └── DivergedError            training produced a non-finite number: step, loss term, tensor
 """
@@ -24,6 +25,7 @@ __all__ = [
     "NvsfError",
     "RecipeError",
     "ShapeError",
+    "StageKilledError",
     "StoreError",
 ]
 
@@ -62,6 +64,10 @@ class StoreError(NvsfError):
 
 class CheckFailedError(NvsfError):
     """A blocking check of a stage failed, so its output was not published."""
+
+
+class StageKilledError(NvsfError):
+    """The process that ran a stage was killed or crashed, again and again."""
 
 
 class MissingLibraryError(NvsfError):

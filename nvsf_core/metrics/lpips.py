@@ -4,6 +4,7 @@ Written out here because every package that has it needs torchvision, whose whee
 CPU torch. The weights are not part of this repository: `find_weights` says where they are looked for.
 """
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -100,9 +101,26 @@ def find_weights() -> Path | None:
 
 
 def load_lpips() -> Lpips | None:
-    """The network, or None where `find_weights` finds no weights."""
+    """The network, or None where `find_weights` finds no weights.
+
+    Raises:
+        StoreError: The file is damaged, or holds other weights than this network's.
+    """
     path = find_weights()
-    return None if path is None else Lpips(load_tensors(path)[0])
+    if path is None:
+        return None
+    remedy = f"restore it, or remove it (and unset {WEIGHTS_VARIABLE}): LPIPS is then not run"
+    try:
+        lpips = Lpips(load_tensors(path)[0])
+        black = torch.zeros(1, 3, MIN_SIDE, MIN_SIDE)
+        tried = float(lpips(black, 1.0 - black))
+    except (StoreError, KeyError, RuntimeError) as error:  # torch's words for absent names and other shapes
+        raise StoreError(
+            f"LPIPS weights {path}: expected those of {WEIGHTS_NAME}, found {error!s:.300}; {remedy}"
+        ) from error
+    if not math.isfinite(tried):
+        raise StoreError(f"LPIPS weights {path}: expected finite numbers, found others; {remedy}")
+    return lpips
 
 
 def lpips_measure(lpips: Lpips | None, predicted: np.ndarray, truth: np.ndarray) -> Measure:

@@ -368,9 +368,7 @@ def _stages(scene: SceneOutputs) -> str:
         rows.append([escape(record.stage), number(record.seconds, 1), bar, state + details])
     rows.append(["<b>together</b>", f"<b>{number(total, 1)}</b>", "", ""])
     table = plain_table(["stage", "seconds", "", "checks"], rows, words=(2, 3))
-    note = (
-        "Seconds of each stage when it last ran; a training that was resumed counts from there."
-    )
+    note = "Seconds of each stage when it last ran; a training that was resumed counts from there."
     return f"<h3>Where the time went</h3><p>{note}</p>{table}"
 
 

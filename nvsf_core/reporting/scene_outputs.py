@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.metrics.table import BASELINES, mean_rows
+from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.scene_store import published
 from nvsf_core.stores.tables import read_rows, read_table
 
 METHODS = ("model", "reproject", "copy_nearest", "mesh")
@@ -95,7 +97,10 @@ class SceneOutputs:
 
 def measured_scenes(home: Path) -> list[str]:
     """Names of the scenes below a home that have metrics of any recipe and seed, by name."""
-    return sorted(path.name for path in home.iterdir() if _metric_tables(path)) if home.is_dir() else []
+    if not home.is_dir():
+        return []
+    named = [path for path in home.iterdir() if name_fault(path.name, RESERVED_SCENES) is None]
+    return sorted(path.name for path in named if _metric_tables(path))
 
 
 def collect_scene(
@@ -148,8 +153,8 @@ def _machine(records: Sequence[StageRecord], recipe: str, seed: str) -> str:
 
 def _metric_tables(root: Path) -> list[Path]:
     """Published tables only: a killed writer leaves hidden folders behind."""
-    found = root.glob("scene_metrics/*/*/metrics.parquet")
-    return [path for path in found if not any(part.startswith(".") for part in path.parts[-3:-1])]
+    found = published(root, "scene_metrics/*/*/metrics.parquet")
+    return [path for path in found if path.parent.name.isdecimal()]
 
 
 def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
@@ -171,7 +176,7 @@ def _error_cloud(metrics: Path) -> bytes | None:
 def _pictures(root: Path, views: Path) -> list[ViewPictures]:
     if not views.is_dir():
         return []
-    names = sorted(path.name for path in views.iterdir() if (path / "model.zarr").is_dir())
+    names = sorted(path.parent.name for path in published(views, "*/model.zarr"))
     names.sort(key=lambda name: name != TEST_VIEW)
     return [_view_pictures(root, views / name) for name in names]
 

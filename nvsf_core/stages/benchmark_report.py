@@ -8,8 +8,8 @@ from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
 from nvsf_core.stages import STAGE_NAMES
-from nvsf_core.stages.stage import RECORD_NAME, read_record
-from nvsf_core.stores.scene_store import publish_folder
+from nvsf_core.stages.stage_record import RECORD_NAME, read_record
+from nvsf_core.stores.scene_store import publish_folder, published
 
 _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
 """Where stages leave their records below a scene's folder: plain, by recipe and seed, and the data sets'."""
@@ -24,6 +24,8 @@ def make_benchmark_report(
 ) -> Path:
     """Make the page from everything that was measured under a home, and publish it whole.
 
+    A scene whose outputs cannot be read is named on the page with the reason, and costs no other its place.
+
     Args:
         home: NVSF_HOME.
         scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
@@ -33,15 +35,10 @@ def make_benchmark_report(
 
     Returns:
         Path of `<home>/benchmark_report/index.html`.
-
-    Raises:
-        StoreError: A published output of this run's scenes is not what its contract says. (What earlier
-            runs left unreadable is named on the page.)
     """
     own = list(dict.fromkeys([*scene_names, *failures]))
     others = [name for name in measured_scenes(home) if name not in own]
-    scenes = [collect_scene(home, name, _records(home / name), failures.get(name)) for name in own]
-    scenes += [_earlier_scene(home, name) for name in others]
+    scenes = [_collected(home, name, failures.get(name)) for name in [*own, *others]]
     no_data = [name for name in no_data if name not in others]
     target = home / "benchmark_report"
     with publish_folder(target) as folder:
@@ -49,22 +46,22 @@ def make_benchmark_report(
     return target / written.name
 
 
-def _earlier_scene(home: Path, name: str) -> SceneOutputs:
-    """A scene of an earlier run; perhaps of earlier code, which must not cost this run its report."""
+def _collected(home: Path, name: str, failure: str | None) -> SceneOutputs:
+    """A scene; where what it published is damaged or of earlier code, nothing of it but that."""
     try:
-        return collect_scene(home, name, _records(home / name))
-    except NvsfError as error:
-        return SceneOutputs(name=name, failure=f"what an earlier run published cannot be read: {error}")
+        return collect_scene(home, name, _records(home / name), failure)
+    # What was stored in whatever shape must not cost the others their report: anything may be raised here.
+    except Exception as error:
+        fault = f"what was published cannot be read: {error if isinstance(error, NvsfError) else repr(error)}"
+        return SceneOutputs(name=name, failure=f"{failure}; {fault}" if failure else fault)
 
 
 def _records(root: Path) -> list[StageRecord]:
     """The stages' records in the order of the flow, the newest version of each data set only."""
     found: dict[str, tuple[int, Path]] = {}
     for pattern in _RECORDS:
-        for path in root.glob(pattern):
+        for path in published(root, pattern):
             parts = path.parent.relative_to(root).parts
-            if any(part.startswith((".work", ".publishing-", ".retired-")) for part in parts):
-                continue
             name = parts[0] if len(parts) == 1 else " ".join(part for part in parts[:3] if part != ".index")
             changed = path.stat().st_mtime_ns
             if name not in found or found[name][0] < changed:

@@ -18,19 +18,19 @@ import numpy as np
 
 from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
-from nvsf_core.errors import DataError, StoreError
+from nvsf_core.errors import StoreError
 from nvsf_core.kitti360.catalogue import ViewEntry
 from nvsf_core.kitti360.writer import write_image
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan
-from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task, read_record
+from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.stage_record import read_record
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
 MANIFEST_NAME = "manifest.json"
-_EXPORTS = ("bin", "ply", "pcd")
 _PACKAGES = ("numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
@@ -56,9 +56,6 @@ def _run(task: Task) -> StageOutput:
     output = StageOutput()
     made: list[dict[str, Any]] = []
     for view in (held_out, *task.scene.views):
-        unknown = sorted(set(view.exports) - set(_EXPORTS))
-        if unknown:
-            raise DataError(f"view {view.name}: unknown exports {unknown}; there are {', '.join(_EXPORTS)}")
         if not (rendered / view.name / "model.zarr").is_dir():
             output.metadata[view.name] = reason = _why_absent(rendered, view.name)
             task.progress(f"[{task.scene.name}] dataset: {view.name} {reason}")
@@ -81,6 +78,7 @@ def _run(task: Task) -> StageOutput:
                 "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
             }
             (folder / MANIFEST_NAME).write_text(json.dumps(manifest, indent=1, allow_nan=False))
+        output.beside.append(location)
         entry = _summary(task.store.path(location), location, view.name, version, scans, pictures)
         made.append(entry)
         _preview(task.folder, view, arrays, output)

@@ -4,11 +4,14 @@ import contextlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from nvsf_core.errors import DivergedError, StoreError
+from nvsf_core.errors import DivergedError, RecipeError, StoreError
 from nvsf_core.recipe import Recipe, differ_in_step_size, full_name, recipe_from_json, share_of
 from nvsf_core.stages.stage import Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
+from nvsf_core.stores.documents import read_document
+from nvsf_core.stores.scene_store import published
 
 _DIVERGED = "diverged.json"
 _WENT_ON = "went_on.json"
@@ -55,12 +58,14 @@ def go_on(task: Task, work: Path) -> str:
     recipe = task.config.recipe
     mine, said = owner(task, recipe), work / _WENT_ON
     if any(_saved_step(path, mine) is not None for path in work.glob(_CHECKPOINTS)):
-        values = json.loads(said.read_text()) if said.is_file() else {}
+        values = _noted(said)
         return str(values.get("words", "")) if values.get("recipe") == mine["recipe"] else ""
     for folder in _others(work, recipe.name):
-        values = json.loads((folder / _DIVERGED).read_text())
-        faster = recipe_from_json(values["recipe"])
-        if not differ_in_step_size(faster, recipe) or values["made_from"] != task.made_from:
+        values = _noted(folder / _DIVERGED)
+        faster = _recipe_of(values)
+        if faster is None or not differ_in_step_size(faster, recipe):
+            continue
+        if values.get("made_from") != task.made_from:
             continue
         taken = []
         for path in sorted(folder.glob(_CHECKPOINTS)):
@@ -70,11 +75,27 @@ def go_on(task: Task, work: Path) -> str:
                 save_tensors(work / path.name, tensors, facts | mine)
                 taken.append(f"{path.stem} from step {step}")
         if taken:
-            words = f"{faster.name} diverged ({values['found']}); went on slower: {', '.join(taken)}"
+            words = f"{faster.name} diverged ({values.get('found')}); went on slower: {', '.join(taken)}"
             said.write_text(json.dumps({"recipe": mine["recipe"], "words": words}))
             task.progress(f"[{task.scene.name}] field: {words}")
             return words
     return ""
+
+
+def _noted(path: Path) -> dict[str, Any]:
+    """A note of an earlier training; empty where there is none that can be read."""
+    try:
+        return read_document(path)
+    except StoreError:
+        return {}
+
+
+def _recipe_of(values: dict[str, Any]) -> Recipe | None:
+    """The recipe that a note is of; None where it names none of this version."""
+    try:
+        return recipe_from_json(values["recipe"])
+    except (KeyError, TypeError, AttributeError, RecipeError):
+        return None
 
 
 def _others(work: Path, name: str) -> list[Path]:
@@ -84,13 +105,21 @@ def _others(work: Path, name: str) -> list[Path]:
     """
     folders = [
         folder / work.name
-        for folder in work.parent.parent.iterdir()
-        if full_name(folder.name) == full_name(name) and share_of(folder.name) >= share_of(name)
+        for folder in published(work.parent.parent, "*")
+        if full_name(folder.name) == full_name(name) and _has_share(folder.name, share_of(name))
     ]
     return sorted(
         (folder for folder in folders if (folder / _DIVERGED).is_file()),
         key=lambda folder: share_of(folder.parent.name),
     )
+
+
+def _has_share(name: str, least: float) -> bool:
+    """Whether a folder is of a recipe with at least this share of its step sizes; others' names say none."""
+    try:
+        return share_of(name) >= least
+    except RecipeError:
+        return False
 
 
 def _saved_step(path: Path, of: dict[str, object]) -> int | None:
@@ -99,4 +128,6 @@ def _saved_step(path: Path, of: dict[str, object]) -> int | None:
         facts = load_tensors(path)[1]
     except StoreError:
         return None
-    return int(facts["step"]) if all(facts.get(name) == value for name, value in of.items()) else None
+    is_ours = all(facts.get(name) == value for name, value in of.items())
+    step = facts.get("step")
+    return step if is_ours and isinstance(step, int) else None

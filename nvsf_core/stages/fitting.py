@@ -74,5 +74,9 @@ def resume(task: Task, state: TrainingState, path: Path) -> None:
     if any(facts.get(name) != value for name, value in owner(task, task.config.recipe).items()):
         task.progress(f"{place}: checkpoint left aside: of another recipe or of other inputs")
         return
-    state.restore(tensors, facts)
+    try:
+        state.restore(tensors, facts)
+    except StoreError as error:
+        task.progress(f"{place}: checkpoint left aside: {error}")
+        return
     task.progress(f"{place}: resumed from the checkpoint at step {state.step}")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nvsf_core.errors import DataError, NvsfError, StoreError
+from nvsf_core.kitti360.asked_times import require_times_in_drive
 from nvsf_core.kitti360.catalogue import (
     SceneEntry,
     catalogue_from_environment,
@@ -18,8 +19,9 @@ from nvsf_core.kitti360.catalogue import (
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.heartbeat import Heartbeat
 from nvsf_core.stages.lease import device_lease
-from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, made_from, read_record, run_stage
-from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
+from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stores.scene_store import SceneStore, require_home
 
 DEMO_SCENE = "demo"
 """The scene whose drive is written here where it is absent."""
@@ -38,23 +40,39 @@ class SceneRun:
 
 
 def plan_run(
-    scene: SceneEntry, home: Path, *, recipe: str | Recipe | None = None, seed: int = 0,
-    draw_seed: int = 0, dataset_label: str = "manual",
+    scene: SceneEntry,
+    home: Path,
+    *,
+    recipe: str | Recipe | None = None,
+    seed: int = 0,
+    draw_seed: int = 0,
+    dataset_label: str = "manual",
 ) -> SceneRun:
     """Decide recipe and places: the recipe asked for, else the catalogue's, else the default.
 
+    What could only fail after hours of training is refused here.
+
     Raises:
-        RecipeError: There is no preset of that name.
+        RecipeError: There is no preset of that name, or a seed is none.
+        DataError: The label is no part of a folder's name, or a view asks for times outside of the drive.
+        StoreError: The home cannot be written to.
     """
+    require_times_in_drive(scene)
     if not isinstance(recipe, Recipe):
         recipe = preset(recipe or scene.recipe or DEFAULT_RECIPE)
     config = RunConfig(recipe=recipe, seed=seed, draw_seed=draw_seed, dataset_label=dataset_label)
-    return SceneRun(scene=scene, store=SceneStore(home=home.resolve(), scene=scene.name), config=config)
+    return SceneRun(scene=scene, store=SceneStore(home=require_home(home), scene=scene.name), config=config)
 
 
 def run_scene(
-    scene: str | SceneEntry, home: Path | str | None = None, *, recipe: str | Recipe | None = None,
-    seed: int = 0, draw_seed: int = 0, dataset_label: str = "manual", progress: Progress | None = None,
+    scene: str | SceneEntry,
+    home: Path | str | None = None,
+    *,
+    recipe: str | Recipe | None = None,
+    seed: int = 0,
+    draw_seed: int = 0,
+    dataset_label: str = "manual",
+    progress: Progress | None = None,
     stages: Sequence[Stage] | None = None,
 ) -> list[Outcome]:
     """Run every stage on one scene, in order; what is up to date is skipped.
@@ -75,11 +93,11 @@ def run_scene(
     """
     entry = find_scene(scene) if isinstance(scene, str) else scene
     say = progress or say_on_stderr
-    write_demo_where_absent(entry, say)
     run = plan_run(
         entry, Path(home) if home else home_from_environment(os.environ), recipe=recipe, seed=seed,
         draw_seed=draw_seed, dataset_label=dataset_label,
     )  # fmt: skip
+    write_demo_where_absent(entry, say)
     chosen = _own_stages() if stages is None else tuple(stages)
     return [run_named_stage(stage.name, run, say, stages=chosen) for stage in chosen]
 
@@ -101,7 +119,13 @@ def run_named_stage(
         Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
     ):
         try:
-            return run_stage(stage, run.scene, run.store, run.config, say, inputs)
+            places = [by_name[source].location(run.config) for source in stage.inputs]
+            return run_stage(stage, run.scene, run.store, run.config, say, inputs, places)
+        except OSError as error:
+            raise StoreError(
+                f"scene {run.scene.name}, stage {name}: the disk refused {error.filename or run.store.root} "
+                f"({error.strerror or error}); free space, or mend what is in its place, and run again"
+            ) from error
         except NvsfError as error:
             if run.scene.name in str(error):
                 raise
@@ -138,8 +162,10 @@ def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
     if scene.name != DEMO_SCENE or has_data(scene):
         return
     # The writer loads scipy and cv2: imported only where a drive is written.
-    from nvsf_core.kitti360.demo import write_demo
+    from nvsf_core.kitti360.demo import DEMO_SEQUENCE, write_demo
 
+    if scene.sequence != DEMO_SEQUENCE:
+        return  # somebody's own drive, which happens to have the name
     progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
     started = said = time.perf_counter()
 

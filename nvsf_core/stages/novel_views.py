@@ -16,7 +16,8 @@ from nvsf_core.stages.image_check import check_images
 from nvsf_core.stages.mesh_baseline import mesh_baseline
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.stage import Check, Stage, StageOutput, Task, read_record
+from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.stage_record import read_record
 from nvsf_core.stages.view_camera import copied_images, image_arrays
 from nvsf_core.stages.view_check import LAWS as VIEW_LAWS
 from nvsf_core.stages.view_check import check_views

@@ -1,6 +1,5 @@
 """The family of the paper's recipes: its training data from what was published, and its trained model."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,8 @@ from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.recording import CameraRecording, LidarRecording, Recording
 from nvsf_core.stores.arrays import read_arrays
-from nvsf_core.stores.checkpoints import load_tensors
+from nvsf_core.stores.checkpoints import load_into, load_tensors
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.training.flow_clouds import flow_cloud
 from nvsf_core.training.paper_frames import Images, Panos, PaperFrames
@@ -84,9 +84,7 @@ def read_frames(recipe: PaperRecipe, recording: Recording, store: SceneStore) ->
     return PaperFrames(bounds=bounds, count=frame_count(recording), panos=panos, cameras=cameras)
 
 
-def _read_panos(
-    recipe: PaperRecipe, recording: Recording, store: SceneStore, bounds: Bounds
-) -> Panos:
+def _read_panos(recipe: PaperRecipe, recording: Recording, store: SceneStore, bounds: Bounds) -> Panos:
     lidar = recording.lidar
     assert lidar is not None
     a = read_arrays(store.require("pano") / "pano.zarr", "frame", "linear_range_m", "linear_intensity")
@@ -150,13 +148,14 @@ def load_paper_model(folder: Path, recording: Recording) -> SceneModel:
         StoreError: The weights cannot be read.
         RecipeError: The recipe beside them is of another version.
     """
-    recipe = needed(PaperRecipe.from_json(json.loads((folder / "recipe.json").read_text())), recording)
+    recipe = needed(PaperRecipe.from_json(read_document(folder / "recipe.json")), recording)
     torch.set_num_threads(recipe.optimiser.threads)
-    tensors, facts = load_tensors(folder / "weights.safetensors")
+    weights = folder / "weights.safetensors"
+    tensors, facts = load_tensors(weights)
     bounds = Bounds(centre_m=tuple(facts["centre_m"]), half_m=facts["half_m"], bound=facts["bound"])
     field = SceneField(recipe, frame_count(recording), torch.Generator())
-    field.load_state_dict(_named(tensors, "field."))
-    unet = _load_unet(recipe, _named(tensors, "unet."))
+    load_into(field, tensors, "field.", weights)
+    unet = _load_unet(recipe, tensors, weights)
     model = PaperModel(
         recipe=recipe, field=field.to(device()), bounds=bounds, frame_at=frame_at(recording), unet=unet
     )
@@ -169,13 +168,9 @@ def load_paper_model(folder: Path, recording: Recording) -> SceneModel:
     )
 
 
-def _load_unet(recipe: PaperRecipe, tensors: dict[str, Tensor]) -> nn.Module | None:
-    if not tensors:
+def _load_unet(recipe: PaperRecipe, tensors: dict[str, Tensor], weights: Path) -> nn.Module | None:
+    if not any(name.startswith("unet.") for name in tensors):
         return None
     unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
-    unet.load_state_dict(tensors)
+    load_into(unet, tensors, "unet.", weights)
     return unet.to(device()).eval()
-
-
-def _named(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}

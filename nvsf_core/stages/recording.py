@@ -1,6 +1,5 @@
 """What training and rendering read of a recorded drive: scans with their evidence, images, and all poses."""
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.stages.evidence import Sweeps, read_evidence, read_sweeps, trajectory_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 from nvsf_core.training.pixels import CameraImages
@@ -84,7 +84,7 @@ def read_recording(store: SceneStore) -> Recording:
     frames = store.require("frames")
     rows = sorted(read_rows(frames / "frames.parquet"), key=lambda row: row["frame"])
     posed = [row for row in rows if row["pose_valid"]]
-    origin_m = np.array(json.loads((frames / "drive.json").read_text())["scene_origin_m"], np.float64)
+    origin_m = np.array(read_document(frames / "drive.json")["scene_origin_m"], np.float64)
     sweeps, evidence = read_sweeps(store), read_evidence(store)
     lidar = None if sweeps is None or evidence is None else LidarRecording(sweeps=sweeps, evidence=evidence)
     cameras = _read_cameras(store, rows, origin_m)

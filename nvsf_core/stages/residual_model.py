@@ -1,6 +1,5 @@
 """The residual recipes: small fields that correct what the LiDAR proves, or replace what it lacks."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +23,8 @@ from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, camera_renderer
 from nvsf_core.stages.residual_hits import HITS_BLEND, turn_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
-from nvsf_core.stores.checkpoints import load_tensors
+from nvsf_core.stores.checkpoints import load_into, load_tensors
+from nvsf_core.stores.documents import read_document
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,9 +76,10 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
         StoreError: The weights cannot be read.
         RecipeError: The recipe beside them is of another version.
     """
-    recipe = ResidualRecipe.from_json(json.loads((folder / "recipe.json").read_text()))
+    recipe = ResidualRecipe.from_json(read_document(folder / "recipe.json"))
     torch.set_num_threads(recipe.lidar_training.threads)
-    tensors, facts = load_tensors(folder / "weights.safetensors")
+    weights = folder / "weights.safetensors"
+    tensors, facts = load_tensors(weights)
     fields = make_fields(recipe, recording, 0)
     lidar = camera = correct = pano = unknown = None
     if recording.lidar is not None:
@@ -87,7 +88,7 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
         # Its pano is the projection of its scan, as the baseline's.
         lidar = carrying_renderer(recording.lidar)
     elif fields.lidar is not None and recording.lidar is not None:
-        fields.lidar.load_state_dict(_named(tensors, "lidar."))
+        load_into(fields.lidar, tensors, "lidar.", weights)
         lidar = field_renderer(
             fields.lidar,
             recording.lidar.evidence.standing,
@@ -96,23 +97,19 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             far_m=recording.lidar.far_m,
         )
         if recipe.hits is not None and fields.hits is not None and facts.get(HITS_BLEND):
-            fields.hits.load_state_dict(_named(tensors, "hits."))
+            load_into(fields.hits, tensors, "hits.", weights)
             correct = turn_hits(fields.hits, recording.lidar, facts[HITS_BLEND])
         if recipe.pano is not None:
             if fields.pano is not None:
-                fields.pano.load_state_dict(_named(tensors, "pano."))
+                load_into(fields.pano, tensors, "pano.", weights)
             votes, corrected = recipe.evidence.votes, facts.get(CORRECTED, ())
             pano = pano_renderer(
                 recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct, unknown
             )
     if fields.camera is not None:
-        fields.camera.load_state_dict(_named(tensors, "camera."))
+        load_into(fields.camera, tensors, "camera.", weights)
         corrections = corrections_from(facts.get(ALIGNED, {}))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
     return SceneModel(
         lidar=lidar, camera=camera, correct=correct, pano=pano, unknown=unknown, votes=recipe.evidence.votes
     )
-
-
-def _named(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}

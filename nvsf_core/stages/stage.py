@@ -2,19 +2,20 @@
 
 import hashlib
 import json
-import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from nvsf_core.errors import CheckFailedError
+from nvsf_core.errors import CheckFailedError, DataError, StoreError
 from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.recipe import Recipe
+from nvsf_core.names import name_fault
+from nvsf_core.recipe import Recipe, require_seed
+from nvsf_core.stages.stage_record import RECORD_NAME, damage_of, listed_files, read_record
+from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.scene_store import SceneStore
 
-RECORD_NAME = "stage.json"
 NOT_RUN = "not run"
 """How the detail of a check begins that had nothing to judge."""
 Scalar = float | int | str | bool
@@ -52,6 +53,14 @@ class RunConfig:
     """Seed of what is random in a data set: ray drop and range noise."""
     dataset_label: str = "manual"
     """First part of a data set's version: an ISO week, or `manual`."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no seed, and a label that is no part of a folder's name."""
+        require_seed(self.seed)
+        require_seed(self.draw_seed, "draw_seed")
+        fault = name_fault(self.dataset_label)
+        if fault is not None:
+            raise DataError(f"dataset_label: {fault}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +125,8 @@ class StageOutput:
     """Outcomes of the stage's checks."""
     previews: dict[str, str] = field(default_factory=dict)
     """Name to file name of PNG pictures inside the output folder, each below 100 kB."""
+    beside: list[str] = field(default_factory=list)
+    """Outputs that it published beside its own folder, by their place below the scene's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,10 +206,24 @@ def run_stage(
     config: RunConfig,
     progress: Progress,
     input_fingerprints: dict[str, str],
+    input_locations: Collection[str] = (),
 ) -> Outcome:
     """Run one stage, or skip it when its code, configuration and inputs are unchanged.
 
+    An output whose files are no longer those that were published is made again. Inputs are held against
+    their records before they are read: a flipped byte is never trained on.
+
+    Args:
+        stage: What to run.
+        scene: On which drive.
+        store: Where outputs lie.
+        config: What was asked for.
+        progress: Takes lines for the person who waits.
+        input_fingerprints: Name of each input stage to the fingerprint of its output.
+        input_locations: Where these outputs lie below the scene's folder.
+
     Raises:
+        StoreError: An input is not what was published.
         UnsoundOutputError: A blocking check failed; nothing was published.
         NvsfError: Whatever the stage itself raises.
     """
@@ -214,9 +239,18 @@ def run_stage(
         )  # fmt: skip
 
     if record is not None and record["fingerprint"] == fingerprint:
+        damage = damage_of(store, location, record)
+        if damage is not None:
+            progress(f"[{scene.name}] {stage.name}: made again, {damage} is not what was published")
+            record = None
+    if record is not None and record["fingerprint"] == fingerprint:
         progress(f"[{scene.name}] {stage.name}: up to date, skipped")
         record = _judged_again(stage, task(store.path(location)), record)
         return _outcome(stage, store.path(location), record, skipped=True)
+    for place in input_locations:
+        damage = damage_of(store, place, read_record(store.require(place)) or {})
+        if damage is not None:
+            raise StoreError(f"{damage} is not what was published; run the stage {place.split('/')[0]} again")
     progress(f"[{scene.name}] {stage.name}: started")
     started = time.perf_counter()
     with store.publish(location) as folder:
@@ -228,15 +262,14 @@ def run_stage(
             "previews": output.previews,
             **_judged(stage, task(folder), output.checks),
             "seconds": time.perf_counter() - started,
+            "files": listed_files(store, folder, output.previews.values(), output.beside),
         }
-        (folder / RECORD_NAME).write_text(json.dumps(record, indent=1))
+        write_document(folder / RECORD_NAME, record)
     progress(f"[{scene.name}] {stage.name}: done in {record['seconds']:.1f} s")
     return _outcome(stage, store.path(location), record, skipped=False)
 
 
-def made_from(
-    stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerprints: dict[str, str]
-) -> str:
+def made_from(stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerprints: dict[str, str]) -> str:
     """SHA-256 of all that decides a stage's output but the recipe."""
     return _without_recipe(_facts(stage, scene, config, input_fingerprints))
 
@@ -264,19 +297,7 @@ def _judged_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str,
     if record.get("check_version", "") == stage.check_version:
         return record
     record = record | _judged(stage, task, [Check(**check) for check in record["checks"]])
-    # Renamed over the old one: a reader, or a second judge, sees one whole record or the other.
-    fresh = task.folder / f".{RECORD_NAME}-{os.getpid()}"
-    fresh.write_text(json.dumps(record, indent=1))
-    fresh.replace(task.folder / RECORD_NAME)
-    return record
-
-
-def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record of a published output, or None where there is none."""
-    path = folder / RECORD_NAME
-    if not path.is_file():
-        return None
-    record: dict[str, Any] = json.loads(path.read_text())
+    write_document(task.folder / RECORD_NAME, record)
     return record
 
 

@@ -1,14 +1,22 @@
-"""Named arrays in one Zarr group on local disk."""
+"""Named arrays in one Zarr group on local disk, each chunk with a checksum (crc32c).
 
-from collections.abc import Mapping
+What is read is what was written, or a StoreError: a chunk that is missing would be zeros to Zarr, and a
+flipped byte would be data.
+"""
+
+import contextlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import EllipsisType
 from typing import Any
 
 import numpy as np
 import zarr
+from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from nvsf_core.errors import StoreError
+from nvsf_core.stores.contents import Contents, foreign
+from nvsf_core.stores.schemas import field_faults, spec_at, violations
 
 _CHUNK_BYTES = 4 << 20
 """Target size of a chunk: a frame's worth of returns or one image, so that a reader fetches few files."""
@@ -21,7 +29,15 @@ def write_arrays(
     group = zarr.open_group(str(path), mode="w")
     for name, array in arrays.items():
         array = np.ascontiguousarray(array)
-        stored = group.create_array(name, shape=array.shape, dtype=array.dtype, chunks=_chunks(array))
+        stored = group.create_array(
+            name,
+            shape=array.shape,
+            dtype=array.dtype,
+            chunks=_chunks(array),
+            compressors=[ZstdCodec(level=0), Crc32cCodec()],
+            # Else chunks of zeros are not written, and one that got lost looks like them.
+            config={"write_empty_chunks": True},
+        )
         if array.size:
             stored[...] = array
     group.attrs.update(dict(attrs or {}))
@@ -31,47 +47,95 @@ def read_arrays(path: Path, *names: str) -> dict[str, np.ndarray]:
     """Read the named arrays, or all of them, into memory.
 
     Raises:
-        StoreError: The group or one of the arrays is absent.
+        StoreError: The group or one of the arrays is absent, damaged, or not what the data contract says.
     """
-    return _read(_open(path), path, names, ...)
+    with _reading(path):
+        group = _open(path)
+        arrays = _read(group, path, names, ...)
+    spec = spec_at(path)
+    faults = [] if spec is None else violations(spec, arrays, whole=False)
+    if faults:
+        raise foreign(path, "; ".join(faults[:3]))
+    return arrays
 
 
 def read_part(path: Path, rows: slice, *names: str) -> dict[str, np.ndarray]:
     """Read rows of the named arrays' first axis; little else is fetched.
 
     Raises:
-        StoreError: The group or one of the arrays is absent.
+        StoreError: The group or one of the arrays is absent, damaged, or not what the data contract says.
     """
-    return _read(_open(path), path, names, rows)
+    with _reading(path):
+        return _read(_open(path), path, names, rows)
 
 
 def array_names(path: Path, kind: str) -> list[str]:
-    """Names of the arrays of one kind, `f` floating or `i` integer, without reading any."""
-    group = _open(path)
-    return [name for name, array in sorted(group.arrays()) if array.dtype.kind == kind]
+    """Names of the arrays of one kind, `f` floating or `i` integer, without reading any.
+
+    Raises:
+        StoreError: The group is absent or damaged.
+    """
+    with _reading(path):
+        return [name for name, array in sorted(_open(path).arrays()) if array.dtype.kind == kind]
 
 
 def read_attrs(path: Path) -> dict[str, Any]:
-    """Read the group's attributes."""
-    return dict(_open(path).attrs)
+    """Read the group's attributes.
+
+    Raises:
+        StoreError: The group is absent or damaged.
+    """
+    with _reading(path):
+        return Contents(path, dict(_open(path).attrs))
 
 
 def _read(
     group: zarr.Group, path: Path, names: tuple[str, ...], rows: slice | EllipsisType
-) -> dict[str, np.ndarray]:
-    wanted = names or tuple(sorted(group.array_keys()))
-    missing = [name for name in wanted if name not in group]
+) -> Contents[np.ndarray]:
+    present = sorted(group.array_keys())
+    wanted = names or tuple(present)
+    missing = [name for name in wanted if name not in present]
     if missing:
-        raise StoreError(
-            f"{path}: expected arrays {missing}, found {sorted(group.array_keys())}; make it anew"
-        )
-    return {name: np.asarray(group[name][rows]) for name in wanted}  # type: ignore[index]
+        raise foreign(path, f"expected arrays {missing}, found {present}")
+    spec = spec_at(path)
+    found: Contents[np.ndarray] = Contents(path)
+    for name in wanted:
+        stored: Any = group[name]
+        # Before anything is read: a shape that somebody changed may ask for more memory than there is.
+        faults = () if spec is None else field_faults(spec, name, stored.dtype, stored.shape)
+        for fault in faults:
+            raise foreign(path, fault)
+        if _is_checked(stored) and stored.nchunks_initialized != stored.nchunks:
+            lost = stored.nchunks - stored.nchunks_initialized
+            raise foreign(path / name, f"expected {stored.nchunks} chunks, found {lost} fewer")
+        found[name] = np.asarray(stored[rows])
+    return found
+
+
+def _is_checked(stored: zarr.Array) -> bool:
+    """Whether the array was written with checksums, and so with all of its chunks, as all now are."""
+    return any(isinstance(codec, Crc32cCodec) for codec in stored.compressors)
 
 
 def _open(path: Path) -> zarr.Group:
     if not path.is_dir():
         raise StoreError(f"no Zarr group at {path}; run the stage that makes it")
     return zarr.open_group(str(path), mode="r")
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Zarr, its codecs and JSON raise some dozen kinds of errors of their own on a damaged group.
+
+    Raises:
+        StoreError: Instead of any of them.
+    """
+    try:
+        yield
+    except StoreError:
+        raise
+    except Exception as error:
+        raise foreign(path, f"expected what this project wrote, found it damaged ({error!r:.300})") from error
 
 
 def _chunks(array: np.ndarray) -> tuple[int, ...]:

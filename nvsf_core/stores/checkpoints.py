@@ -8,9 +8,10 @@ from typing import Any
 
 from safetensors import safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from nvsf_core.errors import StoreError
+from nvsf_core.stores.contents import Contents, foreign
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, Any] | None = None) -> None:
@@ -34,9 +35,37 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         with safe_open(str(path), framework="pt") as handle:
             tensors = {name: handle.get_tensor(name) for name in handle.keys()}  # noqa: SIM118 (not a dict)
-            meta: dict[str, Any] = json.loads((handle.metadata() or {}).get("json", "{}"))
+            meta: Any = json.loads((handle.metadata() or {}).get("json", "{}"))
+            if not isinstance(meta, dict):
+                raise TypeError(f"facts: expected an object, found {meta!r:.60}")
     except Exception as error:
         raise StoreError(
-            f"{path} is no readable safetensors file ({error}); delete it and run again"
+            f"{path} is no readable safetensors file ({error!r:.300}); delete it and run again"
         ) from error
-    return tensors, meta
+    return tensors, Contents(path, meta)
+
+
+def load_into(model: nn.Module, tensors: Mapping[str, Tensor], prefix: str, source: Path) -> None:
+    """Give a network its weights: the tensors whose names begin with a prefix, which is taken off.
+
+    Args:
+        model: Of the size that the weights were trained at.
+        tensors: From `load_tensors`.
+        prefix: `lidar.` or the like.
+        source: The file that they are from.
+
+    Raises:
+        StoreError: Names or shapes are not the network's, or a weight is not finite.
+    """
+    named = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+    broken = [name for name, value in named.items() if not bool(value.isfinite().all())]
+    if broken:
+        raise foreign(source, f"expected finite weights, found NaN or infinity in {broken[0]!r}")
+    try:
+        model.load_state_dict(named)
+    except RuntimeError as error:  # torch's word for other names or shapes
+        raise foreign(
+            source,
+            f"expected the weights of a {type(model).__name__} under {prefix!r}, found others "
+            f"({error!s:.300})",
+        ) from error

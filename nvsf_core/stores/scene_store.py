@@ -6,6 +6,7 @@ temporary folder beside the target, everything is flushed to disk, and one renam
 
 import contextlib
 import os
+import re
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -13,9 +14,32 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nvsf_core.errors import StoreError
+from nvsf_core.names import RESERVED_SCENES, name_fault
 
 _TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
+_CHANCE = re.compile(r"-[0-9a-f]{8}")
+"""How a retired folder's name ends."""
+_WRITER = re.compile(r"-(\d{1,10})-[0-9a-f]{8}")
+"""How a temporary folder's name ends: process and chance."""
+
+
+def require_home(home: Path) -> Path:
+    """A folder that outputs can be written below, whether or not it exists yet; as an absolute path.
+
+    Raises:
+        StoreError: It, or what it would lie in, is no folder or not writable.
+    """
+    try:
+        home = home.resolve()
+        nearest = next(path for path in (home, *home.parents) if path.exists())
+        usable = nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
+    except (OSError, ValueError, RuntimeError) as error:  # over-long, a NUL, links that lead in circles
+        raise StoreError(f"NVSF_HOME: expected a folder, found {str(home)!r:.200} ({error})") from error
+    if not usable:
+        found = "which cannot be written to" if nearest.is_dir() else "which is no folder"
+        raise StoreError(f"NVSF_HOME={home}: expected a folder to write to, found {nearest}, {found}")
+    return home
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,20 +51,41 @@ class SceneStore:
     scene: str
     """Name of the scene, its partition key."""
 
+    def __post_init__(self) -> None:
+        """Refuse a name that is no folder of its own."""
+        fault = name_fault(self.scene, RESERVED_SCENES)
+        if fault is not None:
+            raise StoreError(f"scene: {fault}")
+
     @property
     def root(self) -> Path:
         """Folder of this scene."""
         return self.home / self.scene
 
     def path(self, relative: str) -> Path:
-        """Folder of a published output, whether or not it exists yet."""
-        return self.root / relative
+        """Folder of a published output, whether or not it exists yet.
+
+        Raises:
+            StoreError: It does not lie in the scene's folder: by `..`, an absolute path, or a link that
+                leads elsewhere.
+        """
+        root, path = self.root, self.root / relative
+        if "\0" in relative or ".." in path.parts or Path(relative).is_absolute():
+            raise StoreError(
+                f"scene {self.scene}: expected an output's folder below {root}, found {relative!r}"
+            )
+        if not path.resolve().is_relative_to(root.resolve()) or path == root:
+            raise StoreError(
+                f"scene {self.scene}: output {relative!r} leads to {path.resolve()}, outside of {root}; "
+                "replace the link by a folder (NVSF_HOME itself may be a link)"
+            )
+        return path
 
     def require(self, relative: str) -> Path:
         """Folder of a published output.
 
         Raises:
-            StoreError: It was never published.
+            StoreError: It was never published, or lies elsewhere (see `path`).
         """
         path = self.path(relative)
         if not path.is_dir():
@@ -49,15 +94,19 @@ class SceneStore:
             )
         return path
 
+    def published(self, pattern: str) -> list[Path]:
+        """Paths below the scene's folder that match, by name; nothing that a killed writer left."""
+        return published(self.root, pattern)
+
     def work_dir(self, relative: str) -> Path:
         """Scratch folder that outlives a killed process (checkpoints); made if absent."""
-        path = self.root / ".work" / relative
+        path = self.path(f".work/{relative}")
         path.mkdir(parents=True, exist_ok=True)
         return path
 
     def drop_work_dir(self, relative: str) -> None:
         """Remove the scratch folder, once its content is published."""
-        shutil.rmtree(self.root / ".work" / relative, ignore_errors=True)
+        shutil.rmtree(self.path(f".work/{relative}"), ignore_errors=True)
 
     @contextlib.contextmanager
     def publish(self, relative: str) -> Iterator[Path]:
@@ -68,6 +117,16 @@ class SceneStore:
         """
         with publish_folder(self.path(relative)) as folder:
             yield folder
+
+
+def published(root: Path, pattern: str) -> list[Path]:
+    """Paths below a folder that match a glob pattern, by name; nothing that a killed writer left."""
+    hidden = (_TEMPORARY, _RETIRED, ".work")
+    return [
+        path
+        for path in sorted(root.glob(pattern))
+        if not any(part.startswith(hidden) for part in path.relative_to(root).parts)
+    ]
 
 
 @contextlib.contextmanager
@@ -96,20 +155,35 @@ def _swap_in(temporary: Path, target: Path) -> None:
     target.rename(retired)
     temporary.rename(target)
     _flush(target.parent)
-    shutil.rmtree(retired, ignore_errors=True)
+    _remove(retired)
 
 
 def _sweep_leftovers(target: Path) -> None:
     """Undo what a killed writer left: restore a retired folder, remove dead temporaries."""
-    for retired in target.parent.glob(f"{_RETIRED}{target.name}-*"):
+    for retired, _ in _leftovers(target, _RETIRED, _CHANCE):
         if target.exists():
-            shutil.rmtree(retired, ignore_errors=True)
+            _remove(retired)
         else:
             retired.rename(target)
-    for temporary in target.parent.glob(f"{_TEMPORARY}{target.name}-*"):
-        pid = int(temporary.name.rsplit("-", 2)[1])
-        if not Path(f"/proc/{pid}").exists():
-            shutil.rmtree(temporary, ignore_errors=True)
+    for temporary, writer in _leftovers(target, _TEMPORARY, _WRITER):
+        if not Path(f"/proc/{writer[1]}").exists():
+            _remove(temporary)
+
+
+def _leftovers(target: Path, prefix: str, ending: re.Pattern[str]) -> list[tuple[Path, re.Match[str]]]:
+    """Hidden folders of exactly this target: those of `left-2` begin like those of `left`."""
+    start = f"{prefix}{target.name}"
+    hidden = [path for path in target.parent.iterdir() if path.name.startswith(start)]
+    found = [(path, ending.fullmatch(path.name.removeprefix(start))) for path in hidden]
+    return [(path, match) for path, match in found if match is not None]
+
+
+def _remove(path: Path) -> None:
+    """A folder with all that is in it; or a file or a link that took its place."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _flush_tree(folder: Path) -> None:

@@ -1,12 +1,15 @@
 """The data contract: the arrays and columns that stages publish for others, with type, shape and unit.
 
-`python -m nvsf_core.stores.schemas` prints it as markdown (docs/data_contract.md); `violations` holds
-published arrays against it.
+`python -m nvsf_core.stores.schemas` prints it as markdown (docs/data_contract.md). What is read is held
+against it: arrays by `field_faults` before and `violations` after, tables by `column_faults`.
 """
 
+import fnmatch
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -51,6 +54,8 @@ def _columns(*rows: tuple[str, str, str, str]) -> tuple[Entry, ...]:
     return tuple(Entry(name, dtype, (), unit, meaning) for name, dtype, unit, meaning in rows)
 
 
+_SAME: dict[str, tuple[str, ...]] = {"i8": ("f8",), "f8": ("i8",)}
+"""A column of numbers has the type of what its rows happen to hold: 0 alone is whole, with 0.5 it is not."""
 _POSE = "4x4, row by row; an empty list where there is none"
 
 CONTRACT: tuple[FileSpec, ...] = (
@@ -234,34 +239,80 @@ def spec_of(path: str) -> FileSpec:
     return {spec.path: spec for spec in CONTRACT}[path]
 
 
-def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray]) -> list[str]:
+def spec_at(path: Path) -> FileSpec | None:
+    """The contract of a published file, by where it lies; None for what the contract does not describe."""
+    for spec in CONTRACT:
+        named = spec.path.split("/")
+        # `<recipe>` stands for any name, `<method>.zarr` for any that ends so.
+        patterns = [re.sub("<[a-z]+>", "*", part) for part in named]
+        if all(map(fnmatch.fnmatchcase, path.parts[-len(named) :], patterns)) and len(path.parts) > len(
+            named
+        ):
+            return spec
+    return None
+
+
+def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray], *, whole: bool = True) -> list[str]:
     """What the arrays of a Zarr group break of their contract, one sentence each; [] = nothing.
 
     Fields beyond the contract are allowed: a stage may say more than it promises.
+
+    Args:
+        spec: The contract.
+        arrays: Name to array.
+        whole: Whether these are all arrays of the group, of which none may then be missing.
     """
     found: list[str] = []
     for field in spec.fields:
         named = dict(_matching(field.name, arrays))
-        if not named and not field.optional:
+        if whole and not named and not field.optional:
             found.append(f"{field.name}: expected {field.dtype} {field.shape}, found nothing")
         for name, array in named.items():
             lengths = _lengths(spec, arrays, name.split(field.name.removeprefix(CAMERA))[0])
-            found += _field_violations(field, name, array, lengths)
+            found += _field_violations(field, name, array.dtype, array.shape, lengths)
     return found
 
 
+def field_faults(spec: FileSpec, name: str, dtype: np.dtype, shape: tuple[int, ...]) -> list[str]:
+    """What one array's type and shape break of a contract, by themselves, before it is read."""
+    return [
+        fault
+        for field in spec.fields
+        if name in dict(_matching(field.name, {name: np.empty(0)}))
+        for fault in _field_violations(field, name, dtype, shape, {})
+    ]
+
+
 def _field_violations(
-    field: Entry, name: str, array: np.ndarray, lengths: Mapping[str, int]
+    field: Entry, name: str, dtype: np.dtype, shape: tuple[int, ...], lengths: Mapping[str, int]
 ) -> Iterator[str]:
-    if array.dtype != np.dtype(field.dtype):
-        yield f"{name}: expected type {field.dtype}, found {array.dtype.str[1:]}"
-    if array.ndim != len(field.shape):
-        yield f"{name}: expected {len(field.shape)} axes {field.shape}, found shape {array.shape}"
+    if dtype != np.dtype(field.dtype):
+        yield f"{name}: expected type {field.dtype}, found {dtype.str[1:]}"
+    if len(shape) != len(field.shape):
+        yield f"{name}: expected {len(field.shape)} axes {field.shape}, found shape {shape}"
         return
-    for axis, (word, length) in enumerate(zip(field.shape, array.shape, strict=True)):
+    for axis, (word, length) in enumerate(zip(field.shape, shape, strict=True)):
         expected = word if isinstance(word, int) else lengths.get(word, length)
         if length != expected:
             yield f"{name}: axis {axis} ({word}): expected {expected}, found {length}"
+
+
+def column_faults(spec: FileSpec, columns: Mapping[str, str]) -> list[str]:
+    """What a table's columns break of its contract, one sentence each.
+
+    An absent column is named when it is asked for.
+
+    Args:
+        spec: The contract of a table.
+        columns: Name to type: numpy's short name, `string`, `list<f8>`; `null` and `list<null>` where a
+            table is too empty to tell.
+    """
+    found = []
+    for field in spec.fields:
+        kind = columns.get(field.name, field.dtype)
+        if kind not in (field.dtype, *_SAME.get(field.dtype, ()), "null", "list<null>"):
+            found.append(f"column {field.name}: expected {field.dtype}, found {kind}")
+    return found
 
 
 def _lengths(spec: FileSpec, arrays: Mapping[str, np.ndarray], camera: str) -> dict[str, int]:

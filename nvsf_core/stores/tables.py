@@ -1,4 +1,4 @@
-"""Tables of named columns in Parquet."""
+"""Tables of named columns in Parquet, each page with a checksum."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,34 +8,60 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nvsf_core.errors import StoreError
+from nvsf_core.stores.contents import Contents, foreign
+from nvsf_core.stores.schemas import column_faults, spec_at
 
 Column = Sequence[Any]
+
+_SHORT = {"int64": "i8", "double": "f8", "bool": "bool", "string": "string", "null": "null"}
+"""The contract's word for each of Arrow's types that it knows."""
 
 
 def write_table(path: Path, columns: Mapping[str, Column]) -> None:
     """Write equally long columns (numbers, strings, lists of numbers; None = unknown)."""
-    pq.write_table(pa.table({name: pa.array(list(column)) for name, column in columns.items()}), path)
+    table = pa.table({name: pa.array(list(column)) for name, column in columns.items()})
+    pq.write_table(table, path, write_page_checksum=True)
 
 
 def read_table(path: Path) -> dict[str, list[Any]]:
     """Read a table as column name to list.
 
     Raises:
-        StoreError: There is no such file.
+        StoreError: There is no such file, it is damaged, or its columns are not what the contract says.
     """
     if not path.is_file():
         raise StoreError(f"no table at {path}; run the stage that makes it")
-    columns: dict[str, list[Any]] = pq.read_table(path).to_pydict()
+    try:
+        # Not `pq.read_table`: that opens a folder of files, too, and reads partitions off their paths.
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            table = file.read()
+            columns: Contents[list[Any]] = Contents(path, table.to_pydict())
+    except Exception as error:  # Arrow, its decoders and the disk raise errors of a dozen kinds
+        raise foreign(path, f"expected a Parquet table, found it damaged ({error!r:.300})") from error
+    spec = spec_at(path)
+    faults = [] if spec is None else column_faults(spec, {f.name: _short(f.type) for f in table.schema})
+    if faults:
+        raise foreign(path, "; ".join(faults[:3]))
     return columns
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Read a table row by row, each row a dict."""
+    """Read a table row by row, each row a dict.
+
+    Raises:
+        StoreError: See `read_table`.
+    """
     columns = read_table(path)
     names = list(columns)
-    return [dict(zip(names, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    return [Contents(path, zip(names, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> None:
     """Write rows with the given column names, in that order."""
     write_table(path, {name: [row[name] for row in rows] for name in names})
+
+
+def _short(kind: pa.DataType) -> str:
+    if pa.types.is_list(kind):
+        return f"list<{_short(kind.value_type)}>"
+    return _SHORT.get(str(kind), str(kind))

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.errors import DivergedError
+from nvsf_core.errors import DivergedError, StoreError
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.training.ema import WeightAverage
 
 _SAY_EVERY_S = 4.0
 _RECORD_EVERY = 10
+_ADAM_KEYS = ("step", "exp_avg", "exp_avg_sq")
 
 Step = Callable[[int, torch.Generator], Iterable[LossBreakdown]]
 """From the step's number to its loss, in parts whose gradients add up."""
@@ -47,7 +48,14 @@ class TrainingState:
         return {"step": self.step, "seconds": self.seconds, "curve": self.curve}
 
     def restore(self, tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
-        """Go back to where `tensors` and `facts` were taken."""
+        """Go back to where `tensors` and `facts` were taken.
+
+        Raises:
+            StoreError: They are no state of this training; nothing of it has changed.
+        """
+        fault = self._fault(tensors, facts)
+        if fault is not None:
+            raise StoreError(f"{fault}; the checkpoint is damaged or another model's")
         model = {name[6:]: value for name, value in tensors.items() if name.startswith("model.")}
         self.model.load_state_dict(model)
         for index, parameter in enumerate(self._parameters()):
@@ -62,6 +70,29 @@ class TrainingState:
         self.step = int(facts["step"])  # type: ignore[call-overload]
         self.seconds = float(facts["seconds"])  # type: ignore[arg-type]
         self.curve = list(facts["curve"])  # type: ignore[call-overload]
+
+    def _fault(self, tensors: dict[str, Tensor], facts: dict[str, object]) -> str | None:
+        """What keeps a checkpoint from being gone on from."""
+        expected = {
+            name: value.shape for name, value in self.tensors().items() if not name.startswith("adam.")
+        }
+        for index, parameter in enumerate(self._parameters()):
+            for key in _ADAM_KEYS:
+                name = f"adam.{index}.{key}"
+                if name in tensors:
+                    expected[name] = torch.Size() if key == "step" else parameter.shape
+        found = {name: value.shape for name, value in tensors.items()}
+        odd = sorted(name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name))
+        if odd:
+            name = odd[0]
+            return f"{name}: expected shape {expected.get(name)}, found {found.get(name)}"
+        broken = [name for name, value in tensors.items() if not bool(value.isfinite().all())]
+        if broken:
+            return f"{broken[0]}: expected finite numbers, found NaN or infinity"
+        step, seconds, curve = (facts.get(name) for name in ("step", "seconds", "curve"))
+        if not isinstance(step, int) or not isinstance(seconds, int | float) or not isinstance(curve, list):
+            return f"expected step, seconds and curve, found {step!r:.40}, {seconds!r:.40} and {curve!r:.40}"
+        return None
 
     def _parameters(self) -> list[nn.Parameter]:
         return [p for group in self.optimiser.param_groups for p in group["params"]]

@@ -20,7 +20,11 @@ from nvsf_core.training.paper_trainee import PaperTrainee
 
 
 def camera_losses(
-    trainee: PaperTrainee, frames: PaperFrames, camera: Images, row: int, epoch: int,
+    trainee: PaperTrainee,
+    frames: PaperFrames,
+    camera: Images,
+    row: int,
+    epoch: int,
     generator: torch.Generator,
 ) -> Iterator[LossBreakdown]:
     """The loss of the pixels drawn from image `row`, in parts; then the error map learns."""

@@ -45,7 +45,12 @@ class _Truth:
 
 
 def lidar_losses(
-    trainee: PaperTrainee, frames: PaperFrames, panos: Panos, row: int, step: int, epoch: int,
+    trainee: PaperTrainee,
+    frames: PaperFrames,
+    panos: Panos,
+    row: int,
+    step: int,
+    epoch: int,
     generator: torch.Generator,
 ) -> Iterator[LossBreakdown]:
     """The loss of the rays drawn from pano `row`, in parts for memory's sake; then its error map learns."""
@@ -94,8 +99,13 @@ def _rays(
 
 
 def _terms(
-    recipe: PaperRecipe, render: VolumeRender, rays: ScaledRays, truth: _Truth, half_m: float,
-    patch: tuple[int, int] | None, step: int,
+    recipe: PaperRecipe,
+    render: VolumeRender,
+    rays: ScaledRays,
+    truth: _Truth,
+    half_m: float,
+    patch: tuple[int, int] | None,
+    step: int,
 ) -> dict[str, Tensor]:
     """Each term unreduced; only those with a weight are computed."""
     weights, true_scaled = recipe.losses, truth.range_m / half_m

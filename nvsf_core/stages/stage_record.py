@@ -1,0 +1,106 @@
+"""The record beside each output, `stage.json`: what made it, what was found, and which files it has."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from nvsf_core.errors import StoreError
+from nvsf_core.stores.checksums import damaged_file, file_checksums
+from nvsf_core.stores.documents import read_document
+from nvsf_core.stores.scene_store import SceneStore
+
+__all__ = ["RECORD_NAME", "damage_of", "listed_files", "read_record"]
+
+RECORD_NAME = "stage.json"
+_OWN = "."
+"""Stands for the record's own folder among those whose files it lists."""
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "fingerprint": str, "metadata": dict, "previews": dict, "checks": list, "seconds": (int, float),
+}  # fmt: skip
+_CHECK_KINDS: dict[str, type | tuple[type, ...]] = {
+    "name": str, "passed": bool, "detail": str, "blocking": bool, "unit": str,
+    "value": (int, float, type(None)), "limit": (int, float, type(None)),
+}  # fmt: skip
+_CHECK_NEEDS = frozenset({"name", "passed", "detail"})
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record of a published output; None where there is none that can be read.
+
+    A damaged or foreign record counts as absent: its stage then runs again and writes a sound one.
+    """
+    try:
+        record = read_document(folder / RECORD_NAME)
+    except StoreError:
+        return None
+    return record if _is_record(record) else None
+
+
+def listed_files(
+    store: SceneStore, folder: Path, previews: Iterable[str], beside: Iterable[str]
+) -> dict[str, dict[str, str]]:
+    """Folder to file to size and checksum, of all that an output consists of.
+
+    Previews are not listed: nothing reads them but eyes, and no training is repeated for one that is gone.
+
+    Args:
+        store: The scene's.
+        folder: The output's own, about to be published.
+        previews: Files in it that are pictures for the UI.
+        beside: Outputs published beside it, by their place below the scene's folder.
+    """
+    own = file_checksums(folder, frozenset({RECORD_NAME, *previews}))
+    return {_OWN: own, **{place: file_checksums(store.path(place)) for place in beside}}
+
+
+def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:
+    """The first file of an output that is absent or changed; None where all are as they were published.
+
+    A record of before files were listed says nothing, and its output counts as whole.
+    """
+    for place, files in record.get("files", {}).items():
+        folder = store.path(location if place == _OWN else place)
+        name = damaged_file(folder, files)
+        if name is not None:
+            return str(folder / name)
+    return None
+
+
+def _is_record(record: Mapping[str, Any]) -> bool:
+    if not all(isinstance(record.get(key), kind) for key, kind in _KINDS.items()):
+        return False
+    scalars = (int, float, str, bool)
+    return (
+        all(isinstance(value, scalars) for value in record["metadata"].values())
+        and all(_is_inside(file) for file in record["previews"].values())
+        and all(_is_check(check) for check in record["checks"])
+        and _lists_files(record.get("files", {}))
+    )
+
+
+def _is_check(check: Any) -> bool:
+    return (
+        isinstance(check, dict)
+        and check.keys() >= _CHECK_NEEDS
+        and check.keys() <= _CHECK_KINDS.keys()
+        and all(isinstance(value, _CHECK_KINDS[key]) for key, value in check.items())
+    )
+
+
+def _lists_files(listed: Any) -> bool:
+    if not isinstance(listed, dict):
+        return False
+    return all(
+        _is_inside(place)
+        and isinstance(files, dict)
+        and all(_is_inside(name) and isinstance(checksum, str) for name, checksum in files.items())
+        for place, files in listed.items()
+    )
+
+
+def _is_inside(path: Any) -> bool:
+    """Whether a relative path stays below the folder that it is relative to."""
+    if not isinstance(path, str) or not path or "\0" in path:
+        return False
+    parts = PurePosixPath(path)
+    return not parts.is_absolute() and ".." not in parts.parts

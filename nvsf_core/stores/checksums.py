@@ -1,0 +1,44 @@
+"""Which files an output was published with: sizes and checksums, to tell whether it is still whole."""
+
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+__all__ = ["damaged_file", "file_checksums"]
+
+_BLOCK_BYTES = 4 << 20
+
+
+def file_checksums(folder: Path, leave_out: frozenset[str] = frozenset()) -> dict[str, str]:
+    """Every file below a folder: its path there to `<bytes>-<crc32 in hex>`.
+
+    Args:
+        folder: A published folder, or one about to be.
+        leave_out: Paths below it that are not listed.
+    """
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    named = ((path.relative_to(folder).as_posix(), path) for path in files)
+    return {name: _checksum(path) for name, path in named if name not in leave_out}
+
+
+def damaged_file(folder: Path, listed: Mapping[str, str]) -> str | None:
+    """The first listed file that is absent or not what it was; None where all are. Others do not count."""
+    for name, checksum in listed.items():
+        path = folder / name
+        # The size first: it is free, and tells a file that was cut or that somebody made huge.
+        try:
+            if not path.is_file() or path.stat().st_size != int(checksum.split("-")[0]):
+                return name
+            if _checksum(path) != checksum:
+                return name
+        except (OSError, ValueError):
+            return name
+    return None
+
+
+def _checksum(path: Path) -> str:
+    crc = size = 0
+    with path.open("rb") as handle:
+        while block := handle.read(_BLOCK_BYTES):
+            crc, size = zlib.crc32(block, crc), size + len(block)
+    return f"{size}-{crc:08x}"
