@@ -10,10 +10,17 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.calibration import parse_numbers
+from nvsf_core.kitti360.text import FARTHEST_M, MIB, parse_numbers
 
 STATIC_FRAME = -1
 """The `frame` of a box that does not move."""
+_MOST_BYTES = 1024 * MIB
+"""KITTI-360's largest file of boxes has 200 MB."""
+_DEEPEST = 8
+"""A box's numbers lie 4 deep; a million nested elements would be kept until the last one closes."""
+_LEAST_VOLUME = 0.1
+_SIDES_M = (1e-3, 1e3)
+"""Between these lies a side of anything that stands in a street."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,26 +37,50 @@ class Box:
     """(4, 4) float64: the unit cube [-0.5, 0.5]^3 to world; the 3x3 part holds the size as scale."""
 
 
-def read_boxes(path: Path, first_frame: int, last_frame: int) -> list[Box]:
+def read_boxes(path: Path, first_frame: int, last_frame: int) -> tuple[list[Box], list[str]]:
     """Boxes of the frames `first_frame..last_frame`, and the static ones annotated around them.
 
+    Returns:
+        The boxes, and why others were left out: those that no thing in a street can have.
+
     Raises:
-        DataError: The file is no plain XML, or a box lacks or garbles a field.
+        DataError: The file is no plain XML, too large, or a box lacks or garbles a field.
     """
+    size = path.stat().st_size if path.is_file() else None
+    if size is None or size > _MOST_BYTES:
+        raise DataError(
+            f"cannot read boxes {path}: expected a regular file of at most {_MOST_BYTES:,} bytes, found "
+            f"{'none' if size is None else f'{size:,}'}; restore the file of the drive, or remove it"
+        )
     boxes: list[Box] = []
+    left_out: list[str] = []
     depth = 0
     try:
         for event, element in iterparse(str(path), events=("start", "end"), forbid_dtd=True):
             depth += 1 if event == "start" else -1
+            if depth > _DEEPEST:
+                raise ValueError(f"expected elements at most {_DEEPEST} deep")
             if event == "end" and depth == 1:
-                if element.find("transform") is not None and _is_wanted(element, first_frame, last_frame):
-                    boxes.append(_box(element))
+                if _is_box(element) and _is_wanted(element, first_frame, last_frame):
+                    box = _box(element)
+                    fault = _fault(box.box_to_world)
+                    if fault is None:
+                        boxes.append(box)
+                    else:
+                        left_out.append(f"{element.tag} {box.object_id} in frame {box.frame}: {fault}")
                 element.clear()
     except (ParseError, DefusedXmlException, OSError) as error:
         raise DataError(f"cannot read boxes {path} ({error!r}); restore the file of the drive") from error
     except ValueError as error:
         raise DataError(f"{path}, element {element.tag}: {error}; restore the file of the drive") from error
-    return boxes
+    return boxes, left_out
+
+
+def _is_box(element: Element) -> bool:
+    """Whether an element describes a box, if only in part; other elements may stand beside them."""
+    return any(
+        element.find(name) is not None for name in ("transform", "semanticId", "timestamp", "vertices")
+    )
 
 
 def _is_wanted(element: Element, first_frame: int, last_frame: int) -> bool:
@@ -63,7 +94,6 @@ def _is_wanted(element: Element, first_frame: int, last_frame: int) -> bool:
 
 
 def _box(element: Element) -> Box:
-    transform = _opencv_matrix(element, "transform", (4, 4))
     frame = int(_text(element, "timestamp"))
     dynamic = element.findtext("dynamic")
     return Box(
@@ -71,8 +101,25 @@ def _box(element: Element) -> Box:
         object_id=int(_text(element, "semanticId")) * 1000 + int(_text(element, "instanceId")),
         label=(element.findtext("label") or "unknown").strip(),
         dynamic=frame != STATIC_FRAME if dynamic is None else bool(int(dynamic)),
-        box_to_world=transform @ _unit_cube_to_vertices(element),
+        box_to_world=_opencv_matrix(element, "transform", (4, 4)) @ _unit_cube_to_vertices(element),
     )
+
+
+def _fault(box_to_world: np.ndarray) -> str | None:
+    """What is no box in the world: flat, sheared to nothing, of absurd size, or nowhere on Earth."""
+    least_m, most_m = _SIDES_M
+    sides_m = np.linalg.norm(box_to_world[:3, :3], axis=0)
+    if not ((sides_m >= least_m) & (sides_m <= most_m)).all():
+        return f"transform: expected sides of {least_m:g} to {most_m:g} m, found {sides_m}"
+    # Of axes of length 1: 1 for a box, 0 for one without volume.
+    volume = abs(float(np.linalg.det(box_to_world[:3, :3] / sides_m)))
+    if volume < _LEAST_VOLUME:
+        return f"transform: expected three different axes, found a volume of {volume:.3g} of a box's"
+    if np.abs(box_to_world[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+        return f"transform: expected the last row 0 0 0 1, found {box_to_world[3]}"
+    if np.abs(box_to_world[:3, 3]).max() > FARTHEST_M:
+        return f"transform: expected a place within {FARTHEST_M:g} m, found {box_to_world[:3, 3]}"
+    return None
 
 
 def _unit_cube_to_vertices(element: Element) -> np.ndarray:
@@ -89,6 +136,8 @@ def _unit_cube_to_vertices(element: Element) -> np.ndarray:
 
 def _opencv_matrix(element: Element, name: str, shape: tuple[int, int] | None) -> np.ndarray:
     node: Any = element.find(name)
+    if node is None:
+        raise ValueError(f"field {name!r} is missing")
     found = (int(_text(node, "rows")), int(_text(node, "cols")))
     if found != (shape or (found[0], 3)) or found[0] < 1:
         raise ValueError(f"{name}: expected a matrix of shape {shape or 'n x 3'}, found {found}")

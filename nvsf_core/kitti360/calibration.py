@@ -11,10 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.errors import CalibrationError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.intrinsics import intrinsics_fault
 from nvsf_core.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
+from nvsf_core.kitti360.text import KeyedText, read_mounting, rotation
 
-_ORTHONORMAL_TOLERANCE = 1e-3
-"""Largest entry of `R R^T - 1` that still passes as a rotation printed with few digits."""
+_SKEW_TOLERANCE = 1e-9
+"""A rectified camera has neither skew nor turn in its projection."""
 
 _POSE_FRAME_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 """LiDAR axes placed at the pose frame's origin: what stands in for a LiDAR in a camera-only drive."""
@@ -96,15 +99,17 @@ def read_calibration(layout: DriveLayout, cameras: tuple[str, ...] | None, *, ha
     wanted, notes = _wanted_cameras(layout, cameras)
     lidar_to_pose = _POSE_FRAME_TO_Z_UP
     is_assumed = not (has_scans or layout.cam_to_velo_path.is_file())
-    if not is_assumed:
-        cam0_to_pose = _mounting(layout, "image_00")
-        cam0_to_velo = _read_single_matrix(layout.cam_to_velo_path)
-        lidar_to_pose = cam0_to_pose @ np.linalg.inv(cam0_to_velo)
+    mountings = KeyedText.read(layout.cam_to_pose_path) if wanted or not is_assumed else None
+    if mountings is not None and not is_assumed:
+        cam0_to_velo = read_mounting(layout.cam_to_velo_path)
+        lidar_to_pose = mountings.mounting("image_00") @ np.linalg.inv(cam0_to_velo)
+    found: dict[str, CameraCalibration] = {}
+    if mountings is not None:
+        has_perspective = any(name in PERSPECTIVE_CAMERAS for name in wanted)
+        perspective = KeyedText.read(layout.perspective_path) if has_perspective else None
+        found = {name: _read_camera(layout, name, perspective, mountings) for name in wanted}
     return Calibration(
-        lidar_to_pose=lidar_to_pose,
-        lidar_is_assumed=is_assumed,
-        cameras={name: _read_camera(layout, name) for name in wanted},
-        notes=tuple(notes),
+        lidar_to_pose=lidar_to_pose, lidar_is_assumed=is_assumed, cameras=found, notes=tuple(notes)
     )
 
 
@@ -112,78 +117,58 @@ def read_rectified_camera0_to_pose(layout: DriveLayout) -> np.ndarray | None:
     """Rectified camera 0 to pose frame (4, 4), or None in a drive without `perspective.txt`."""
     if not layout.perspective_path.is_file():
         return None
-    return _rectified_to_pose(layout, "image_00")
+    perspective = KeyedText.read(layout.perspective_path)
+    return _rectified_to_pose(perspective, KeyedText.read(layout.cam_to_pose_path), "image_00")
 
 
 def read_mei(path: Path) -> MeiIntrinsics:
     """Read a fisheye calibration (`%YAML:1.0`, as OpenCV writes it: no YAML parser takes that header).
 
     Raises:
-        CalibrationError: The file is absent, lacks a key, or garbles a value.
+        CalibrationError: The file is absent, of another camera model, lacks a key, or garbles a value.
     """
-    table = _read_keyed(path)
-    sizes = {name: int(_value(table, path, f"image_{name}")) for name in ("width", "height")}
-    names = [field.name for field in fields(MeiIntrinsics) if field.name not in sizes]
-    return MeiIntrinsics(**sizes, **{name: _value(table, path, name) for name in names})  # type: ignore[arg-type]
+    table = KeyedText.read(path)
+    model = table.word("model_type").strip("\"'")
+    if model != "MEI":
+        raise table.fault(
+            "model_type", f"expected the camera model MEI, found {model!r}, whose numbers mean something else"
+        )
+    names = [field.name for field in fields(MeiIntrinsics) if field.name not in ("width", "height")]
+    values = {name: table.value(name) for name in names}
+    width, height = table.value("image_width"), table.value("image_height")
+    focal_px, axis_px = (values["gamma1"], values["gamma2"]), (values["u0"], values["v0"])
+    fault = intrinsics_fault(focal_px, axis_px, (width, height))
+    if fault is not None:
+        raise CalibrationError(f"{path}: {fault} (gamma1 and gamma2, u0 and v0); restore the drive's file")
+    try:
+        MeiFisheye(**values, width=int(width), height=int(height))
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}") from error
+    return MeiIntrinsics(width=int(width), height=int(height), **values)
 
 
-def read_pinhole(path: Path, camera: str) -> PinholeIntrinsics:
-    """Read the rectified intrinsics of a perspective camera from `perspective.txt`.
+def read_pinhole(table: KeyedText, camera: str) -> PinholeIntrinsics:
+    """The rectified intrinsics of a perspective camera, of the lines of `perspective.txt`.
 
     Raises:
-        CalibrationError: The file is absent, lacks a key, or garbles a value.
+        CalibrationError: A key is missing, or its value garbled or unphysical.
     """
-    table = _read_keyed(path)
     number = camera[-2:]
     # P_rect of camera 1 also holds the baseline to camera 0; the pose chain has it already.
-    projection = _matrix(table, path, f"P_rect_{number}", (3, 4))
-    width, height = _matrix(table, path, f"S_rect_{number}", (2,))
-    if projection[0, 0] <= 0 or projection[1, 1] <= 0 or width < 1 or height < 1:
-        raise CalibrationError(
-            f"{path}: expected positive focal lengths and sizes for {camera}, found fx {projection[0, 0]}, "
-            f"fy {projection[1, 1]}, size {width} x {height}; restore the file of the drive"
+    projection = table.matrix(f"P_rect_{number}", (3, 4))
+    skew = [projection[0, 1], projection[1, 0], *projection[2, :2], projection[2, 2] - 1.0]
+    if np.abs(skew).max() > _SKEW_TOLERANCE:
+        raise table.fault(
+            f"P_rect_{number}",
+            "expected a rectified camera's rows (fx 0 cx .), (0 fy cy .), (0 0 1 .), found "
+            f"{np.array2string(projection[:, :3], precision=6).replace(chr(10), '')}",
         )
-    return PinholeIntrinsics(
-        width=int(width),
-        height=int(height),
-        fx=float(projection[0, 0]),
-        fy=float(projection[1, 1]),
-        cx=float(projection[0, 2]),
-        cy=float(projection[1, 2]),
-    )
-
-
-def parse_numbers(text: str, count: int) -> np.ndarray:
-    """Exactly `count` finite numbers separated by blanks, as float64.
-
-    Raises:
-        ValueError: Another count, no number, or not finite; the message says which.
-    """
-    words = text.split()
-    if len(words) != count:
-        raise ValueError(f"expected {count} numbers, found {len(words)}")
-    values = np.array([float(word) for word in words])
-    if not np.isfinite(values).all():
-        raise ValueError("expected finite numbers, found NaN or infinity")
-    return values
-
-
-def rigid(values: np.ndarray) -> np.ndarray:
-    """A (3, 4) block as a (4, 4) rigid transform.
-
-    Raises:
-        ValueError: Its 3x3 part is no rotation.
-    """
-    matrix = np.eye(4)
-    matrix[:3] = values.reshape(3, 4)
-    _require_rotation(matrix[:3, :3])
-    return matrix
-
-
-def _require_rotation(rotation: np.ndarray) -> None:
-    deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if deviation > _ORTHONORMAL_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise ValueError(f"expected a rotation, found a matrix with |R R^T - 1| up to {deviation:.3g}")
+    width, height = table.matrix(f"S_rect_{number}", (2,)).tolist()
+    fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    fault = intrinsics_fault((fx, fy), (cx, cy), (width, height))
+    if fault is not None:
+        raise table.fault(f"P_rect_{number}", f"{camera}: {fault} (size: S_rect_{number})")
+    return PinholeIntrinsics(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple[list[str], list[str]]:
@@ -207,81 +192,25 @@ def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple
     return wanted, notes
 
 
-def _read_camera(layout: DriveLayout, camera: str) -> CameraCalibration:
-    if camera in PERSPECTIVE_CAMERAS:
+def _read_camera(
+    layout: DriveLayout, camera: str, perspective: KeyedText | None, mountings: KeyedText
+) -> CameraCalibration:
+    if perspective is not None and camera in PERSPECTIVE_CAMERAS:
         return CameraCalibration(
             name=camera,
-            intrinsics=read_pinhole(layout.perspective_path, camera),
-            to_pose=_rectified_to_pose(layout, camera),
+            intrinsics=read_pinhole(perspective, camera),
+            to_pose=_rectified_to_pose(perspective, mountings, camera),
         )
     return CameraCalibration(
-        name=camera, intrinsics=read_mei(layout.fisheye_path(camera)), to_pose=_mounting(layout, camera)
+        name=camera, intrinsics=read_mei(layout.fisheye_path(camera)), to_pose=mountings.mounting(camera)
     )
 
 
-def _rectified_to_pose(layout: DriveLayout, camera: str) -> np.ndarray:
-    path = layout.perspective_path
+def _rectified_to_pose(perspective: KeyedText, mountings: KeyedText, camera: str) -> np.ndarray:
     key = f"R_rect_{camera[-2:]}"
     rectification = np.eye(4)
-    rectification[:3, :3] = _matrix(_read_keyed(path), path, key, (3, 3))
     try:
-        _require_rotation(rectification[:3, :3])
+        rectification[:3, :3] = rotation(perspective.matrix(key, (3, 3)))
     except ValueError as error:
-        raise CalibrationError(f"{path}, {key}: {error}; restore the file of the drive") from error
-    return _mounting(layout, camera) @ np.linalg.inv(rectification)
-
-
-def _mounting(layout: DriveLayout, camera: str) -> np.ndarray:
-    """Unrectified camera to pose frame."""
-    path = layout.cam_to_pose_path
-    values = _matrix(_read_keyed(path), path, camera, (3, 4))
-    try:
-        return rigid(values)
-    except ValueError as error:
-        raise CalibrationError(f"{path}, {camera}: {error}; restore the file of the drive") from error
-
-
-def _read_single_matrix(path: Path) -> np.ndarray:
-    try:
-        return rigid(parse_numbers(_read_text(path), 12))
-    except ValueError as error:
-        raise CalibrationError(f"{path}, line 1: {error}; restore the file of the drive") from error
-
-
-_Keyed = dict[str, tuple[int, str]]
-
-
-def _read_keyed(path: Path) -> _Keyed:
-    """Lines `key: value` as key to (line number, value); nesting and a leading % directive are ignored."""
-    table: _Keyed = {}
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
-        key, colon, value = line.strip().partition(":")
-        if colon and not key.startswith("%"):
-            table[key.strip()] = (number, value.strip())
-    return table
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(
-            f"cannot read calibration file {path} ({error}); unpack the drive's `calibration` folder there"
-        ) from error
-
-
-def _matrix(table: _Keyed, path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
-    if key not in table:
-        raise CalibrationError(
-            f"{path}: key {key!r} is missing (found {', '.join(sorted(table)) or 'no keys'}); "
-            "restore the file of the drive, or name the cameras to use in the catalogue"
-        )
-    line, text = table[key]
-    try:
-        return parse_numbers(text, int(np.prod(shape))).reshape(shape)
-    except ValueError as error:
-        raise CalibrationError(f"{path}, line {line}, {key}: {error}; restore the drive's file") from error
-
-
-def _value(table: _Keyed, path: Path, key: str) -> float:
-    return float(_matrix(table, path, key, (1,))[0])
+        raise perspective.fault(key, str(error)) from error
+    return np.asarray(mountings.mounting(camera) @ np.linalg.inv(rectification))

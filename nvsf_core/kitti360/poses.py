@@ -6,7 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.calibration import parse_numbers, rigid
+from nvsf_core.kitti360.text import FARTHEST_M, MIB, parse_numbers, read_text, rigid
+
+_MOST_BYTES = 64 * MIB
+"""A hundred thousand frames: the longest drive of KITTI-360 has 15,000, in 4 MB."""
+_MOST_FRAME = 9_999_999_999
+"""File names have ten digits."""
 
 
 def read_poses(path: Path) -> dict[int, np.ndarray]:
@@ -55,8 +60,8 @@ def compare_poses(left: dict[int, np.ndarray], right: dict[int, np.ndarray]) -> 
 
 def _read_lines(path: Path, count: int) -> dict[int, np.ndarray]:
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, _MOST_BYTES)
+    except (OSError, ValueError) as error:
         raise DataError(
             f"cannot read poses {path} ({error}); unpack the drive's `data_poses` folder there"
         ) from error
@@ -69,7 +74,9 @@ def _read_lines(path: Path, count: int) -> dict[int, np.ndarray]:
             frame = _frame_number(values[0])
             if frame in poses:
                 raise ValueError(f"frame {frame} has a pose already")
-            poses[frame] = rigid(values[1:13])
+            if count == 16 and np.abs(values[13:] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+                raise ValueError(f"frame {frame}: expected the last row 0 0 0 1, found {values[13:]}")
+            poses[frame] = _pose(frame, values[1:13])
         except ValueError as error:
             raise DataError(
                 f"{path}, line {number}: {error} (a line is: frame number, {count} matrix entries); "
@@ -78,7 +85,14 @@ def _read_lines(path: Path, count: int) -> dict[int, np.ndarray]:
     return poses
 
 
+def _pose(frame: int, values: np.ndarray) -> np.ndarray:
+    try:
+        return rigid(values, FARTHEST_M)
+    except ValueError as error:
+        raise ValueError(f"frame {frame}: {error}") from error
+
+
 def _frame_number(value: float) -> int:
-    if value < 0 or value != int(value):
+    if not 0 <= value <= _MOST_FRAME or value != int(value):
         raise ValueError(f"expected a frame number, found {value}")
     return int(value)

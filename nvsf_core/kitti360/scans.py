@@ -6,11 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.errors import DataError
+from nvsf_core.kitti360.files import read_bytes, require_unchanged
+from nvsf_core.sensors.tables import HDL_64E
 
 MAX_RANGE_M = 200.0
 """No return of a spinning car LiDAR is farther: beyond it, the numbers are garbage."""
 MAX_ABSURD_SHARE = 0.01
 """With more garbage than this, the scan is not trusted at all."""
+
+MOST_RETURNS = 2 * HDL_64E.laser_count * HDL_64E.lattice_steps
+"""Two returns of each laser at each step of the encoder: no turn of the sensor has more."""
 
 _BYTES_PER_RETURN = 16
 
@@ -27,25 +32,40 @@ class Scan:
     """Rows at the sensor's origin: how some drivers write a ray without an answer; dropped too."""
 
 
-def read_scan(path: Path) -> np.ndarray:
+def read_scan(path: Path, checksum: str = "") -> np.ndarray:
     """Read a scan's usable returns, (N, 4) float32, in file order.
 
-    Raises:
-        DataError: See `load_scan`.
-    """
-    return load_scan(path).points
-
-
-def load_scan(path: Path) -> Scan:
-    """Read and validate a scan.
+    Args:
+        path: Of the scan.
+        checksum: Of the file when it was validated (`checksum_of`); empty = not held against any.
 
     Raises:
-        DataError: The file is absent, truncated, without returns, or more than 1 % of it is absurd.
+        DataError: See `parse_scan`; or the file is absent, too large, or has changed since.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"no scan file {path} ({error.strerror}); unpack the drive's scans") from error
+    data = read_scan_bytes(path)
+    require_unchanged(path, data, checksum)
+    return parse_scan(path, data).points
+
+
+def read_scan_bytes(path: Path) -> bytes:
+    """A scan's file, whatever is in it.
+
+    Raises:
+        DataError: It is absent, no regular file, or larger than a scan of the sensor can be.
+    """
+    return read_bytes(path, _BYTES_PER_RETURN * MOST_RETURNS, "scan")
+
+
+def parse_scan(path: Path, data: bytes) -> Scan:
+    """Take a scan's file apart and validate it.
+
+    Args:
+        path: Where it is from, for messages.
+        data: Its content.
+
+    Raises:
+        DataError: It is truncated, without returns, or more than 1 % of it is absurd.
+    """
     if len(data) % _BYTES_PER_RETURN:
         raise DataError(
             f"{path}: truncated scan, {len(data)} bytes are no multiple of {_BYTES_PER_RETURN}; copy it again"

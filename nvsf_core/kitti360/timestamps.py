@@ -1,5 +1,6 @@
 """When each frame was taken, from the drive's timestamp files or, without them, a nominal period."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,9 +8,18 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 from nvsf_core.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.kitti360.text import MIB, read_text
 
 NOMINAL_PERIOD_S = 0.1
 """A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
+SHORTEST_STEP_S, LONGEST_STEP_S = 0.01, 2.0
+"""Between two frames, in the median: LiDARs turn 5 to 20 times a second, cameras record 1 to 100 images."""
+LONGEST_PAUSE_S = 60.0
+"""Between any two frames of one section: a longer one is another recording, or another unit."""
+_MOST_BYTES = 64 * MIB
+_LONGEST_SHOWN = 60
+# datetime64[ns] wraps around silently outside of 1678 to 2262.
+_TIME = re.compile(r"(?:1[7-9]|2[01])\d\d-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,28 +66,53 @@ def frame_times(
         return _nominal(count, period_s, misfit, is_refused=True)
     time_s = (section - section[0]) / np.timedelta64(1, "s")
     steps_s = np.diff(time_s) if count > 1 else np.array([period_s])
-    return FrameTimes(time_s, float(np.median(steps_s)), False, str(path.relative_to(layout.root)))
+    median_s, longest_s = float(np.median(steps_s)), float(steps_s.max())
+    if not SHORTEST_STEP_S <= median_s <= LONGEST_STEP_S or longest_s > LONGEST_PAUSE_S:
+        misfit = (
+            f"{path.name}: frames {median_s:g} s apart in the median and {longest_s:g} s at most, expected "
+            f"{SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} s and at most {LONGEST_PAUSE_S:g} s: another unit?"
+        )
+        return _nominal(count, period_s, misfit, is_refused=True)
+    return FrameTimes(time_s, median_s, False, str(path.relative_to(layout.root)))
 
 
 def read_timestamps(path: Path) -> np.ndarray:
     """Read `YYYY-MM-DD hh:mm:ss.nnnnnnnnn` lines as (n,) datetime64[ns]; an empty line is NaT.
 
     Raises:
-        DataError: A line is no time; file, line and remedy are named.
+        DataError: The file is too large or no text, or a line is no time; file, line and remedy are named.
     """
-    lines = path.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()
+    try:
+        lines = read_text(path, _MOST_BYTES).rstrip().splitlines()
+    except (OSError, ValueError) as error:
+        raise DataError(
+            f"cannot read times {path} ({error}); restore the file, or remove it: the nominal period is then "
+            "assumed"
+        ) from error
     stamps = np.full(len(lines), np.datetime64("NaT", "ns"))
     for index, line in enumerate(lines):
         if not line.strip():
             continue
         try:
-            stamps[index] = np.datetime64(line.strip().replace(" ", "T", 1), "ns")
+            stamps[index] = _instant(line.strip())
         except ValueError as error:
             raise DataError(
-                f"{path}, line {index + 1}: expected `YYYY-MM-DD hh:mm:ss.nnnnnnnnn`, found {line!r}; "
-                "restore the file, or remove it: the nominal period is then assumed"
+                f"{path}, line {index + 1}: expected `YYYY-MM-DD hh:mm:ss.nnnnnnnnn`, found "
+                f"{line[:_LONGEST_SHOWN]!r}; restore the file, or remove it: the nominal period is then "
+                "assumed"
             ) from error
     return stamps
+
+
+def _instant(text: str) -> np.datetime64:
+    """A time of day, to the nanosecond.
+
+    Raises:
+        ValueError: It is none: numpy also reads `2013`, `2013-05`, `NaT` and `now`, which are not.
+    """
+    if not _TIME.fullmatch(text):
+        raise ValueError(text[:_LONGEST_SHOWN])
+    return np.datetime64(text.replace(" ", "T", 1), "ns")
 
 
 def _nominal(count: int, period_s: float, reason: str, *, is_refused: bool) -> FrameTimes:
@@ -97,7 +132,8 @@ def _recorded_frames(layout: DriveLayout) -> list[int]:
     folders = [layout.scan_path(0).parent] + [layout.camera_dir(name) for name in CAMERAS]
     for folder in folders:
         if folder.is_dir():
-            return sorted(int(path.stem) for path in folder.iterdir() if path.stem.isdecimal())
+            names = [path.stem for path in folder.iterdir()]
+            return sorted(int(name) for name in names if name.isascii() and name.isdecimal())
     return []
 
 

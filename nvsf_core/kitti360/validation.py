@@ -1,9 +1,7 @@
 """Which frames and images of a drive can be used, where they were taken, and why the others cannot."""
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -11,10 +9,11 @@ from nvsf_core.errors import DataError
 from nvsf_core.kitti360.boxes import Box, read_boxes
 from nvsf_core.kitti360.calibration import Calibration, read_calibration, read_rectified_camera0_to_pose
 from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.images import read_image
+from nvsf_core.kitti360.files import checksum_of
+from nvsf_core.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
-from nvsf_core.kitti360.scans import load_scan
+from nvsf_core.kitti360.scans import parse_scan, read_scan_bytes
 from nvsf_core.kitti360.timestamps import FrameTimes, frame_times
 
 _NO_POSE = "no pose in poses.txt"
@@ -36,7 +35,7 @@ class FrameRow:
     reason: str
     """Why something of the frame cannot be used; empty if all can."""
     checksum: str
-    """First 16 hex digits of the scan file's SHA-256; empty without a file."""
+    """First 16 hex digits of the scan file's SHA-256; empty without one of a possible size."""
     n_returns: int
     """Usable returns."""
     n_dropped: int
@@ -61,7 +60,7 @@ class CameraRow:
     reason: str
     """Why it cannot be used; empty if it can."""
     checksum: str
-    """First 16 hex digits of the file's SHA-256; empty without a file."""
+    """First 16 hex digits of the file's SHA-256; empty without one of a possible size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +74,10 @@ class Drive:
     times: FrameTimes
     scene_origin_m: np.ndarray
     """(3,) float64: the LiDAR's position in the middle frame, rounded to 1 m."""
+    boxes_left_out: tuple[str, ...]
+    """Boxes that nothing can have, and why."""
+    has_scans: bool
+    """Whether there is a folder of scans: without, the drive was recorded by cameras alone."""
     disagreement: PoseDisagreement | None
     """`poses.txt` against `cam0_to_world.txt`, where the drive has both."""
     notes: tuple[str, ...]
@@ -104,7 +107,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         frames.append(_frame_row(layout, frame, time_s, split, pose, calibration, has_scans=has_scans))
         images += [_camera_row(layout, name, frame, pose, calibration) for name in calibration.cameras]
     _require_something(layout, frames, images)
-    boxes, box_notes = _read_boxes(layout, entry)
+    boxes, left_out, box_notes = _read_boxes(layout, entry)
     notes = list(calibration.notes) + box_notes
     if calibration.lidar_is_assumed:
         notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")
@@ -112,18 +115,14 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         frames=tuple(frames),
         images=tuple(images),
         boxes=tuple(boxes),
+        boxes_left_out=tuple(left_out),
+        has_scans=has_scans,
         calibration=calibration,
         times=times,
         scene_origin_m=_scene_origin_m(frames),
         disagreement=_disagreement(layout, poses, entry),
         notes=tuple(notes),
     )
-
-
-def file_checksum(path: Path) -> str:
-    """First 16 hex digits of the file's SHA-256."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()[:16]
 
 
 def _frame_row(
@@ -141,12 +140,13 @@ def _frame_row(
     path = layout.scan_path(frame)
     if not has_scans:
         reasons.append("camera-only drive")
-    elif not path.is_file():
+    elif not path.exists():
         reasons.append(f"no scan file {path.name}")
     else:
-        checksum = file_checksum(path)
         try:
-            scan = load_scan(path)
+            data = read_scan_bytes(path)
+            checksum = checksum_of(data)
+            scan = parse_scan(path, data)
             n_returns, n_dropped = len(scan.points), scan.n_absurd
         except DataError as error:
             reasons.append(str(error))
@@ -170,12 +170,14 @@ def _camera_row(
     checksum = ""
     path = layout.image_path(camera, frame)
     mounted = calibration.cameras[camera]
-    if not path.is_file():
+    if not path.exists():
         reasons.append(f"no image file {path.name}")
     else:
-        checksum = file_checksum(path)
         try:
-            read_image(path, mounted.intrinsics.width, mounted.intrinsics.height)
+            width, height = mounted.intrinsics.width, mounted.intrinsics.height
+            data = read_image_bytes(path, width, height)
+            checksum = checksum_of(data)
+            decode_image(path, data, width, height)
         except DataError as error:
             reasons.append(str(error))
     return CameraRow(
@@ -210,14 +212,15 @@ def _scene_origin_m(frames: list[FrameRow]) -> np.ndarray:
     return np.round(placed[len(placed) // 2][:3, 3])
 
 
-def _read_boxes(layout: DriveLayout, entry: SceneEntry) -> tuple[list[Box], list[str]]:
+def _read_boxes(layout: DriveLayout, entry: SceneEntry) -> tuple[list[Box], list[str], list[str]]:
+    """Boxes, those left out, and notes."""
     paths = layout.boxes_paths
     if not paths:
-        return [], []
+        return [], [], []
     # By name `train_full` is the last: it holds whole objects where `train` cuts them at its windows.
-    boxes = read_boxes(paths[-1], entry.first_frame, entry.last_frame)
+    boxes, left_out = read_boxes(paths[-1], entry.first_frame, entry.last_frame)
     notes = [f"boxes read from {paths[-1].relative_to(layout.root)}"] if len(paths) > 1 else []
-    return boxes, notes
+    return boxes, left_out, notes
 
 
 def _disagreement(

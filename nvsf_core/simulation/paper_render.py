@@ -64,9 +64,7 @@ class PaperModel:
         range_m, intensity, hit = (values.reshape(direction.shape[:2]) for values in found)
         return torch.stack([hit, intensity, range_m / self.bounds.half_m])
 
-    def render_image(
-        self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float
-    ) -> RenderedImage:
+    def render_image(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         """The view of a camera at `pose` (4, 4), camera to scene-local; ray lengths as the LiDAR's ranges."""
         direction = (pinhole.rays(pinhole.pixels()) @ pose[:3, :3].T).reshape(-1, 3)
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
@@ -97,8 +95,11 @@ class PaperModel:
 
     @torch.no_grad()
     def _in_parts(
-        self, rays: ScaledRays, density: Callable[[Tensor], tuple[Tensor, Tensor]],
-        attributes: Callable[[Tensor, Tensor], Tensor], result: Callable[[VolumeRender], Tensor],
+        self,
+        rays: ScaledRays,
+        density: Callable[[Tensor], tuple[Tensor, Tensor]],
+        attributes: Callable[[Tensor, Tensor], Tensor],
+        result: Callable[[VolumeRender], Tensor],
     ) -> Tensor:
         """Results (r, c) on the CPU, rendered in bounded memory."""
         device = next(self.field.parameters()).device

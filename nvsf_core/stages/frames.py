@@ -32,6 +32,8 @@ _POSE_TOLERANCE_M = 0.02
 """World coordinates of some 1000 m, printed in files whose rotations have 6 digits on a 1.6 m lever."""
 _POSE_TOLERANCE_DEG = 0.01
 _MAX_SPEED_M_S = 70.0
+_JUMP_M_S = 700.0
+"""Twice the speed of sound: no car, and no error of its poses that still lets a scene be told."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -129,12 +131,11 @@ def _path_picture(drive: Drive) -> bytes:
     images: dict[int, list[bool]] = {}
     for row in drive.images:
         images.setdefault(row.frame, []).append(row.image_valid)
-    scanned = any(row.checksum for row in drive.frames)
     path_m, frames, splits, uses = [], [], [], []
     for frame in drive.frames:
         if frame.lidar_to_world is None:
             continue
-        parts = images.get(frame.frame, []) + ([frame.scan_valid] if scanned else [])
+        parts = images.get(frame.frame, []) + ([frame.scan_valid] if drive.has_scans else [])
         path_m.append((frame.lidar_to_world[:3, 3] - drive.scene_origin_m)[:2])
         frames.append(frame.frame)
         splits.append(frame.split)
@@ -168,10 +169,16 @@ def _checks(drive: Drive) -> list[Check]:
         _listing("all_images_are_usable", bad_images, "images left out"),
         _listing("all_held_out_frames_are_usable", lost, "held-out frames that cannot be used"),
         _speed_check(drive),
+        _jump_check(drive),
         Check(name="timestamps_are_usable", passed=not drive.times.is_refused, detail=drive.times.source),
     ]
-    if any(row.checksum for row in drive.frames):
+    if drive.has_scans:
         checks.append(_listing("all_scans_are_usable", bad_scans, "scans left out"))
+        checks.append(_repeats("every_scan_is_another", [(row.frame, row.checksum) for row in drive.frames]))
+    for camera in drive.calibration.cameras:
+        own = [(row.frame, row.checksum) for row in drive.images if row.camera == camera]
+        checks.append(_repeats(f"every_image_of_{camera}_is_another", own))
+    checks.append(_listing("all_boxes_are_usable", list(drive.boxes_left_out), "boxes left out"))
     if drive.disagreement is not None:
         gap = drive.disagreement
         checks.append(
@@ -192,21 +199,51 @@ def _listing(name: str, faults: list[Any], what: str) -> Check:
     return Check(name=name, passed=not faults, detail=detail)
 
 
+def _repeats(name: str, files: list[tuple[int, str]]) -> Check:
+    """No sensor records the same bytes twice: its noise differs even where nothing moves."""
+    frames: dict[str, list[int]] = {}
+    for frame, checksum in files:
+        if checksum:
+            frames.setdefault(checksum, []).append(frame)
+    same = [f"frames {', '.join(map(str, group))}" for group in frames.values() if len(group) > 1]
+    return _listing(name, same, "groups of frames with the same file")
+
+
 def _speed_check(drive: Drive) -> Check:
     """No car is faster: a jump means a pose of another frame, or times in another unit."""
-    placed = [
-        (row.time_s, row.lidar_to_world[:3, 3]) for row in drive.frames if row.lidar_to_world is not None
-    ]
-    speeds = [
-        float(np.linalg.norm(there_m - here_m)) / (then_s - now_s)
-        for (now_s, here_m), (then_s, there_m) in itertools.pairwise(placed)
-    ]
-    fastest = max(speeds, default=0.0)
+    fastest, _, frame = max(_speeds_m_s(drive), default=(0.0, 0, 0))
     return Check(
         name="car_moves_plausibly",
         passed=fastest <= _MAX_SPEED_M_S,
-        detail=f"fastest step {fastest:.1f} m/s, expected at most {_MAX_SPEED_M_S:.0f}",
+        detail=f"fastest step {fastest:.1f} m/s, to frame {frame}; expected at most {_MAX_SPEED_M_S:.0f}",
     )
+
+
+def _jump_check(drive: Drive) -> Check:
+    """A pose that nothing on wheels reaches is wrong, and makes the scene too large to be trained."""
+    jumps = [
+        f"frame {there} ({speed_m_s:.3g} m/s from frame {here})"
+        for speed_m_s, here, there in _speeds_m_s(drive)
+        if speed_m_s > _JUMP_M_S
+    ]
+    detail = f"{len(jumps)} jumps of more than {_JUMP_M_S:.0f} m/s"
+    if jumps:
+        shown = "; ".join(jumps[:5]) + ("; ..." if len(jumps) > 5 else "")
+        detail += f": {shown}; correct these poses, or delete their lines of poses.txt"
+    return Check(name="no_pose_jumps", passed=not jumps, detail=detail, blocking=True)
+
+
+def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
+    """Speed from each posed frame to the next, with their numbers."""
+    placed = [
+        (row.frame, row.time_s, row.lidar_to_world[:3, 3])
+        for row in drive.frames
+        if row.lidar_to_world is not None
+    ]
+    return [
+        (float(np.linalg.norm(there_m - here_m)) / (then_s - now_s), here, there)
+        for (here, now_s, here_m), (there, then_s, there_m) in itertools.pairwise(placed)
+    ]
 
 
 def _flat(matrix: np.ndarray | None) -> list[float]:

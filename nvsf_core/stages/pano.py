@@ -67,7 +67,10 @@ def _project_all(
 
 
 def _measure(
-    output: StageOutput, returns: dict[str, np.ndarray], arrays: dict[str, np.ndarray], linear: LinearPano,
+    output: StageOutput,
+    returns: dict[str, np.ndarray],
+    arrays: dict[str, np.ndarray],
+    linear: LinearPano,
     beam: BeamPano | None,
 ) -> None:
     """Round trip of some scans through each grid, against the raw scan below the grid's range."""

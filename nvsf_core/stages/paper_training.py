@@ -102,7 +102,11 @@ def _step(state: TrainingState, trainee: PaperTrainee, frames: PaperFrames, seed
 
 
 def _refine(
-    task: Task, recipe: PaperRecipe, recording: Recording, frames: PaperFrames, trainee: PaperTrainee,
+    task: Task,
+    recipe: PaperRecipe,
+    recording: Recording,
+    frames: PaperFrames,
+    trainee: PaperTrainee,
     work: Path,
 ) -> TrainingState:
     """Render training panos with the averaged weights, and train the U-Net on them."""

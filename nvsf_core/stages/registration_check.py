@@ -1,4 +1,4 @@
-"""Whether neighbouring scans agree with their poses: registered to each other they should not move."""
+"""Whether scans agree with their poses: registered to each other, and tried at each other's poses."""
 
 from collections.abc import Mapping
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from nvsf_core.clouds.registration import LEAST_ACROSS, Registration, register
 from nvsf_core.errors import MissingLibraryError
+from nvsf_core.evidence.scan_fit import scan_misfits
 from nvsf_core.stages.stage import Check, Law, Task
-from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 MOST_SHIFT_M = 0.15
 """Registration itself is good to a few centimetres: 0.024 m at most over 91 pairs of three streets."""
@@ -23,21 +24,70 @@ LAW = Law(
     f"slide along all surfaces, as in a tunnel or on a plain (less than {LEAST_ACROSS:.0%} across them), are "
     "named and not judged.",
 )
+MOST_MISFIT = 1.15
+"""At most 0.8 over real streets, 1.1 where 8 lasers fire 64 times; at least 1.3 for swapped neighbours."""
+_MOST_OF_MEDIAN = 2.2
+"""1.5 at most over real streets, 2.9 for scans that belong to none of the neighbouring frames."""
+ORDER_LAW = Law(
+    name="scans_fit_their_own_poses_best",
+    description="Each scan is laid over those before and after it, by its own pose and by each of theirs. "
+    "Value: the largest mean distance at the own pose over that at the best other; more says that scans were "
+    f"swapped. A scan that lies {_MOST_OF_MEDIAN:g} times as far off as the median scan fits none of them.",
+)
 _MOST_PAIRS = 12
 """Evenly over the drive: three quarters of the scans of one with 32."""
 _NAMED = 5
 _THIN_M = 0.5
 _NEAR_M, _FAR_M = 3.0, 40.0
 _FEWEST_POINTS = 500
+_MOST_TRIED = 1200
+_FEWEST_SCANS = 3
+_LEAST_M = 1e-3
 
 
 def check_registration(task: Task) -> list[Check]:
     """Register neighbouring scans of the sweeps in the task's folder."""
     path = task.folder / "returns.zarr"
     if read_arrays(path, "frame")["frame"].size == 0:
-        return [LAW.not_run("this drive has no scan")]
-    names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle")
-    return [registration_check(read_arrays(path, *names))]
+        return [law.not_run("this drive has no scan") for law in (LAW, ORDER_LAW)]
+    names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
+    arrays = read_arrays(path, *names)
+    poses = arrays["lidar_to_world"].copy()
+    poses[:, :3, 3] -= np.array(read_attrs(path)["scene_origin_m"])
+    return [registration_check(arrays), order_check(arrays, poses)]
+
+
+def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> Check:
+    """Whether scans lie best at their own poses; of any number of returns, and without open3d.
+
+    Args:
+        arrays: Of `sweeps/returns.zarr`.
+        lidar_to_scene: (n, 4, 4) its poses, scene-local.
+    """
+    clouds = [_thinned(arrays, k) for k in range(len(arrays["frame"]))]
+    evenly = [
+        cloud[np.linspace(0, len(cloud) - 1, min(len(cloud), _MOST_TRIED)).astype(np.int64)]
+        for cloud in clouds
+    ]
+    own_m, other_m = scan_misfits(evenly, lidar_to_scene)
+    known = np.isfinite(own_m)
+    if np.count_nonzero(known) < _FEWEST_SCANS:
+        return ORDER_LAW.not_run(
+            f"fewer than {_FEWEST_SCANS} scans with returns from {_NEAR_M:g} to {_FAR_M:g} m"
+        )
+    misfit = np.where(known, own_m / np.maximum(other_m, _LEAST_M), 0.0)
+    of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_M)
+    wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > _MOST_OF_MEDIAN))
+    named = ", ".join(str(arrays["frame"][k]) for k in wrong[:_NAMED].tolist())
+    more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
+    return Check(
+        name=ORDER_LAW.name,
+        passed=len(wrong) == 0,
+        detail=f"{len(wrong)} of {len(own_m)} scans lie better at another frame's pose, or at none"
+        + (f": frames {named}{more}; were files swapped or copied?" if len(wrong) else ""),
+        value=float(misfit.max()),
+        limit=MOST_MISFIT,
+    )
 
 
 def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:

@@ -52,9 +52,7 @@ class _Scores:
         return sum(wins) > len(wins) // 2
 
 
-def judge(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording
-) -> tuple[bool, dict[str, Scalar]]:
+def judge(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording) -> tuple[bool, dict[str, Scalar]]:
     """Whether the field shows left-out scans better than `reproject` does, and the figures that say so.
 
     Neither renderer's evidence holds a return of a judge, neither its objects nor its votes, and the field

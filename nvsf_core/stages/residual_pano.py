@@ -190,9 +190,7 @@ def pano_renderer(
         mount = invert_pose(recorded) @ pose
         is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
         place = None if is_there else mount
-        estimate = expected_pano(
-            lidar, spec, render, votes, time_s, place, correct=correct, unknown=unknown
-        )
+        estimate = expected_pano(lidar, spec, render, votes, time_s, place, correct=correct, unknown=unknown)
         if network is None or panos is None or not is_there:
             return phases_alone(estimate)
         neighbours = _neighbours(lidar, panos, spec, estimate, time_s)

@@ -1,6 +1,5 @@
 """`sweeps`: every return with its laser, its firing, its time, and the ray in the world that measured it."""
 
-import json
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -17,9 +16,10 @@ from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_ti
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
-from nvsf_core.stages.registration_check import LAW, check_registration
+from nvsf_core.stages.registration_check import LAW, ORDER_LAW, check_registration
 from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
 ARRAYS_NAME = "returns.zarr"
@@ -47,7 +47,7 @@ class _Scan:
 def _run(task: Task) -> StageOutput:
     frames_dir = task.store.require("frames")
     rows = read_rows(frames_dir / "frames.parquet")
-    drive: dict[str, Any] = json.loads((frames_dir / "drive.json").read_text())
+    drive: dict[str, Any] = read_document(frames_dir / "drive.json")
     posed = [row for row in rows if row["pose_valid"]]
     scans = _read_scans(task, [row for row in posed if row["scan_valid"]])
     sources = Counter(scan.timing.source for scan in scans)
@@ -76,7 +76,7 @@ def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
     scans = []
     said_s = time.monotonic()
     for row in rows:
-        points = read_scan(layout.scan_path(row["frame"]))
+        points = read_scan(layout.scan_path(row["frame"]), row["checksum"])
         timing = recover_timing(points[:, :3], SENSOR)
         scans.append(_Scan(row, np.ascontiguousarray(points[:, :3]), points[:, 3].copy(), timing))
         if time.monotonic() - said_s > _SAY_EVERY_S:
@@ -272,6 +272,10 @@ def _checks(
             detail=f"{ordered} of {len(scans)} scans hold laser after laser",
         ),
         Check(
+            name="intensities_are_recorded", passed=bool(np.ptp(arrays["intensity"]) > 0.0),
+            detail=f"intensities from {arrays['intensity'].min():g} to {arrays['intensity'].max():g}",
+        ),
+        Check(
             name="no_two_returns_share_a_firing", passed=shared <= 1e-4 * len(arrays["laser"]),
             detail=f"{shared} of {len(arrays['laser'])} returns share laser and firing with another",
         ),
@@ -293,6 +297,6 @@ STAGE = Stage(
     run=_run,
     reads_drive=True,
     check=check_registration,
-    check_version="2",
-    laws=(LAW,),
+    check_version="3",
+    laws=(LAW, ORDER_LAW),
 )

@@ -1,8 +1,7 @@
 """`undistorted`: every camera's frames as pinhole images with their intrinsics and a validity mask."""
 
-import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.reporting.previews import image_preview
 from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
 _PROGRESS_S = 4.0
@@ -27,7 +27,7 @@ _LEAST_EDGES = 0.02
 
 def _run(task: Task) -> StageOutput:
     frames = task.store.require("frames")
-    drive: dict[str, Any] = json.loads((frames / "drive.json").read_text())
+    drive: dict[str, Any] = read_document(frames / "drive.json")
     rows = read_rows(frames / "cameras.parquet")
     # A frame without a pose says nothing about where its image was taken: its row has an empty pose.
     usable = [row for row in rows if row["image_valid"] and len(row["camera_to_world"] or ()) == 16]
@@ -40,7 +40,7 @@ def _run(task: Task) -> StageOutput:
             task.progress(f"[{task.scene.name}] undistorted: {camera} has no valid image, left out")
             continue
         numbers = [int(row["frame"]) for row in own]
-        images, valid, view, preview = _undistort(task, camera, calibration, numbers)
+        images, valid, view, preview = _undistort(task, camera, calibration, own)
         arrays[f"{camera}_rgb"] = images
         arrays[f"{camera}_valid"] = valid
         arrays[f"{camera}_frame"] = np.array(numbers, np.int64)
@@ -80,17 +80,27 @@ def _structure_check(camera: str, images: np.ndarray, valid: np.ndarray, frames:
 
 
 def _undistort(
-    task: Task, camera: str, calibration: Mapping[str, Any], frames: list[int]
+    task: Task, camera: str, calibration: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
 ) -> tuple[np.ndarray, np.ndarray, Pinhole, np.ndarray]:
-    """Images (n, H, W, 3) uint8, validity (H, W), their camera, and a picture of what was done."""
+    """Images (n, H, W, 3) uint8, validity (H, W), their camera, and a picture of what was done.
+
+    Args:
+        task: The stage's own.
+        camera: Its name.
+        calibration: Its own.
+        rows: Of `cameras.parquet`, one an image.
+    """
     layout = DriveLayout(task.scene.root, task.scene.sequence)
     width, height = int(calibration["width"]), int(calibration["height"])
     undistorter, view = _camera_of(camera, calibration)
-    images = np.zeros((len(frames), view.height, view.width, 3), np.uint8)
+    images = np.zeros((len(rows), view.height, view.width, 3), np.uint8)
     brightest = np.zeros((height, width, 3), np.uint8)
     said = time.monotonic()
-    for i, frame in enumerate(frames):
-        image = read_image(layout.image_path(camera, frame), width, height)
+    first = brightest
+    for i, row in enumerate(rows):
+        path = layout.image_path(camera, int(row["frame"]))
+        image = read_image(path, width, height, row["checksum"] or "")
+        first = image if i == 0 else first
         if undistorter is None:
             images[i] = image
         else:
@@ -98,11 +108,10 @@ def _undistort(
             brightest = np.maximum(brightest, image)
         if time.monotonic() - said > _PROGRESS_S:
             said = time.monotonic()
-            task.progress(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(frames)} images")
+            task.progress(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(rows)} images")
     if undistorter is None:
         return images, np.ones((height, width), np.bool_), view, images[0]
     valid = undistorter.apply_mask(lens_circle(brightest))
-    first = read_image(layout.image_path(camera, frames[0]), width, height)
     return images, valid, view, _beside(first, images[0])
 
 

@@ -134,9 +134,7 @@ def answers_along(
     answers = answer_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
     answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
     if model.unknown is not None:
-        answers = ask_unknown(
-            answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table
-        )
+        answers = ask_unknown(answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table)
     if model.as_recorded:
         return answers
     return measured_at_rest(answers, known, fraction, evidence, time_s, sweeps.trajectory, sweeps.period_s)

@@ -1,0 +1,198 @@
+"""Text files of a drive: read within bounds, and taken apart into numbers, rigid motions, or keyed lines."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from nvsf_core.errors import CalibrationError
+
+MIB = 1 << 20
+FARTHEST_M = 3e7
+"""No map has a larger coordinate for a place on Earth: Mercator's end at 2e7."""
+_LONGEST_ARM_M = 100.0
+"""No sensor is mounted farther from the pose frame."""
+_MOST_CALIBRATION_BYTES = MIB
+"""KITTI-360's largest calibration file has 3 kB."""
+_ORTHONORMAL_TOLERANCE = 1e-3
+"""Largest entry of `R R^T - 1` that still passes as a rotation printed with few digits."""
+_PRINTED_TOLERANCE = 1e-6
+"""Up to here a rotation is used as it is printed; beyond, the nearest true rotation is."""
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """The text of a regular file of at most so many bytes.
+
+    Raises:
+        OSError: It is absent or cannot be read.
+        ValueError: It is a folder, a pipe or a device, too large, or no UTF-8; the message says what.
+    """
+    if path.exists() and not path.is_file():
+        raise ValueError("expected a regular file, found a folder, a pipe or a device")
+    size = path.stat().st_size
+    if size > most_bytes:
+        raise ValueError(f"expected at most {most_bytes:,} bytes, found {size:,}")
+    return path.read_text(encoding="utf-8")
+
+
+def parse_numbers(text: str, count: int) -> np.ndarray:
+    """Exactly `count` finite numbers separated by blanks, as float64.
+
+    Raises:
+        ValueError: Another count, no number, or not finite; the message says which.
+    """
+    words = text.split(maxsplit=count)
+    if len(words) != count:
+        raise ValueError(f"expected {count} numbers, found {len(words) if len(words) < count else 'more'}")
+    # Python reads `1_000` and digits of any script; no drive writes them.
+    if "_" in text or not text.isascii():
+        raise ValueError("expected numbers in plain digits")
+    values = np.array([float(word) for word in words])
+    if not np.isfinite(values).all():
+        raise ValueError("expected finite numbers, found NaN or infinity")
+    return values
+
+
+def rigid(values: np.ndarray, farthest_m: float) -> np.ndarray:
+    """A (3, 4) block as a (4, 4) rigid transform; its 3x3 part is a rotation to 1e-6 afterwards.
+
+    Args:
+        values: 12 numbers, row by row.
+        farthest_m: Largest coordinate of a translation that is believed.
+
+    Raises:
+        ValueError: Its 3x3 part is no rotation, or its translation is too far.
+    """
+    matrix = np.eye(4)
+    matrix[:3] = values.reshape(3, 4)
+    matrix[:3, :3] = rotation(matrix[:3, :3])
+    if np.abs(matrix[:3, 3]).max() > farthest_m:
+        raise ValueError(
+            f"expected a translation within {farthest_m:g} m, found {np.array2string(matrix[:3, 3])}"
+        )
+    return matrix
+
+
+def rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) that is printed as `matrix`: itself, or the nearest one where few digits were kept.
+
+    Raises:
+        ValueError: `matrix` is no rotation.
+    """
+    deviation = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    # Not finite: entries of 1e200 overflow.
+    if not deviation <= _ORTHONORMAL_TOLERANCE or np.linalg.det(matrix) < 0:
+        raise ValueError(f"expected a rotation, found a matrix with |R R^T - 1| up to {deviation:.3g}")
+    if deviation <= _PRINTED_TOLERANCE:
+        return matrix
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ right)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyedText:
+    """A calibration file's lines `key: value`, read once."""
+
+    path: Path
+    lines: dict[str, tuple[int, str]]
+    """Key to line number and value."""
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a file; nesting and a leading % directive are ignored.
+
+        Raises:
+            CalibrationError: The file is absent, no regular file, too large, or has a key twice.
+        """
+        lines: dict[str, tuple[int, str]] = {}
+        for number, line in enumerate(read_calibration_text(path).splitlines(), start=1):
+            key, colon, value = line.strip().partition(":")
+            if not colon or key.startswith("%"):
+                continue
+            if key.strip() in lines:
+                first = lines[key.strip()][0]
+                raise CalibrationError(
+                    f"{path}, line {number}: key {key.strip()!r} stands in line {first} already; "
+                    "restore the file of the drive: which of the two is true cannot be known"
+                )
+            lines[key.strip()] = (number, value.strip())
+        return cls(path, lines)
+
+    def word(self, key: str) -> str:
+        """The value of a key as it stands there.
+
+        Raises:
+            CalibrationError: There is no such key.
+        """
+        if key not in self.lines:
+            found = ", ".join(sorted(self.lines)[:40]) or "no keys"
+            raise CalibrationError(
+                f"{self.path}: key {key!r} is missing (found {found}); "
+                "restore the file of the drive, or name the cameras to use in the catalogue"
+            )
+        return self.lines[key][1]
+
+    def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
+        """The numbers of a key, float64 of a shape.
+
+        Raises:
+            CalibrationError: There is no such key, or not so many finite numbers.
+        """
+        text = self.word(key)
+        try:
+            return parse_numbers(text, int(np.prod(shape))).reshape(shape)
+        except ValueError as error:
+            raise self.fault(key, str(error)) from error
+
+    def value(self, key: str) -> float:
+        """The number of a key.
+
+        Raises:
+            CalibrationError: There is no such key, or no finite number.
+        """
+        return float(self.matrix(key, (1,))[0])
+
+    def fault(self, key: str, found: str) -> CalibrationError:
+        """An error that names file, line and key."""
+        return CalibrationError(
+            f"{self.path}, line {self.lines[key][0]}, {key}: {found}; restore the file of the drive"
+        )
+
+    def mounting(self, key: str) -> np.ndarray:
+        """A key's twelve numbers as a rigid transform (4, 4) between two sensors' frames.
+
+        Raises:
+            CalibrationError: There is no such key, or it holds no rigid transform.
+        """
+        values = self.matrix(key, (3, 4))
+        try:
+            return rigid(values, _LONGEST_ARM_M)
+        except ValueError as error:
+            raise self.fault(key, str(error)) from error
+
+
+def read_mounting(path: Path) -> np.ndarray:
+    """A file's twelve numbers as a rigid transform (4, 4) between two sensors' frames.
+
+    Raises:
+        CalibrationError: The file is absent or holds no rigid transform.
+    """
+    try:
+        return rigid(parse_numbers(read_calibration_text(path), 12), _LONGEST_ARM_M)
+    except ValueError as error:
+        raise CalibrationError(f"{path}, line 1: {error}; restore the file of the drive") from error
+
+
+def read_calibration_text(path: Path) -> str:
+    """The text of a calibration file.
+
+    Raises:
+        CalibrationError: It is absent, no regular file, too large, or no text.
+    """
+    try:
+        return read_text(path, _MOST_CALIBRATION_BYTES)
+    except (OSError, ValueError) as error:
+        raise CalibrationError(
+            f"cannot read calibration file {path} ({error}); unpack the drive's `calibration` folder there"
+        ) from error
