@@ -2,12 +2,15 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import dagster as dg
 
-from nvsf_core.errors import DataError
 from nvsf_core.kitti360.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
-from nvsf_core.stages import SceneRun, find_scene, plan_run
+from nvsf_core.recipe import preset, seed_from_text
+from nvsf_core.stages import RunConfig, SceneRun, find_scene, plan_run
+from nvsf_core.stages.flow import DEFAULT_RECIPE
+from nvsf_core.stores.scene_store import require_home
 
 
 class Workspace(dg.ConfigurableResource):
@@ -30,26 +33,32 @@ class Workspace(dg.ConfigurableResource):
         """What to run on the scene of that name.
 
         Raises:
-            DataError: The catalogue has no such scene, or SEED is no number.
-            RecipeError: There is no such recipe.
+            DataError: The catalogue has no such scene, or the label is no part of a folder's name.
+            RecipeError: There is no such recipe, or a seed is none.
+            StoreError: The home cannot be written to.
         """
-        return plan_run(
-            find_scene(scene),
-            self.home(),
-            recipe=self.recipe or os.environ.get("RECIPE") or None,
-            seed=_seed_from_environment() if self.seed is None else self.seed,
-            draw_seed=self.draw_seed,
-            dataset_label=self.dataset_label,
-        )
+        return plan_run(find_scene(scene), self.home(), **self._choices())
+
+    def require_possible(self) -> None:
+        """Refuse a run that no scene could be run with.
+
+        Raises:
+            NvsfError: The recipe, a seed, the label or the home, as `plan` would say of each scene.
+        """
+        require_home(self.home())
+        choices = self._choices()
+        RunConfig(**{**choices, "recipe": preset(choices["recipe"] or DEFAULT_RECIPE)})
+
+    def _choices(self) -> dict[str, Any]:
+        return {
+            "recipe": self.recipe or os.environ.get("RECIPE") or None,
+            "seed": seed_from_text(os.environ.get("SEED") or "0", "SEED") if self.seed is None else self.seed,
+            "draw_seed": self.draw_seed,
+            "dataset_label": self.dataset_label,
+        }
 
 
 def catalogue() -> tuple[SceneEntry, ...]:
     """Every scene that NVSF_SCENES (or the project's scenes.toml) names."""
     return catalogue_from_environment(os.environ)
 
-
-def _seed_from_environment() -> int:
-    text = os.environ.get("SEED") or "0"
-    if not text.isdecimal():
-        raise DataError(f"SEED={text!r}: expected a whole number, 0 or greater")
-    return int(text)

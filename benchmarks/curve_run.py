@@ -45,7 +45,8 @@ from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_camera import LEARNED
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_model import load_residual_model
-from nvsf_core.stages.stage import Observer, Progress, RunConfig, Task, read_record
+from nvsf_core.stages.stage import Observer, Progress, RunConfig, Task
+from nvsf_core.stages.stage_record import read_record
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.stores.scene_store import SceneStore
 

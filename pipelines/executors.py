@@ -1,10 +1,12 @@
 """Where steps run: NVSF_EXECUTOR = in_process | multiprocess (default) | ray | k8s."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 
 import dagster as dg
 
-from nvsf_core.errors import RecipeError
+from nvsf_core.errors import MissingLibraryError, RecipeError
 
 _THREADS_A_STEP = 2
 _MOST_STEPS = 4
@@ -16,6 +18,7 @@ def executor_from_environment() -> dg.ExecutorDefinition:
 
     Raises:
         RecipeError: It names none of the four.
+        MissingLibraryError: It names one whose extra is not installed.
     """
     name = os.environ.get("NVSF_EXECUTOR") or "multiprocess"
     if name == "in_process":
@@ -24,14 +27,30 @@ def executor_from_environment() -> dg.ExecutorDefinition:
         return _processes(_local_steps())
     # The other two are extras (`pip install -e .[ray]`, `.[k8s]`): imported only where asked for.
     if name == "ray":
-        from dagster_ray import ray_executor
-
+        with _extra(name):
+            from dagster_ray import ray_executor
         return ray_executor
     if name == "k8s":
-        from dagster_k8s import k8s_job_executor
-
+        with _extra(name):
+            from dagster_k8s import k8s_job_executor
         return k8s_job_executor
     raise RecipeError(f"NVSF_EXECUTOR={name!r}: expected in_process, multiprocess, ray or k8s")
+
+
+@contextlib.contextmanager
+def _extra(name: str) -> Iterator[None]:
+    """Around the import of an extra's package.
+
+    Raises:
+        MissingLibraryError: It is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingLibraryError(
+            f"NVSF_EXECUTOR={name} needs packages of an extra that is not installed ({error}): "
+            f"pip install -e '.[{name}]', or unset NVSF_EXECUTOR to run on this machine"
+        ) from error
 
 
 def timing_executor() -> dg.ExecutorDefinition:

@@ -6,7 +6,8 @@ from pathlib import Path
 import dagster as dg
 
 from assets.workspace import Workspace, catalogue
-from nvsf_core.stages.stage import RECORD_NAME
+from nvsf_core.stages.stage_record import RECORD_NAME, read_record
+from nvsf_core.stores.scene_store import published
 from pipelines.jobs import regenerate_synthetic
 
 
@@ -38,11 +39,10 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
 
 
 def newest_field(scene_root: Path) -> tuple[str, int] | None:
-    """Recipe and seed of the scene's latest published field, or None where there is none."""
-    records = sorted(
-        scene_root.glob(f"field/*/*/{RECORD_NAME}"), key=lambda path: (path.stat().st_mtime, str(path))
-    )
-    if not records:
+    """Recipe and seed of the scene's latest published field, or None where there is none that can be read."""
+    fields = [path.parent for path in published(scene_root, f"field/*/*/{RECORD_NAME}")]
+    sound = [folder for folder in fields if folder.name.isdecimal() and read_record(folder) is not None]
+    if not sound:
         return None
-    folder = records[-1].parent
-    return folder.parent.name, int(folder.name)
+    newest = max(sound, key=lambda folder: ((folder / RECORD_NAME).stat().st_mtime, str(folder)))
+    return newest.parent.name, int(newest.name)

@@ -18,7 +18,7 @@ from pydantic import Field
 from assets.factory import events_of, failed_checks, reason_of
 from assets.report import CURVES, METRICS_STAGE
 from assets.workspace import Workspace, catalogue
-from nvsf_core.errors import NvsfError
+from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.kitti360.catalogue import has_data
 from nvsf_core.metrics.table import summary_table
 from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
@@ -32,9 +32,14 @@ from pipelines.terminal import TERSE_LOGGING, terse_logger
 SceneState = dict[str, Any]
 """Goes from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
 
-# A killed child (out of memory) gets a second try, which resumes from the last checkpoint. Errors of a
-# scene never get here: they are caught and recorded.
-_RETRY_KILLED = dg.RetryPolicy(max_retries=1)
+# A killed child (out of memory) gets a second try, which resumes from the last checkpoint; the third only
+# writes down that the scene failed: a failed step would keep the report of all others from being made.
+# Errors of a scene never get here: they are caught and recorded.
+_RETRY_KILLED = dg.RetryPolicy(max_retries=2)
+_KILLED_TWICE = (
+    "its process died twice (killed, out of memory, or crashed); the run's log names the signal. Run again "
+    "with more memory, or look at what this scene feeds the stage"
+)
 
 
 class SceneChoice(dg.Config):
@@ -48,8 +53,14 @@ class SceneChoice(dg.Config):
     out={"scene": dg.DynamicOut(dict), "absent": dg.Out(list)},
     description="Name the scenes: those asked for, else every one that has data; the demo drive is written.",
 )
-def choose_scenes(context: dg.OpExecutionContext, config: SceneChoice) -> Iterator[Any]:
+def choose_scenes(
+    context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice
+) -> Iterator[Any]:
     """Fan out over the scenes; one asked for by name without data goes on as failed, others are dropped."""
+    try:
+        workspace.require_possible()
+    except NvsfError as error:
+        raise dg.Failure(description=str(error), allow_retries=False) from error
     asked = config.scenes or os.environ.get("SCENES", "").split()
     names = list(dict.fromkeys(asked)) or [entry.name for entry in catalogue()]
     absent: list[str] = []
@@ -74,10 +85,10 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
         entry = find_scene(name)
         if entry.name == DEMO_SCENE:
             write_demo_where_absent(entry, context.log.info)
+        if has_data(entry):
+            return ""
     except NvsfError as error:
         return f"drive: {error}"
-    if has_data(entry):
-        return ""
     return f"drive: no data at {entry.root} for {entry.sequence}; set the scene's root or NVSF_KITTI360_ROOT"
 
 
@@ -100,6 +111,8 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
         if state["failed"]:
             context.log.warning(f"[{scene}] {stage.name}: not run, failed before ({state['failed']})")
             return state
+        if context.retry_number >= _RETRY_KILLED.max_retries:
+            return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         try:
             outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
         except NvsfError as error:
@@ -153,23 +166,27 @@ def report_all(
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
     named = [state["scene"] for state in states]
+    rows = []
+    for scene in measured:
+        try:
+            rows += _metrics(workspace, scene)
+        except NvsfError as error:
+            failures[scene] = f"report: {error}"
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
     context.log_event(dg.AssetMaterialization(asset_key="benchmark_report", metadata=metadata))
-    sys.stdout.write(_closing_words(workspace, measured, states, failures, absent, path))
+    sys.stdout.write(_closing_words(rows, states, failures, absent, path))
     sys.stdout.flush()
     return [f"{scene}: {reason}" for scene, reason in failures.items()]
 
 
 def _closing_words(
-    workspace: Workspace,
-    measured: list[str],
+    rows: list[dict[str, Any]],
     states: list[SceneState],
     failures: dict[str, str],
     absent: list[str],
     report: Path,
 ) -> str:
-    rows = [row for scene in measured for row in read_rows(_metrics_path(workspace, scene))]
     lines = ["", summary_table(rows) if rows else "no scene was measured", ""]
     for state in states:
         spent = ", ".join(
@@ -185,10 +202,10 @@ def _closing_words(
     return "\n".join(lines)
 
 
-def _metrics_path(workspace: Workspace, scene: str) -> Path:
+def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
     run = workspace.plan(scene)
     stage = next(stage for stage in STAGES if stage.name == METRICS_STAGE)
-    return run.store.require(stage.location(run.config)) / "metrics.parquet"
+    return read_rows(run.store.require(stage.location(run.config)) / "metrics.parquet")
 
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")

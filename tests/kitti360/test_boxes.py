@@ -27,26 +27,26 @@ def written(path: Path, *boxes: str, head: str = '<?xml version="1.0"?>') -> Pat
 
 
 def test_a_moving_box_is_the_unit_cube_in_the_world_in_its_frame(tmp_path: Path) -> None:
-    (found,) = read_boxes(written(tmp_path / "b.xml", box(12), box(99)), 10, 20)
+    (found,), _ = read_boxes(written(tmp_path / "b.xml", box(12), box(99)), 10, 20)
     assert (found.frame, found.object_id, found.label, found.dynamic) == (12, 26007, "car", True)
     assert np.allclose(found.box_to_world @ [0.5, 0.5, 0.5, 1.0], [12.0, 21.0, 30.75, 1.0])
 
 
 def test_a_box_with_vertices_of_its_own_is_bounded_by_them(tmp_path: Path) -> None:
-    (found,) = read_boxes(written(tmp_path / "b.xml", box(vertices="0 0 0  1 2 4")), 10, 20)
+    (found,), _ = read_boxes(written(tmp_path / "b.xml", box(vertices="0 0 0  1 2 4")), 10, 20)
     assert np.allclose(found.box_to_world @ [-0.5, -0.5, -0.5, 1.0], [10.0, 20.0, 30.0, 1.0])
     assert np.allclose(found.box_to_world @ [0.5, 0.5, 0.5, 1.0], [14.0, 24.0, 36.0, 1.0])
 
 
 def test_a_standing_box_counts_where_its_window_meets_the_section(tmp_path: Path) -> None:
     path = written(tmp_path / "b.xml", box(-1))
-    (found,) = read_boxes(path, 15, 20)
+    (found,), _ = read_boxes(path, 15, 20)
     assert found.frame == -1 and not found.dynamic
-    assert read_boxes(path, 16, 20) == []
+    assert read_boxes(path, 16, 20) == ([], [])
 
 
 def test_the_file_may_say_itself_what_moves(tmp_path: Path) -> None:
-    (found,) = read_boxes(written(tmp_path / "b.xml", box(extra="<dynamic>0</dynamic>")), 10, 20)
+    (found,), _ = read_boxes(written(tmp_path / "b.xml", box(extra="<dynamic>0</dynamic>")), 10, 20)
     assert not found.dynamic
 
 
@@ -81,7 +81,8 @@ def test_the_real_drive_has_a_van_and_a_cyclist_in_every_frame_and_a_parked_van(
     path = REAL / "data_3d_bboxes" / "train" / "2013_05_28_drive_9005_sync.xml"
     if not path.is_file():
         pytest.skip(f"no real data at {REAL}")
-    boxes = read_boxes(path, 10, 39)
+    boxes, left_out = read_boxes(path, 10, 39)
+    assert left_out == []
     moving = {(b.frame, b.label) for b in boxes if b.dynamic}
     assert moving == {(frame, label) for frame in range(10, 40) for label in ("car", "rider")}
     assert [b.frame for b in boxes if not b.dynamic] == [-1]

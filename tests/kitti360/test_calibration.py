@@ -7,12 +7,12 @@ from nvsf_core.errors import CalibrationError
 from nvsf_core.kitti360.calibration import (
     MeiIntrinsics,
     PinholeIntrinsics,
-    parse_numbers,
     read_calibration,
     read_mei,
     read_pinhole,
 )
 from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.kitti360.text import KeyedText, parse_numbers
 
 SEQUENCE = "2013_05_28_drive_9900_sync"
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -53,7 +53,7 @@ def test_a_point_goes_through_lidar_camera_and_pose_frame_alike(tmp_path: Path) 
 def test_intrinsics_come_from_the_rectified_projection(tmp_path: Path) -> None:
     layout = calibrated(tmp_path)
     expected = PinholeIntrinsics(width=64, height=48, fx=50.0, fy=51.0, cx=31.5, cy=23.5)
-    assert read_pinhole(layout.perspective_path, "image_00") == expected
+    assert read_pinhole(KeyedText.read(layout.perspective_path), "image_00") == expected
 
 
 def test_a_missing_key_names_file_key_and_remedy(tmp_path: Path) -> None:

@@ -208,7 +208,7 @@ def test_movers_move_and_are_seen_in_three_scans_or_more(world):
 
 
 def test_boxes_hold_the_moving_objects_points(world, drive):
-    boxes = [box for box in read_boxes(drive.boxes_paths[0], 0, 3) if box.dynamic]
+    boxes = [box for box in read_boxes(drive.boxes_paths[0], 0, 3)[0] if box.dynamic]
     assert len(boxes) == 2 * 4
     scan = simulate_scan(world, 3, np.arange(64), 1050)
     points = recorded_to_world(world, scan.points_m, scan.time_s)

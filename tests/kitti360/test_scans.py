@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.scans import load_scan, read_scan
+from nvsf_core.kitti360.scans import Scan, parse_scan, read_scan
 
 
 def written(path: Path, points: np.ndarray) -> Path:
     points.astype("<f4").tofile(path)
     return path
+
+
+def load_scan(path: Path) -> Scan:
+    return parse_scan(path, path.read_bytes())
 
 
 def plausible(n: int = 1000) -> np.ndarray:

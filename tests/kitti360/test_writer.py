@@ -6,6 +6,7 @@ from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.kitti360.boxes import read_boxes
 from nvsf_core.kitti360.calibration import read_mei, read_pinhole
+from nvsf_core.kitti360.text import KeyedText
 from nvsf_core.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
@@ -51,7 +52,7 @@ def test_calibration_is_read_back(tmp_path):
 
     camera = RectifiedCamera(704, 188, 276.0, 340.0, 119.0, 0.6, np.eye(3))
     write_perspective(tmp_path / "perspective.txt", {"image_00": camera, "image_01": camera})
-    pinhole = read_pinhole(tmp_path / "perspective.txt", "image_01")
+    pinhole = read_pinhole(KeyedText.read(tmp_path / "perspective.txt"), "image_01")
     assert (pinhole.width, pinhole.height, pinhole.fx, pinhole.cx, pinhole.cy) == (
         704,
         188,
@@ -66,7 +67,7 @@ def test_boxes_are_read_back(tmp_path):
     pose[:3, 3] = 1012.25, 3688.5, 114.0
     boxes = [WrittenBox(1, "car", True, 3, 0, 9, pose), WrittenBox(7, "car", False, -1, 0, 9, pose)]
     write_boxes(tmp_path / "boxes.xml", boxes)
-    moving, parked = read_boxes(tmp_path / "boxes.xml", 0, 9)
+    (moving, parked), _ = read_boxes(tmp_path / "boxes.xml", 0, 9)
     assert (moving.frame, moving.dynamic, moving.label) == (3, True, "car")
     assert (parked.frame, parked.dynamic) == (-1, False)
     assert moving.object_id != parked.object_id

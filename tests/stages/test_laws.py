@@ -12,7 +12,8 @@ from assets.factory import CHECK_NAME, asset_of
 from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
-from nvsf_core.stages.stage import Check, Law, Stage, StageOutput, UnsoundOutputError, read_record
+from nvsf_core.stages.stage import Check, Law, Stage, StageOutput, UnsoundOutputError
+from nvsf_core.stages.stage_record import read_record
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table
@@ -54,7 +55,7 @@ def store(tmp_path, monkeypatch):
         split = ["test" if frame == HELD_OUT else "train" for frame in FRAMES]
         write_table(folder / "frames.parquet", {"frame": list(FRAMES), "split": split})
     with store.publish("sweeps") as folder:
-        times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1, "firings": np.full(5, FIRINGS)}
+        times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1, "firings": np.full(5, FIRINGS, np.int32)}
         arrays = _joined([_scan(draws) for _ in FRAMES])
         write_arrays(folder / "returns.zarr", times | arrays, {"sensor": SENSOR})
     with store.publish("undistorted") as folder:
@@ -261,10 +262,19 @@ def test_an_output_made_before_its_check_is_judged_and_not_made_again(store):
     assert kept["check_version"] == "1" and len(list(store.path("pano").iterdir())) == 1
 
 
-def test_a_published_view_that_was_damaged_is_refused_when_judged_again(store):
-    run, stage = _run_plan(store), _views_stage(_nothing)
+def test_a_published_view_that_was_damaged_is_made_again(store):
+    run, stage, said = _run_plan(store), _views_stage(_nothing), []
     folder = run_named_stage("novel_views", run, str, stages=[stage]).path
     _nan(folder / "test" / "model.zarr")
+    outcome = run_named_stage("novel_views", run, said.append, stages=[stage])
+    assert not outcome.skipped and any("made again" in line and "model.zarr" in line for line in said)
+    assert np.isfinite(read_arrays(folder / "test" / "model.zarr")["points_m"]).all()
+
+
+def test_a_published_view_that_breaks_a_later_law_is_refused_when_judged_again(store):
+    run, stage = _run_plan(store), _views_stage(_nan)
+    blind = replace(stage, check=None)
+    run_named_stage("novel_views", run, str, stages=[blind])
     with pytest.raises(UnsoundOutputError, match=r"not finite: 1 of .* in test/model, points_m"):
         run_named_stage("novel_views", run, str, stages=[replace(stage, check_version="later")])
 

@@ -38,7 +38,7 @@ def run(
             pose = np.eye(4)
             pose[0, 3] = 1000.0 + frame
             ok = frame not in invalid
-            rows.append(dict(zip(COLUMNS, (frame, name, pose.ravel().tolist(), ok, "", "x"), strict=True)))
+            rows.append(dict(zip(COLUMNS, (frame, name, pose.ravel().tolist(), ok, "", ""), strict=True)))
     with store.publish("frames") as folder:
         (folder / "drive.json").write_text(json.dumps({"cameras": cameras}))
         write_rows(folder / "cameras.parquet", rows, COLUMNS)
