@@ -124,7 +124,8 @@ def _timestamp_file(layout: DriveLayout) -> Path | None:
     """The scans' times, else (camera-only) those of the first camera that has any."""
     candidates = [layout.timestamps_path()]
     candidates += [layout.camera_timestamps_path(name) for name in CAMERAS]
-    return next((path for path in candidates if path.is_file()), None)
+    # What stands there and is no file is refused when it is read, not passed over.
+    return next((path for path in candidates if path.exists()), None)
 
 
 def _recorded_frames(layout: DriveLayout) -> list[int]:
