@@ -74,9 +74,9 @@ class SceneStore:
             raise StoreError(
                 f"scene {self.scene}: expected an output's folder below {root}, found {relative!r}"
             )
-        if not path.resolve().is_relative_to(root.resolve()) or path == root:
+        if path == root or not _leads_below(path, root):
             raise StoreError(
-                f"scene {self.scene}: output {relative!r} leads to {path.resolve()}, outside of {root}; "
+                f"scene {self.scene}: output {relative!r} leads out of {root}, or in a circle; "
                 "replace the link by a folder (NVSF_HOME itself may be a link)"
             )
         return path
@@ -117,6 +117,13 @@ class SceneStore:
         """
         with publish_folder(self.path(relative)) as folder:
             yield folder
+
+
+def _leads_below(path: Path, root: Path) -> bool:
+    try:
+        return path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError):  # links that lead in circles
+        return False
 
 
 def published(root: Path, pattern: str) -> list[Path]:

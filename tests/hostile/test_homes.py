@@ -1,0 +1,236 @@
+"""Homes with something wrong in them: made anew where it is needed, or refused by name. One row a case."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.errors import NvsfError, StoreError
+from nvsf_core.kitti360.catalogue import load_catalogue
+from nvsf_core.stages import SceneRun, plan_run, run_named_stage
+from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stores.arrays import read_arrays, write_arrays
+from nvsf_core.stores.checkpoints import load_into, load_tensors, save_tensors
+from nvsf_core.stores.scene_store import SceneStore, publish_folder
+from nvsf_core.stores.tables import read_rows, write_rows
+from pipelines.schedules import newest_field
+from tests.hostile import harm
+
+STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence")
+FRAMES, CAMERAS, DRIVE = "frames/frames.parquet", "frames/cameras.parquet", "frames/drive.json"
+RETURNS, IMAGES = "sweeps/returns.zarr", "undistorted/images.zarr"
+
+
+@pytest.fixture(scope="module")
+def made(tiny_catalogue: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home whose scene `tiny` was prepared up to its evidence."""
+    home = tmp_path_factory.mktemp("made") / "home"
+    _prepare(_plan(tiny_catalogue, home))
+    return home
+
+
+@pytest.fixture
+def run(made: Path, tiny_catalogue: Path, tmp_path: Path) -> SceneRun:
+    shutil.copytree(made, tmp_path / "home")
+    return _plan(tiny_catalogue, tmp_path / "home")
+
+
+def _plan(catalogue: Path, home: Path) -> SceneRun:
+    entry = next(entry for entry in load_catalogue([catalogue], None) if entry.name == "tiny")
+    return plan_run(entry, home, recipe="smoke")
+
+
+def _prepare(run: SceneRun) -> list[str]:
+    """Run the stages; names of those that were not skipped."""
+    outcomes = [run_named_stage(stage, run, lambda line: None) for stage in STAGES]
+    return [outcome.stage for outcome in outcomes if not outcome.skipped]
+
+
+def _first_chunk(group: Path) -> Path:
+    """The largest array's first chunk."""
+    return max((path for path in group.rglob("*") if "/c/" in str(path) and path.is_file()),
+               key=lambda path: path.stat().st_size)  # fmt: skip
+
+
+def _zeros(path: Path) -> None:
+    path.write_bytes(bytes(path.stat().st_size))
+
+
+def _other_values(path: Path) -> None:
+    """Another table of the same columns."""
+    rows = [row | {"time_s": row["time_s"] + 1.0} for row in read_rows(path)]
+    write_rows(path, rows, list(rows[0]))
+
+
+HEALED: list[tuple[str, str, Callable[[Path], None], list[str]]] = [
+    *(
+        (f"{what} {name}", name, done, [name.split("/")[0]])
+        for name in (
+            "frames/stage.json",
+            FRAMES,
+            CAMERAS,
+            DRIVE,
+            f"{RETURNS}/zarr.json",
+            "evidence/stage.json",
+        )
+        for what, done in (("cut", harm.cut), ("empty", harm.empty), ("no", harm.remove))
+    ),
+    ("a list for a record", "pano/stage.json", harm.text("[1, 2]"), ["pano"]),
+    ("a foreign record", "pano/stage.json", harm.text('{"fingerprint": "1"}'), ["pano"]),
+    ("brackets for a record", "pano/stage.json", harm.text("[" * 100_000), ["pano"]),
+    ("a folder for a record", "pano/stage.json", harm.folder, ["pano"]),
+    ("a folder for a table", FRAMES, harm.folder, ["frames"]),
+    ("a pipe for a table", FRAMES, harm.pipe, ["frames"]),
+    ("another table", FRAMES, _other_values, ["frames"]),
+    ("a flipped bit in a table", FRAMES, harm.flip, ["frames"]),
+    ("a flipped bit in metadata", f"{RETURNS}/range_m/zarr.json", harm.flip, ["sweeps"]),
+    ("a flipped bit in a chunk", "chunk", harm.flip, ["sweeps"]),
+    ("a chunk of zeros", "chunk", _zeros, ["sweeps"]),
+    ("a missing chunk", "chunk", harm.remove, ["sweeps"]),
+    ("a missing picture", "frames/path.png", harm.remove, []),
+    ("a file for a stage", "pano", lambda path: (shutil.rmtree(path), path.write_text("1"))[0], ["pano"]),
+    ("a foreign file beside", "pano/notes.txt", lambda path: path.write_text("mine") and None, []),
+]
+
+
+@pytest.mark.parametrize(("name", "done", "again"), [c[1:] for c in HEALED], ids=[c[0] for c in HEALED])
+def test_a_damaged_output_is_made_again_and_nothing_else(
+    run: SceneRun, made: Path, name: str, done: Callable[[Path], None], again: list[str]
+) -> None:
+    path = _first_chunk(run.store.path(RETURNS)) if name == "chunk" else run.store.root / name
+    done(path)
+    assert _prepare(run) == again
+    assert _prepare(run) == []
+    for group in (RETURNS, IMAGES, "evidence/evidence.zarr"):
+        before, after = read_arrays(made / "tiny" / group), read_arrays(run.store.path(group))
+        assert before.keys() == after.keys()
+        assert all(np.array_equal(before[key], after[key], equal_nan=True) for key in before)
+
+
+READ = [
+    ("a missing chunk", lambda store: harm.remove(_first_chunk(store.path(RETURNS))), "expected . chunks, found 0"),
+    ("a flipped bit", lambda store: harm.flip(_first_chunk(store.path(RETURNS))), "damaged"),
+    ("a chunk of zeros", lambda store: _zeros(_first_chunk(store.path(IMAGES))), "damaged"),
+    ("a cut group", lambda store: harm.cut(store.path(RETURNS) / "zarr.json"), "damaged"),
+    ("arrays of another type", lambda store: _retyped(store.path(RETURNS)), "range_m: expected type f4, found f8"),
+    ("an absent array", lambda store: shutil.rmtree(store.path(RETURNS) / "range_m"), "range_m"),
+    ("an array beyond memory", lambda store: _claims(store.path(RETURNS)), "range_m: expected 5333333334 chunks, found 1"),
+    ("a cut table", lambda store: harm.cut(store.path(FRAMES)), "frames.parquet.*damaged"),
+    ("a table of other columns", lambda store: write_rows(store.path(FRAMES), [{"a": 1}], ["a"]), "frames.parquet"),
+    ("a table of other types", lambda store: _texts(store.path(FRAMES)), "column frame: expected i8, found string"),
+    ("no origin", lambda store: store.path(DRIVE).write_text("{}"), "drive.json: expected 'scene_origin_m'"),
+]  # fmt: skip
+
+
+def _retyped(group: Path) -> None:
+    arrays = dict(read_arrays(group))
+    write_arrays(group, arrays | {"range_m": arrays["range_m"].astype(np.float64)})
+
+
+def _claims(group: Path) -> None:
+    facts = json.loads((group / "range_m" / "zarr.json").read_text())
+    (group / "range_m" / "zarr.json").write_text(json.dumps(facts | {"shape": [10**13]}))
+
+
+def _texts(path: Path) -> None:
+    rows = [row | {"frame": str(row["frame"])} for row in read_rows(path)]
+    write_rows(path, rows, list(rows[0]))
+
+
+@pytest.mark.parametrize(("done", "words"), [case[1:] for case in READ], ids=[case[0] for case in READ])
+def test_who_reads_a_damaged_output_is_told_what_to_delete(
+    run: SceneRun, done: Callable[[SceneStore], None], words: str
+) -> None:
+    done(run.store)
+    with pytest.raises(StoreError, match=rf"(?s)({words}).*delete .* run again"):
+        recording = read_recording(run.store)
+        recording.lidar.sweeps.arrays["range_m"]
+
+
+def test_a_flipped_bit_anywhere_in_a_table_never_becomes_a_value(tmp_path: Path) -> None:
+    path = tmp_path / "table.parquet"
+    write_rows(path, [{"a": k, "b": f"{k}", "c": [0.5 * k]} for k in range(30)], ["a", "b", "c"])
+    whole, rows = path.read_bytes(), read_rows(path)
+    refused = 0
+    for position in range(0, len(whole), 3):
+        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x10]) + whole[position + 1 :])
+        try:
+            # A name may change; who asks for the column is then told that it is not there.
+            for found, true in zip(read_rows(path), rows, strict=True):
+                assert all(found.get(name, value) == value for name, value in true.items()), position
+        except StoreError:
+            refused += 1
+    assert refused > 0.1 * len(whole) / 3
+
+
+def test_a_stage_never_reads_an_input_that_is_not_what_was_published(run: SceneRun) -> None:
+    harm.flip(_first_chunk(run.store.path(RETURNS)))
+    shutil.rmtree(run.store.path("pano"))
+    with pytest.raises(StoreError, match="is not what was published; run the stage sweeps again"):
+        run_named_stage("pano", run, lambda line: None)
+
+
+@pytest.mark.parametrize("part", ["metadata", "previews", "checks", "files"])
+def test_a_record_of_other_kinds_counts_as_absent(run: SceneRun, part: str) -> None:
+    path = run.store.path("frames") / "stage.json"
+    record = json.loads(path.read_text())
+    for wrong in ([["a"]], {"a": None}, {"a": "../../x"} if part == "previews" else 7):
+        path.write_text(json.dumps(record | {part: wrong}))
+        assert read_record(path.parent) is None
+
+
+def test_leftovers_of_killed_writers_are_ignored_and_others_are_not_taken_for_them(tmp_path: Path) -> None:
+    store = SceneStore(home=tmp_path, scene="s")
+    for name in (".publishing-0-99999999-0123abcd", ".publishing-0-odd-name", ".retired-0-0123abcd"):
+        folder = store.root / "field" / "lean" / name
+        folder.mkdir(parents=True)
+        (folder / "stage.json").write_text("{}")
+    assert newest_field(store.root) is None
+    assert make_benchmark_report(tmp_path, [], {}, []).is_file()
+    # Those of `left-2` begin like those of `left`.
+    with store.publish("dataset/left-2") as folder:
+        (folder / "kept").write_text("1")
+    store.path("dataset/left-2").rename(store.root / "dataset" / ".retired-left-2-0123abcd")
+    with publish_folder(store.path("dataset/left")) as folder:
+        (folder / "other").write_text("1")
+    assert [path.name for path in store.path("dataset/left").iterdir()] == ["other"]
+    with pytest.raises(ZeroDivisionError), store.publish("dataset/left-2"):
+        raise ZeroDivisionError
+    assert (store.path("dataset/left-2") / "kept").is_file()
+
+
+def test_weights_of_another_network_are_refused_by_name(tmp_path: Path) -> None:
+    path, network = tmp_path / "weights.safetensors", torch.nn.Linear(2, 3)
+    state = {f"net.{name}": value for name, value in network.state_dict().items()}
+    wrong = (
+        {"net.weight": torch.zeros(3, 2)},
+        state | {"net.weight": torch.zeros(4, 2)},
+        state | {"net.bias": torch.full((3,), float("nan"))},
+        {"other.weight": torch.zeros(3, 2)},
+    )
+    for tensors in wrong:
+        save_tensors(path, tensors)
+        with pytest.raises(StoreError, match=rf"(?s){path.name}: expected .*delete .* run again"):
+            load_into(network, load_tensors(path)[0], "net.", path)
+
+
+def test_one_scene_that_cannot_be_read_costs_no_other_its_place_in_the_report(tmp_path: Path) -> None:
+    for name in ("torn", "empty"):
+        folder = tmp_path / name / "scene_metrics" / "lean" / "0"
+        folder.mkdir(parents=True)
+        (folder / "metrics.parquet").write_bytes(b"PAR1" if name == "torn" else b"")
+    page = make_benchmark_report(tmp_path, ["torn"], {}, []).read_text()
+    assert page.count("cannot be read") >= 2 and "metrics.parquet" in page
+
+
+def test_links_in_a_circle_are_named(run: SceneRun) -> None:
+    shutil.rmtree(run.store.root / "frames")
+    (run.store.root / "frames").symlink_to(run.store.root / "frames")
+    with pytest.raises(NvsfError, match="in a circle"):
+        run_named_stage("sweeps", run, lambda line: None)
