@@ -10,6 +10,8 @@ MOST_SIDE_PX = 16_384
 """Longest side of an image."""
 MOST_PIXELS = 64_000_000
 """Largest image: eight times what cars have, and what a drive's images must fit into memory with."""
+_MOST_ASPECT = 4.0
+"""Of one focal length over the other: cameras have square pixels, some films twice as wide as high."""
 _AXIS_SIDES = 1.0
 """How many sides the optical axis may lie outside of the image."""
 
@@ -41,6 +43,10 @@ def intrinsics_fault(
         return (
             f"expected focal lengths of {FOCAL_WIDTHS[0]:g} to {FOCAL_WIDTHS[1]:g} image widths "
             f"({least:g} to {most:g} pixels), found {focal_px[0]:g} and {focal_px[1]:g}"
+        )
+    if max(focal_px) > _MOST_ASPECT * min(focal_px):
+        return (
+            f"expected pixels that are nearly square, found focal lengths {focal_px[0]:g} and {focal_px[1]:g}"
         )
     for place, side, word in zip(axis_px, size_px, ("column", "row"), strict=True):
         if not -_AXIS_SIDES * side <= place <= (1.0 + _AXIS_SIDES) * side:

@@ -14,10 +14,13 @@ from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.intrinsics import intrinsics_fault
 from nvsf_core.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
-from nvsf_core.kitti360.text import KeyedText, read_mounting, rotation
+from nvsf_core.kitti360.text import KeyedText, read_mounting, require_folder, rotation
 
 _SKEW_TOLERANCE = 1e-9
 """A rectified camera has neither skew nor turn in its projection."""
+
+_LONGEST_BASELINE_M = 10.0
+"""Between two cameras of one car."""
 
 _POSE_FRAME_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 """LiDAR axes placed at the pose frame's origin: what stands in for a LiDAR in a camera-only drive."""
@@ -163,6 +166,11 @@ def read_pinhole(table: KeyedText, camera: str) -> PinholeIntrinsics:
             "expected a rectified camera's rows (fx 0 cx .), (0 fy cy .), (0 0 1 .), found "
             f"{np.array2string(projection[:, :3], precision=6).replace(chr(10), '')}",
         )
+    if np.abs(projection[:, 3]).max() > _LONGEST_BASELINE_M * abs(projection[0, 0]):
+        raise table.fault(
+            f"P_rect_{number}",
+            f"expected a baseline of at most {_LONGEST_BASELINE_M:g} m, found {projection[:, 3]}",
+        )
     width, height = table.matrix(f"S_rect_{number}", (2,)).tolist()
     fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     fault = intrinsics_fault((fx, fy), (cx, cy), (width, height))
@@ -173,7 +181,7 @@ def read_pinhole(table: KeyedText, camera: str) -> PinholeIntrinsics:
 
 def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple[list[str], list[str]]:
     notes: list[str] = []
-    present = [name for name in CAMERAS if layout.camera_dir(name).is_dir()]
+    present = [name for name in CAMERAS if require_folder(layout.camera_dir(name))]
     if asked is not None:
         for name in asked:
             if name not in present:

@@ -1,6 +1,7 @@
 """The scene catalogue: which drives there are and which synthetic views are asked for."""
 
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -32,6 +33,8 @@ _MOST_BYTES = MIB
 """Of a catalogue: some ten thousand scenes."""
 _LONGEST_TEXT = 1000
 """Of a value: a path's parts may have 255 bytes each."""
+_MOST_DOTS = 20
+_MOST_VIEWS = 1000
 _LARGEST = 1e15
 """Larger numbers are none that a catalogue asks for."""
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
@@ -41,7 +44,7 @@ _VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
 
 def home_from_environment(environ: Mapping[str, str]) -> Path:
     """NVSF_HOME as an absolute path; default `.nvsf` in the working directory."""
-    return Path(environ.get("NVSF_HOME") or ".nvsf").expanduser().absolute()
+    return _expanded(environ.get("NVSF_HOME") or ".nvsf", "NVSF_HOME").absolute()
 
 
 def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, ...]:
@@ -50,12 +53,23 @@ def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, 
     Raises:
         DataError: See `load_catalogue`.
     """
-    named = [Path(part) for part in environ.get("NVSF_SCENES", "").split(os.pathsep) if part]
+    parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
+    named = [_expanded(part, "NVSF_SCENES") for part in parts if part]
     root = environ.get("NVSF_KITTI360_ROOT")
     default = Path(__file__).resolve().parents[2] / "scenes.toml"
     return load_catalogue(
-        named or [default], Path(root).expanduser() if root else None, home=home_from_environment(environ)
+        named or [default],
+        _expanded(root, "NVSF_KITTI360_ROOT") if root else None,
+        home=home_from_environment(environ),
     )
+
+
+def _expanded(text: str, what: str) -> Path:
+    """A path whose leading `~` or `~user` stands for a home folder."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise DataError(f"{what}: expected a path, found {text!r:.100} ({error})") from error
 
 
 def load_catalogue(
@@ -84,7 +98,10 @@ def load_catalogue(
             scenes[entry.name] = entry
         for raw in _entries(table, "view", path):
             views.append((f"{path}: view {raw.get('name')!r:.60}", _view(raw, path)))
+    if len(views) > _MOST_VIEWS:
+        raise DataError(f"{paths[0]}: expected at most {_MOST_VIEWS} views in all, found {len(views)}")
     _require_known_scenes(views, scenes)
+    _require_other_names(scenes)
     ordered = sorted(scenes.values(), key=lambda entry: entry.first_frame - entry.last_frame)
     return tuple(replace(entry, views=_views_of(entry, views)) for entry in ordered)
 
@@ -111,12 +128,31 @@ def has_data(entry: SceneEntry) -> bool:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(read_text(path, _MOST_BYTES))
-    except OSError as error:
-        raise DataError(f"cannot read catalogue {path} ({error.strerror}); correct NVSF_SCENES") from error
+        text = read_text(path, _MOST_BYTES)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DataError(f"cannot read catalogue {path} ({reason}); correct NVSF_SCENES") from error
+    if _is_nested(text):
+        raise DataError(
+            f"{path} is no TOML of a catalogue: a key has more than {_MOST_DOTS} parts; shorten it"
+        )
+    try:
+        return tomllib.loads(text)
     # A number of five thousand digits is a ValueError, brackets nested as deep a RecursionError.
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path} is no TOML: {error!s:.300}") from error
+        reason = error if isinstance(error, tomllib.TOMLDecodeError) else "absurd numbers or nesting"
+        raise DataError(f"{path} is no TOML: {reason!s:.300}; correct the file") from error
+
+
+def _is_nested(text: str) -> bool:
+    """Whether a key has absurdly many parts: reading `a.a.a. ... = 1` takes gigabytes."""
+    for line in text.splitlines():
+        *before, last = line.split("=")
+        # A key ends at each `=`, in inline tables too; a line without any is a header, or no TOML.
+        keys = [re.split(r"[,{\[]", part)[-1] for part in before] or [last.partition(",")[0]]
+        if any(key.count(".") > _MOST_DOTS for key in keys):
+            return True
+    return False
 
 
 def _entries(table: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, Any]]:
@@ -157,7 +193,7 @@ def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pat
     if text.split("/")[0] == _HOME_VARIABLE:
         return home / text.removeprefix(_HOME_VARIABLE).lstrip("/")
     # joinpath keeps an absolute root as it is.
-    return path.absolute().parent.joinpath(Path(text).expanduser())
+    return path.absolute().parent.joinpath(_expanded(text, f"{where}: root"))
 
 
 def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
@@ -215,6 +251,15 @@ def _require_known_scenes(views: Iterable[tuple[str, ViewEntry]], scenes: Mappin
                     raise DataError(
                         f"{where}: frames {outside!s:.200} are not in {first}..{last} of scene {name}{remedy}"
                     )
+
+
+def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
+    """Names that differ in case alone are one folder on some disks."""
+    known: dict[str, str] = {}
+    for name in scenes:
+        other = known.setdefault(name.casefold(), name)
+        if other != name:
+            raise DataError(f"scenes {other!r} and {name!r} differ in case alone; rename one")
 
 
 def _views_of(entry: SceneEntry, views: Iterable[tuple[str, ViewEntry]]) -> tuple[ViewEntry, ...]:

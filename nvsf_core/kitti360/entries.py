@@ -1,5 +1,6 @@
 """What a catalogue asks for: scenes and views, each whole and possible, or refused as it is made."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ MOST_FRAMES = 20_000
 FARTHEST_SHIFT_M = 1000.0
 """Nothing of a street is seen from farther away."""
 _MOST_YAW_DEG = 360.0
+_LARGEST = 1e15
+_LONGEST_PATH = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +48,9 @@ class ViewEntry:
     def __post_init__(self) -> None:
         """Refuse what could only fail after training."""
         _require_name("name", self.name)
+        _require_kinds(self, _VIEW_KINDS)
+        if self.times_s is None and self.frames == ():
+            raise DataError("frames: expected frames or times, found none")
         if self.sensor is not None and self.sensor not in SENSOR_TABLES:
             raise DataError(f"sensor: expected one of {', '.join(SENSOR_TABLES)}, found {self.sensor!r:.60}")
         unknown = sorted(set(self.exports) - set(EXPORTS))
@@ -96,6 +102,7 @@ class SceneEntry:
         """Refuse what could only fail later, or somewhere else on the disk."""
         _require_name("name", self.name, RESERVED_SCENES)
         _require_name("sequence", self.sequence)
+        _require_kinds(self, _SCENE_KINDS)
         self._require_frames()
         if self.sweep_period_s is not None and not SHORTEST_STEP_S <= self.sweep_period_s <= LONGEST_STEP_S:
             raise DataError(
@@ -113,6 +120,27 @@ class SceneEntry:
             except RecipeError as error:
                 raise DataError(f"recipe: {error}") from error
 
+        self._require_views()
+
+    def _require_views(self) -> None:
+        names = [view.name.casefold() for view in self.views]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise DataError(
+                f"views: expected each name once, found {twice[0]!r} again, if in other letters' case"
+            )
+        for view in self.views:
+            if view.times_s is not None or view.frames == "all":
+                continue
+            outside = [
+                frame for frame in view.frames if not self.first_frame <= float(frame) <= self.last_frame
+            ]
+            if outside:
+                raise DataError(
+                    f"view {view.name}: frames {outside!s:.200} are not in {self.first_frame}.."
+                    f"{self.last_frame}"
+                )
+
     def _require_frames(self) -> None:
         first, last, test_frames = self.first_frame, self.last_frame, self.test_frames
         outside = [frame for frame in test_frames if not first <= frame <= last]
@@ -128,6 +156,67 @@ class SceneEntry:
             )
         if len(test_frames) > last - first:
             raise DataError("every frame is a test frame; leave at least one to train on")
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_number(value: object) -> bool:
+    # NaN and infinity compare false, too.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and bool(value)
+
+
+def _is_path(value: object) -> bool:
+    return isinstance(value, Path) and "\0" not in str(value) and len(str(value)) <= _LONGEST_PATH
+
+
+def _all(
+    is_one: Callable[[object], bool], fewest: int = 1, most: int = MOST_FRAMES
+) -> Callable[[object], bool]:
+    """Whether a value is a tuple of so many of one kind."""
+    return lambda value: isinstance(value, tuple) and fewest <= len(value) <= most and all(map(is_one, value))
+
+
+def _or_none(is_one: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda value: value is None or is_one(value)
+
+
+_VIEW_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
+    "scenes": (_or_none(_all(_is_text)), "names of scenes, or None for all"),
+    "sensor": (_or_none(_is_text), "a sensor's name, or None for the recorded one"),
+    "shift_m": (_all(_is_number, 3, 3), "three numbers: forward, left, up"),
+    "yaw_deg": (_is_number, "a number of degrees"),
+    "frames": (
+        lambda value: value == "all" or _all(_is_whole, 0)(value),
+        '"all" or a tuple of frame numbers',
+    ),
+    "times_s": (_or_none(_all(_is_number)), "a tuple of seconds, or None"),
+    "exports": (_all(_is_text), "a tuple of formats"),
+}
+_SCENE_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
+    "root": (_is_path, f"a Path of at most {_LONGEST_PATH} characters"),
+    "first_frame": (_is_whole, "a whole number"),
+    "last_frame": (_is_whole, "a whole number"),
+    "test_frames": (_all(_is_whole, 0), "a tuple of frame numbers"),
+    "sweep_period_s": (_or_none(_is_number), "a number of seconds, or None"),
+    "cameras": (_or_none(_all(_is_text, 0)), "a tuple of cameras, or None for all"),
+    "recipe": (_or_none(_is_text), "a recipe's name, or None"),
+    "compensate": (lambda value: isinstance(value, bool), "True or False"),
+    "views": (_all(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
+}
+
+
+def _require_kinds(entry: object, kinds: Mapping[str, tuple[Callable[[object], bool], str]]) -> None:
+    """Refuse fields of other kinds: annotations are not asked when a dataclass is made."""
+    for name, (is_kind, words) in kinds.items():
+        value = getattr(entry, name)
+        if not is_kind(value):
+            raise DataError(f"{name}: expected {words}, found {value!r:.60}")
 
 
 def _require_name(what: str, name: str, reserved: tuple[str, ...] = ()) -> None:

@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 
 from nvsf_core.errors import DataError
+from nvsf_core.kitti360.text import is_there
 
 
 def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
@@ -18,8 +19,11 @@ def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
         DataError: It is absent, a folder, a pipe or a device, or too large.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise DataError(f"{path}: expected a {what}, found a folder, a pipe or a device; copy it again")
+        if is_there(path) and not path.is_file():
+            raise DataError(
+                f"{path}: expected a {what}, found a folder, a pipe or a device, or a link to nowhere; "
+                "copy it again"
+            )
         size = path.stat().st_size
         if size > most_bytes:
             raise DataError(

@@ -71,6 +71,8 @@ def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray
         )
     except cv2.error as error:
         raise DataError(f"{path}: unreadable image, its decoder says {error}; copy it again") from error
+    if decoded is not None and decoded.min() == decoded.max():
+        raise DataError(f"{path}: expected a picture, found one value in all pixels; the camera sent nothing")
     if decoded is None or decoded.shape != (height, width, 3):
         raise DataError(f"{path}: unreadable image, no decoder accepts it; copy it again")
     return np.ascontiguousarray(decoded[:, :, ::-1])

@@ -79,11 +79,16 @@ class DriveLayout:
         """Times of a camera's exposures."""
         return self.camera_dir(camera).parent / "timestamps.txt"
 
+    @property
+    def boxes_dir(self) -> Path:
+        """Folder of the annotated boxes of all sequences."""
+        return self.root / "data_3d_bboxes"
+
     def boxes_path(self, split: str) -> Path:
         """3-D boxes; `split` is `train` or `train_full`."""
-        return self.root / "data_3d_bboxes" / split / f"{self.sequence}.xml"
+        return self.boxes_dir / split / f"{self.sequence}.xml"
 
     @property
     def boxes_paths(self) -> tuple[Path, ...]:
         """Box files that exist, by name, so that which one is read never depends on the disk's order."""
-        return tuple(sorted((self.root / "data_3d_bboxes").glob(f"*/{self.sequence}.xml")))
+        return tuple(sorted(self.boxes_dir.glob(f"*/{self.sequence}.xml")))

@@ -8,8 +8,8 @@ import numpy as np
 from nvsf_core.errors import DataError
 from nvsf_core.kitti360.text import FARTHEST_M, MIB, parse_numbers, read_text, rigid
 
-_MOST_BYTES = 64 * MIB
-"""A hundred thousand frames: the longest drive of KITTI-360 has 15,000, in 4 MB."""
+_MOST_LINES, _MOST_BYTES = 100_000, 32 * MIB
+"""The longest drive of KITTI-360 has 15,000 frames, in 4 MB."""
 _MOST_FRAME = 9_999_999_999
 """File names have ten digits."""
 
@@ -65,6 +65,10 @@ def _read_lines(path: Path, count: int) -> dict[int, np.ndarray]:
         raise DataError(
             f"cannot read poses {path} ({error}); unpack the drive's `data_poses` folder there"
         ) from error
+    if text.count("\n") > _MOST_LINES:
+        raise DataError(
+            f"{path}: expected at most {_MOST_LINES:,} lines, found more; cut the drive into parts"
+        )
     poses: dict[int, np.ndarray] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():

@@ -1,12 +1,13 @@
 """Text files of a drive: read within bounds, and taken apart into numbers, rigid motions, or keyed lines."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-from nvsf_core.errors import CalibrationError
+from nvsf_core.errors import CalibrationError, DataError
 
 MIB = 1 << 20
 FARTHEST_M = 3e7
@@ -28,12 +29,31 @@ def read_text(path: Path, most_bytes: int) -> str:
         OSError: It is absent or cannot be read.
         ValueError: It is a folder, a pipe or a device, too large, or no UTF-8; the message says what.
     """
-    if path.exists() and not path.is_file():
-        raise ValueError("expected a regular file, found a folder, a pipe or a device")
+    if is_there(path) and not path.is_file():
+        raise ValueError("expected a regular file, found a folder, a pipe, a device or a link to nowhere")
     size = path.stat().st_size
     if size > most_bytes:
         raise ValueError(f"expected at most {most_bytes:,} bytes, found {size:,}")
-    return path.read_text(encoding="utf-8")
+    # With or without a byte order mark.
+    return path.read_text(encoding="utf-8-sig")
+
+
+def is_there(path: Path) -> bool:
+    """Whether anything has that name, if only a link that leads nowhere or in a circle."""
+    return os.path.lexists(path)
+
+
+def require_folder(path: Path) -> bool:
+    """Whether a folder is there; what has its name and is none would else be passed over as if nothing was.
+
+    Raises:
+        DataError: It is something else.
+    """
+    if is_there(path) and not path.is_dir():
+        raise DataError(
+            f"{path}: expected a folder, found a file, a pipe or a broken link; unpack the drive again"
+        )
+    return path.is_dir()
 
 
 def parse_numbers(text: str, count: int) -> np.ndarray:
@@ -82,7 +102,9 @@ def rotation(matrix: np.ndarray) -> np.ndarray:
     """
     deviation = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     # Not finite: entries of 1e200 overflow.
-    if not deviation <= _ORTHONORMAL_TOLERANCE or np.linalg.det(matrix) < 0:
+    if deviation <= _ORTHONORMAL_TOLERANCE and np.linalg.det(matrix) < 0:
+        raise ValueError("expected a rotation, found one with a mirror in it (determinant -1)")
+    if not deviation <= _ORTHONORMAL_TOLERANCE:
         raise ValueError(f"expected a rotation, found a matrix with |R R^T - 1| up to {deviation:.3g}")
     if deviation <= _PRINTED_TOLERANCE:
         return matrix

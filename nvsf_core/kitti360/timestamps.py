@@ -8,13 +8,15 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 from nvsf_core.kitti360.layout import CAMERAS, DriveLayout
-from nvsf_core.kitti360.text import MIB, read_text
+from nvsf_core.kitti360.text import MIB, is_there, read_text
 
 NOMINAL_PERIOD_S = 0.1
 """A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
 SHORTEST_STEP_S, LONGEST_STEP_S = 0.01, 2.0
 """Between two frames, in the median: LiDARs turn 5 to 20 times a second, cameras record 1 to 100 images."""
-LONGEST_PAUSE_S = 60.0
+LEAST_OF_MEDIAN = 0.05
+"""Of the median step: frames that are nearer in time than that were not recorded so."""
+LONGEST_PAUSE_S = 10.0
 """Between any two frames of one section: a longer one is another recording, or another unit."""
 _MOST_BYTES = 64 * MIB
 _LONGEST_SHOWN = 60
@@ -67,10 +69,13 @@ def frame_times(
     time_s = (section - section[0]) / np.timedelta64(1, "s")
     steps_s = np.diff(time_s) if count > 1 else np.array([period_s])
     median_s, longest_s = float(np.median(steps_s)), float(steps_s.max())
-    if not SHORTEST_STEP_S <= median_s <= LONGEST_STEP_S or longest_s > LONGEST_PAUSE_S:
+    shortest_s = float(steps_s.min())
+    is_even = SHORTEST_STEP_S <= median_s <= LONGEST_STEP_S and shortest_s >= LEAST_OF_MEDIAN * median_s
+    if not is_even or longest_s > LONGEST_PAUSE_S:
         misfit = (
-            f"{path.name}: frames {median_s:g} s apart in the median and {longest_s:g} s at most, expected "
-            f"{SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} s and at most {LONGEST_PAUSE_S:g} s: another unit?"
+            f"{path.name}: frames {shortest_s:g} to {longest_s:g} s apart, {median_s:g} s in the median; "
+            f"expected a median of {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} s, at least "
+            f"{LEAST_OF_MEDIAN:g} of it and at most {LONGEST_PAUSE_S:g} s: another unit?"
         )
         return _nominal(count, period_s, misfit, is_refused=True)
     return FrameTimes(time_s, median_s, False, str(path.relative_to(layout.root)))
@@ -125,7 +130,7 @@ def _timestamp_file(layout: DriveLayout) -> Path | None:
     candidates = [layout.timestamps_path()]
     candidates += [layout.camera_timestamps_path(name) for name in CAMERAS]
     # What stands there and is no file is refused when it is read, not passed over.
-    return next((path for path in candidates if path.exists()), None)
+    return next((path for path in candidates if is_there(path)), None)
 
 
 def _recorded_frames(layout: DriveLayout) -> list[int]:

@@ -14,8 +14,11 @@ from nvsf_core.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.kitti360.scans import parse_scan, read_scan_bytes
+from nvsf_core.kitti360.text import is_there, require_folder
 from nvsf_core.kitti360.timestamps import FrameTimes, frame_times
 
+_FARTHEST_BOX_M = 20_000.0
+"""From the section's middle: a sequence is some kilometres long, and all its static boxes are read."""
 _NO_POSE = "no pose in poses.txt"
 
 
@@ -94,7 +97,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         DataError: A pose or time line cannot be read, or nothing of the section can be used.
     """
     layout = DriveLayout(entry.root, entry.sequence)
-    has_scans = layout.scan_path(0).parent.is_dir()
+    has_scans = require_folder(layout.velodyne_dir) and require_folder(layout.scan_path(0).parent)
     calibration = read_calibration(layout, entry.cameras, has_scans=has_scans)
     poses = read_poses(layout.poses_path)
     times = frame_times(layout, entry.first_frame, entry.last_frame, entry.sweep_period_s)
@@ -107,7 +110,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         frames.append(_frame_row(layout, frame, time_s, split, pose, calibration, has_scans=has_scans))
         images += [_camera_row(layout, name, frame, pose, calibration) for name in calibration.cameras]
     _require_something(layout, frames, images)
-    boxes, left_out, box_notes = _read_boxes(layout, entry)
+    boxes, left_out, box_notes = _read_boxes(layout, entry, _scene_origin_m(frames))
     notes = list(calibration.notes) + box_notes
     if calibration.lidar_is_assumed:
         notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")
@@ -140,7 +143,7 @@ def _frame_row(
     path = layout.scan_path(frame)
     if not has_scans:
         reasons.append("camera-only drive")
-    elif not path.exists():
+    elif not is_there(path):
         reasons.append(f"no scan file {path.name}")
     else:
         try:
@@ -170,7 +173,7 @@ def _camera_row(
     checksum = ""
     path = layout.image_path(camera, frame)
     mounted = calibration.cameras[camera]
-    if not path.exists():
+    if not is_there(path):
         reasons.append(f"no image file {path.name}")
     else:
         try:
@@ -212,13 +215,21 @@ def _scene_origin_m(frames: list[FrameRow]) -> np.ndarray:
     return np.round(placed[len(placed) // 2][:3, 3])
 
 
-def _read_boxes(layout: DriveLayout, entry: SceneEntry) -> tuple[list[Box], list[str], list[str]]:
+def _read_boxes(
+    layout: DriveLayout, entry: SceneEntry, origin_m: np.ndarray
+) -> tuple[list[Box], list[str], list[str]]:
     """Boxes, those left out, and notes."""
+    require_folder(layout.boxes_dir)
     paths = layout.boxes_paths
     if not paths:
         return [], [], []
     # By name `train_full` is the last: it holds whole objects where `train` cuts them at its windows.
     boxes, left_out = read_boxes(paths[-1], entry.first_frame, entry.last_frame)
+    far = [box for box in boxes if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) > _FARTHEST_BOX_M]
+    left_out += [
+        f"object {box.object_id} in frame {box.frame}: more than {_FARTHEST_BOX_M:g} m away" for box in far
+    ]
+    boxes = [box for box in boxes if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) <= _FARTHEST_BOX_M]
     notes = [f"boxes read from {paths[-1].relative_to(layout.root)}"] if len(paths) > 1 else []
     return boxes, left_out, notes
 
@@ -227,7 +238,7 @@ def _disagreement(
     layout: DriveLayout, poses: dict[int, np.ndarray], entry: SceneEntry
 ) -> PoseDisagreement | None:
     camera0_to_pose = read_rectified_camera0_to_pose(layout)
-    if camera0_to_pose is None or not layout.cam0_to_world_path.is_file():
+    if camera0_to_pose is None or not is_there(layout.cam0_to_world_path):
         return None
     section = range(entry.first_frame, entry.last_frame + 1)
     ours = {frame: poses[frame] @ camera0_to_pose for frame in section if frame in poses}

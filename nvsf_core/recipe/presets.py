@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from nvsf_core.errors import RecipeError
+from nvsf_core.names import LONGEST_NAME
 from nvsf_core.recipe.base import Recipe
 from nvsf_core.recipe.paper import (
     AuthorsSlips,
@@ -149,6 +150,8 @@ def preset(name: str) -> Recipe:
     Raises:
         RecipeError: There is none of that name, or no such share.
     """
+    if not isinstance(name, str) or len(name) > LONGEST_NAME:
+        raise RecipeError(f"expected a recipe's name, found {name!r:.60}")
     full = full_name(name)
     if full not in _PRESETS:
         raise RecipeError(f"no recipe {full!r}; there are {', '.join(sorted(_PRESETS))}")

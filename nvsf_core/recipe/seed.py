@@ -19,7 +19,9 @@ def require_seed(seed: object, what: str = "seed") -> int:
         RecipeError: It is no whole number from 0 to `MOST_SEED`.
     """
     if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= MOST_SEED:
-        found = repr(seed) if len(repr(seed)) <= 40 else f"{repr(seed)[:40]}..."
+        # Python refuses to write out a number of more than 4300 digits.
+        is_huge = isinstance(seed, int) and not -MOST_SEED <= seed <= MOST_SEED
+        found = "one that is far outside" if is_huge else f"{seed!r:.60}"
         raise RecipeError(f"{what}: expected a whole number from 0 to {MOST_SEED}, found {found}")
     return seed
 

@@ -9,6 +9,7 @@ from nvsf_core.recipe.base import Recipe
 __all__ = ["differ_in_step_size", "full_name", "share_of", "slower"]
 
 _MARK = "@"
+_LEAST_SHARE = 1e-6
 _RATES = ("rate", "table_rate", "network_rate", "head_rate", "flow_rate")
 _Kind = TypeVar("_Kind", bound=Recipe)
 
@@ -19,8 +20,10 @@ def slower(recipe: _Kind, share: float) -> _Kind:
     Raises:
         RecipeError: The share is not above 0 and at most 1.
     """
-    if not 0.0 < share <= 1.0:
-        raise RecipeError(f"recipe {recipe.name}: expected a share of its rates in (0, 1], found {share}")
+    if not _LEAST_SHARE <= share <= 1.0:
+        raise RecipeError(
+            f"recipe {recipe.name}: expected a share of its rates from {_LEAST_SHARE:g} to 1, found {share}"
+        )
     slowed: _Kind = replace(_scaled(recipe, share), name=f"{full_name(recipe.name)}{_MARK}{share:g}")
     return slowed
 

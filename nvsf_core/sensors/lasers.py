@@ -140,6 +140,9 @@ def recover_firings(
         silent = len(columns) - len(seen)
         return firing, azimuth_rad, f"{said}, {silent} of them lost" if silent else said
     count = _firings_by_spacing(theta_steps * table.step_rad, ids)
+    if count > table.lattice_steps:
+        said = f"{count} firings by the returns' spacing, more than the encoder's {table.lattice_steps} steps"
+        return firing, np.zeros(0), f"firings unknown: {said}"
     gone_by_turns = (np.pi - wrap_angle(shifted)) / (2.0 * np.pi)
     firing[known] = np.floor(gone_by_turns * count).astype(np.int64) % count
     azimuth_rad = np.pi - (np.arange(count) + 0.5) * (2.0 * np.pi / count)

@@ -107,7 +107,10 @@ def _run(task: Task) -> StageOutput:
         write_arrays(task.folder / "evidence.zarr", {})
         return StageOutput(metadata={"profile": "cameras alone: nothing is proven, everything is learned"})
     if not sweeps.is_training.any():
-        raise DataError(f"scene {task.scene.name}: expected at least one valid training scan, found none")
+        raise DataError(
+            f"scene {task.scene.name}: expected at least one valid training scan, found none; see in the "
+            "table of the stage `frames` why scans are left out, or hold out other frames"
+        )
     evidence, tried = _prove(sweeps)
     write_arrays(task.folder / "evidence.zarr", evidence.to_arrays())
     surfels = evidence.surfels

@@ -57,11 +57,24 @@ def plan_run(
         DataError: The label is no part of a folder's name, or a view asks for times outside of the drive.
         StoreError: The home cannot be written to.
     """
+    if not isinstance(scene, SceneEntry):
+        raise DataError(f"expected a SceneEntry, found {scene!r:.60}; `find_scene` gives one by its name")
     require_times_in_drive(scene)
+    home = require_home(home)
+    _require_apart(scene, home)
     if not isinstance(recipe, Recipe):
-        recipe = preset(recipe or scene.recipe or DEFAULT_RECIPE)
+        recipe = preset(scene.recipe or DEFAULT_RECIPE if recipe in (None, "") else recipe)
     config = RunConfig(recipe=recipe, seed=seed, draw_seed=draw_seed, dataset_label=dataset_label)
-    return SceneRun(scene=scene, store=SceneStore(home=require_home(home), scene=scene.name), config=config)
+    return SceneRun(scene=scene, store=SceneStore(home=home, scene=scene.name), config=config)
+
+
+def _require_apart(scene: SceneEntry, home: Path) -> None:
+    """Outputs are never written among what was recorded."""
+    for kind in ("calibration", "data_2d_raw", "data_3d_raw", "data_3d_bboxes", "data_poses"):
+        if home.is_relative_to((scene.root / kind).resolve()):
+            raise StoreError(
+                f"NVSF_HOME={home} lies in the drive's own folder {scene.root / kind}; choose another"
+            )
 
 
 def run_scene(
@@ -112,6 +125,8 @@ def run_named_stage(
         NvsfError: Whatever the stage raises; names the scene.
     """
     by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
+    if name not in by_name:
+        raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
     stage = by_name[name]
     inputs = _input_fingerprints(stage, by_name, run)
     with (

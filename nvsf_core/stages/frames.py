@@ -32,6 +32,8 @@ _POSE_TOLERANCE_M = 0.02
 """World coordinates of some 1000 m, printed in files whose rotations have 6 digits on a 1.6 m lever."""
 _POSE_TOLERANCE_DEG = 0.01
 _MAX_SPEED_M_S = 70.0
+_FEWEST_OF_MEDIAN = 0.5
+"""Of the median scan's returns; 0.87 at least over real streets."""
 _JUMP_M_S = 700.0
 """Twice the speed of sound: no car, and no error of its poses that still lets a scene be told."""
 
@@ -174,10 +176,13 @@ def _checks(drive: Drive) -> list[Check]:
     ]
     if drive.has_scans:
         checks.append(_listing("all_scans_are_usable", bad_scans, "scans left out"))
+        checks.append(_sizes_check(drive))
         checks.append(_repeats("every_scan_is_another", [(row.frame, row.checksum) for row in drive.frames]))
     for camera in drive.calibration.cameras:
         own = [(row.frame, row.checksum) for row in drive.images if row.camera == camera]
         checks.append(_repeats(f"every_image_of_{camera}_is_another", own))
+    uncalibrated = list(drive.calibration.notes)
+    checks.append(_listing("all_cameras_are_calibrated", uncalibrated, "cameras left out"))
     checks.append(_listing("all_boxes_are_usable", list(drive.boxes_left_out), "boxes left out"))
     if drive.disagreement is not None:
         gap = drive.disagreement
@@ -185,7 +190,9 @@ def _checks(drive: Drive) -> list[Check]:
             Check(
                 name="cam0_to_world_agrees_with_poses",
                 passed=gap.translation_m <= _POSE_TOLERANCE_M and gap.rotation_deg <= _POSE_TOLERANCE_DEG,
-                detail=f"at most {1000 * gap.translation_m:.2f} mm and {gap.rotation_deg:.5f} deg apart "
+                detail="no frame has a pose in both"
+                if gap.frames == 0
+                else f"at most {1000 * gap.translation_m:.2f} mm and {gap.rotation_deg:.5f} deg apart "
                 f"over {gap.frames} frames",
             )
         )
@@ -197,6 +204,16 @@ def _listing(name: str, faults: list[Any], what: str) -> Check:
     if faults:
         detail += ": " + "; ".join(str(fault) for fault in faults[:5]) + ("; ..." if len(faults) > 5 else "")
     return Check(name=name, passed=not faults, detail=detail)
+
+
+def _sizes_check(drive: Drive) -> Check:
+    """A scan of a fraction of the others' returns was cut, or its sensor was covered."""
+    counts = {row.frame: row.n_returns for row in drive.frames if row.scan_valid}
+    median = float(np.median(list(counts.values()))) if counts else 0.0
+    few = [f"{frame}: {count}" for frame, count in counts.items() if count < _FEWEST_OF_MEDIAN * median]
+    return _listing(
+        "scans_are_of_one_size", few, f"scans with less than a part of the median's {median:.0f} returns"
+    )
 
 
 def _repeats(name: str, files: list[tuple[int, str]]) -> Check:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
@@ -19,6 +20,8 @@ from nvsf_core.stores.scene_store import SceneStore
 NOT_RUN = "not run"
 """How the detail of a check begins that had nothing to judge."""
 Scalar = float | int | str | bool
+_MOST_FILES = 500_000
+"""Of one sequence: KITTI-360's longest has 15,000 frames of five sensors."""
 
 
 class Progress(Protocol):
@@ -343,14 +346,33 @@ def _facts(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str,
 
 
 def _drive_listing(scene: SceneEntry) -> str:
-    """Names, sizes and change times of the drive's files: cheap, and different when a file is."""
+    """Names, sizes and change times of the drive's files: cheap, and different when a file is.
+
+    Raises:
+        DataError: There are too many: a link leads to where there is no drive.
+    """
     digest = hashlib.sha256()
     folders = [scene.root / "calibration"] + [
         scene.root / kind / scene.sequence for kind in ("data_3d_raw", "data_2d_raw", "data_poses")
     ]
-    files = [path for folder in folders for path in sorted(folder.rglob("*")) if path.is_file()]
+    files = [path for folder in folders for path in _files_below(folder)]
     files += sorted((scene.root / "data_3d_bboxes").glob(f"*/{scene.sequence}.xml"))
     for path in files:
-        stat = path.stat()
-        digest.update(f"{path.relative_to(scene.root)} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+        if path.is_file():
+            stat = path.stat()
+            name = path.relative_to(scene.root).as_posix()
+            digest.update(os.fsencode(f"{name} {stat.st_size} {stat.st_mtime_ns}\n"))
     return digest.hexdigest()
+
+
+def _files_below(folder: Path) -> list[Path]:
+    """All files below a folder, in the order of their paths."""
+    found: list[Path] = []
+    for place, _, names in os.walk(folder):
+        found += [Path(place) / name for name in names]
+        if len(found) > _MOST_FILES:
+            raise DataError(
+                f"{folder}: expected the files of one drive, found more than {_MOST_FILES:,}; is it a link "
+                "to another place?"
+            )
+    return sorted(found)

@@ -256,6 +256,8 @@ def _checks(
     finite = all(bool(np.isfinite(arrays[name]).all()) for name in ("origin_m", "direction", "range_m"))
     length_error = float(np.abs(np.linalg.norm(arrays["direction"], axis=1) - 1.0).max())
     unknown = int((arrays["laser"] < 0).sum())
+    homeless = int(((arrays["laser"] >= 0) & (arrays["firing"] < 0)).sum())
+    dull = [scan.row["frame"] for scan in scans if np.ptp(scan.intensity) == 0.0]
     shared = sum(_shared_cells(scan.timing, table.laser_count) for scan in scans)
     ordered = sum(scan.timing.source == FILE_ORDER for scan in scans)
     return [
@@ -272,14 +274,23 @@ def _checks(
             detail=f"{ordered} of {len(scans)} scans hold laser after laser",
         ),
         Check(
-            name="intensities_are_recorded", passed=bool(np.ptp(arrays["intensity"]) > 0.0),
-            detail=f"intensities from {arrays['intensity'].min():g} to {arrays['intensity'].max():g}",
+            name="intensities_are_recorded", passed=not dull,
+            detail=f"{len(dull)} of {len(scans)} scans with one intensity throughout{_named(dull)}",
+        ),
+        Check(
+            name="firings_are_known", passed=homeless == 0,
+            detail=f"{homeless} of {len(arrays['laser'])} returns of known lasers without a firing",
         ),
         Check(
             name="no_two_returns_share_a_firing", passed=shared <= 1e-4 * len(arrays["laser"]),
             detail=f"{shared} of {len(arrays['laser'])} returns share laser and firing with another",
         ),
     ]  # fmt: skip
+
+
+def _named(frames: list[int]) -> str:
+    shown = ", ".join(map(str, frames[:5]))
+    return f": frames {shown}{', ...' if len(frames) > 5 else ''}" if frames else ""
 
 
 def _shared_cells(timing: ScanTiming, laser_count: int) -> int:

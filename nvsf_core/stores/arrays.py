@@ -7,6 +7,7 @@ flipped byte would be data.
 import contextlib
 import math
 import os
+import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import EllipsisType
@@ -129,6 +130,11 @@ def _is_checked(stored: zarr.Array) -> bool:
 def _open(path: Path) -> zarr.Group:
     if not path.is_dir():
         raise StoreError(f"no Zarr group at {path}; run the stage that makes it")
+    for folder, _, files in os.walk(path):
+        for name in files:
+            # Who opens a pipe waits for ever. (Links to folders are no files to `walk`, either.)
+            if not stat.S_ISREG((Path(folder) / name).lstat().st_mode):
+                raise foreign(path, f"expected regular files, found something else at {Path(folder) / name}")
     return zarr.open_group(str(path), mode="r")
 
 

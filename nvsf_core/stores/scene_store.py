@@ -18,6 +18,8 @@ from nvsf_core.names import RESERVED_SCENES, name_fault
 
 _TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
+_LONGEST_HOME = 1000
+"""Characters: a path may have 4096 bytes, and outputs lie some 200 deeper."""
 _CHANCE = re.compile(r"-[0-9a-f]{8}")
 """How a retired folder's name ends."""
 _WRITER = re.compile(r"-(\d{1,10})-[0-9a-f]{8}")
@@ -30,6 +32,13 @@ def require_home(home: Path) -> Path:
     Raises:
         StoreError: It, or what it would lie in, is no folder or not writable.
     """
+    home = Path(home)
+    text = str(home)
+    if len(text) > _LONGEST_HOME or not text.isprintable():
+        raise StoreError(
+            f"NVSF_HOME: expected at most {_LONGEST_HOME} printable characters, found {text!r:.100}; choose "
+            "another folder"
+        )
     try:
         home = home.resolve()
         nearest = next(path for path in (home, *home.parents) if path.exists())
@@ -69,12 +78,14 @@ class SceneStore:
             StoreError: It does not lie in the scene's folder: by `..`, an absolute path, or a link that
                 leads elsewhere.
         """
-        root, path = self.root, self.root / relative
+        # The home may be a link, to a larger disk for example; the scene's folder in it may not.
+        root = self.home.resolve() / self.scene
+        path = self.root / relative
         if "\0" in relative or ".." in path.parts or Path(relative).is_absolute():
             raise StoreError(
                 f"scene {self.scene}: expected an output's folder below {root}, found {relative!r}"
             )
-        if path == root or not _leads_below(path, root):
+        if path == self.root or not _leads_below(path, root):
             raise StoreError(
                 f"scene {self.scene}: output {relative!r} leads out of {root}, or in a circle; "
                 "replace the link by a folder (NVSF_HOME itself may be a link)"
@@ -121,7 +132,7 @@ class SceneStore:
 
 def _leads_below(path: Path, root: Path) -> bool:
     try:
-        return path.resolve().is_relative_to(root.resolve())
+        return path.resolve().is_relative_to(root)
     except (OSError, RuntimeError):  # links that lead in circles
         return False
 

@@ -114,18 +114,38 @@ def test_a_damaged_output_is_made_again_and_nothing_else(
 
 
 READ = [
-    ("a missing chunk", lambda store: harm.remove(_first_chunk(store.path(RETURNS))), "expected . chunks, found 0"),
+    (
+        "a missing chunk",
+        lambda store: harm.remove(_first_chunk(store.path(RETURNS))),
+        "expected . chunks, found 0",
+    ),
     ("a flipped bit", lambda store: harm.flip(_first_chunk(store.path(RETURNS))), "damaged"),
     ("a chunk of zeros", lambda store: _zeros(_first_chunk(store.path(IMAGES))), "damaged"),
     ("a cut group", lambda store: harm.cut(store.path(RETURNS) / "zarr.json"), "damaged"),
-    ("arrays of another type", lambda store: _retyped(store.path(RETURNS)), "range_m: expected type f4, found f8"),
+    (
+        "arrays of another type",
+        lambda store: _retyped(store.path(RETURNS)),
+        "range_m: expected type f4, found f8",
+    ),
     ("an absent array", lambda store: shutil.rmtree(store.path(RETURNS) / "range_m"), "range_m"),
-    ("an array beyond memory", lambda store: _claims(store.path(RETURNS)), "range_m: expected 5333333334 chunks, found 1"),
+    (
+        "an array beyond memory",
+        lambda store: _claims(store.path(RETURNS)),
+        "range_m: expected 5333333334 chunks, found 1",
+    ),
     ("a cut table", lambda store: harm.cut(store.path(FRAMES)), "frames.parquet.*damaged"),
-    ("a table of other columns", lambda store: write_rows(store.path(FRAMES), [{"a": 1}], ["a"]), "frames.parquet"),
-    ("a table of other types", lambda store: _texts(store.path(FRAMES)), "column frame: expected i8, found string"),
+    (
+        "a table of other columns",
+        lambda store: write_rows(store.path(FRAMES), [{"a": 1}], ["a"]),
+        "frames.parquet",
+    ),
+    (
+        "a table of other types",
+        lambda store: _texts(store.path(FRAMES)),
+        "column frame: expected i8, found string",
+    ),
     ("no origin", lambda store: store.path(DRIVE).write_text("{}"), "drive.json: expected 'scene_origin_m'"),
-]  # fmt: skip
+]
 
 
 def _retyped(group: Path) -> None:

@@ -62,7 +62,7 @@ def test_entities_are_refused(tmp_path: Path) -> None:
         (box(transform="1 2 3"), "expected 16 numbers, found 3"),
         (box(transform=TRANSFORM.replace("10", "nan")), "finite"),
         (box().replace("<instanceId>7</instanceId>", ""), "field 'instanceId' is missing"),
-        (box().replace("<timestamp>12", "<timestamp>noon"), "invalid literal"),
+        (box().replace("<timestamp>12", "<timestamp>noon"), "timestamp: expected a whole number"),
     ],
 )
 def test_a_garbled_box_names_file_and_field(tmp_path: Path, bad: str, reason: str) -> None:

@@ -55,7 +55,8 @@ def store(tmp_path, monkeypatch):
         split = ["test" if frame == HELD_OUT else "train" for frame in FRAMES]
         write_table(folder / "frames.parquet", {"frame": list(FRAMES), "split": split})
     with store.publish("sweeps") as folder:
-        times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1, "firings": np.full(5, FIRINGS, np.int32)}
+        times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1}
+        times["firings"] = np.full(5, FIRINGS, np.int32)
         arrays = _joined([_scan(draws) for _ in FRAMES])
         write_arrays(folder / "returns.zarr", times | arrays, {"sensor": SENSOR})
     with store.publish("undistorted") as folder:
