@@ -12,6 +12,7 @@ from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, Check, Outcome, Stage, run_named_stage
 from nvsf_core.stages.stage import NOT_RUN, Law, UnsoundOutputError
+from nvsf_core.stores.pictures import read_picture
 
 CHECK_NAME = "output_is_sound"
 """Every asset's blocking check: all that the stage itself checked, each listed in the metadata. What a stage
@@ -121,7 +122,7 @@ def _verdict(law: Law, check: Check | None, scene: str) -> dict[str, Any]:
     numbers = {"value": check.value, "limit": check.limit}
     # A NaN cannot travel to the UI as a number; the description says it.
     metadata: dict[str, dg.MetadataValue] = {
-        key: dg.MetadataValue.float(number)
+        key: dg.MetadataValue.float(float(number))
         for key, number in numbers.items()
         if number is not None and math.isfinite(number)
     }
@@ -145,7 +146,7 @@ def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
     """What the UI shows of an output: where it lies, how long it took, its numbers and pictures."""
     metadata: dict[str, dg.MetadataValue] = {
         "path": dg.MetadataValue.path(str(outcome.path)),
-        "seconds": dg.MetadataValue.float(round(outcome.seconds, 3)),
+        "seconds": dg.MetadataValue.float(round(float(outcome.seconds), 3)),
         "was_up_to_date": dg.MetadataValue.bool(outcome.skipped),
     }
     metadata |= scalar_metadata(outcome.metadata)
@@ -179,9 +180,9 @@ def scalar_metadata(values: Mapping[str, float | int | str | bool]) -> dict[str,
 
 def picture(path: Path) -> dg.MetadataValue:
     """A PNG as markdown; it is kept in the event log, so a large one is named instead of shown."""
-    if not path.is_file():
+    content = read_picture(path)
+    if content is None:
         return dg.MetadataValue.text(f"no picture at {path}")
-    content = path.read_bytes()
     if len(content) > _PREVIEW_LIMIT_BYTES:
         return dg.MetadataValue.path(str(path))
     return dg.MetadataValue.md(f"![{path.stem}](data:image/png;base64,{base64.b64encode(content).decode()})")

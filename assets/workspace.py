@@ -61,4 +61,3 @@ class Workspace(dg.ConfigurableResource):
 def catalogue() -> tuple[SceneEntry, ...]:
     """Every scene that NVSF_SCENES (or the project's scenes.toml) names."""
     return catalogue_from_environment(os.environ)
-

@@ -6,6 +6,8 @@ from pathlib import Path
 import dagster as dg
 
 from assets.workspace import Workspace, catalogue
+from nvsf_core.errors import RecipeError
+from nvsf_core.recipe import is_seed_folder, preset
 from nvsf_core.stages.stage_record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import published
 from pipelines.jobs import regenerate_synthetic
@@ -38,10 +40,19 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
         yield dg.SkipReason("no scene has a trained field")
 
 
+def _is_known(folder: Path) -> bool:
+    """Whether a field's folder is of a seed and of a recipe that a run can be asked for by name."""
+    try:
+        preset(folder.parent.name)
+    except RecipeError:
+        return False
+    return is_seed_folder(folder.name)
+
+
 def newest_field(scene_root: Path) -> tuple[str, int] | None:
     """Recipe and seed of the scene's latest published field, or None where there is none that can be read."""
     fields = [path.parent for path in published(scene_root, f"field/*/*/{RECORD_NAME}")]
-    sound = [folder for folder in fields if folder.name.isdecimal() and read_record(folder) is not None]
+    sound = [folder for folder in fields if _is_known(folder) and read_record(folder) is not None]
     if not sound:
         return None
     newest = max(sound, key=lambda folder: ((folder / RECORD_NAME).stat().st_mtime, str(folder)))

@@ -53,9 +53,7 @@ class SceneChoice(dg.Config):
     out={"scene": dg.DynamicOut(dict), "absent": dg.Out(list)},
     description="Name the scenes: those asked for, else every one that has data; the demo drive is written.",
 )
-def choose_scenes(
-    context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice
-) -> Iterator[Any]:
+def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice) -> Iterator[Any]:
     """Fan out over the scenes; one asked for by name without data goes on as failed, others are dropped."""
     try:
         workspace.require_possible()
@@ -71,8 +69,10 @@ def choose_scenes(
             absent.append(name)
             context.log.info(f"[{name}] no data, left out: {failure}")
             continue
-        key = re.sub(r"\W", "_", name)
-        key = key if key not in keys else f"{key}_{len(keys)}"
+        # Dagster's keys know neither `-` nor `.`, and come once each.
+        plain = key = re.sub(r"\W", "_", name, flags=re.ASCII) or "scene"
+        while key in keys:
+            key = f"{plain}_{len(keys)}" if f"{plain}_{len(keys)}" not in keys else f"{key}_"
         keys.add(key)
         state: SceneState = {"scene": name, "failed": failure, "stages": [], "exports": []}
         yield dg.DynamicOutput(state, mapping_key=key, output_name="scene")
@@ -115,14 +115,14 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         try:
             outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
+            for event in events_of(stage, outcome, scene):
+                context.log_event(event)
         except NvsfError as error:
             return _failed(context, state, stage, error, reason_of(error, stage, scene))
         except Exception as error:
             # A defect, not bad data; yet a failed step would keep the report of all scenes from being made.
             context.log.exception(f"[{scene}] {stage.name}: unexpected error")
             return _failed(context, state, stage, error, f"{type(error).__name__}: {error}")
-        for event in events_of(stage, outcome, scene):
-            context.log_event(event)
         done = {"stage": stage.name, "seconds": outcome.seconds, "skipped": outcome.skipped}
         exports = [*state["exports"], *_exports(outcome)]
         return {**state, "stages": [*state["stages"], done], "exports": exports}

@@ -119,7 +119,8 @@ def load_lpips() -> Lpips | None:
     if found != _DIGEST:
         raise StoreError(
             f"LPIPS weights {path}: expected the numbers of {WEIGHTS_NAME} (SHA-256 {_DIGEST[:16]}...), "
-            f"found {found:.40}; restore the file, or remove it and unset {WEIGHTS_VARIABLE}: LPIPS is then not run"
+            f"found {found:.40}; restore the file, or remove it and unset {WEIGHTS_VARIABLE}: LPIPS is then "
+            "not run"
         )
     return Lpips(tensors)
 

@@ -27,7 +27,7 @@ from nvsf_core.recipe.residual import (
     ResidualRecipe,
     TrainingSpec,
 )
-from nvsf_core.recipe.seed import MOST_SEED, require_seed, seed_from_text
+from nvsf_core.recipe.seed import MOST_SEED, is_seed_folder, require_seed, seed_from_text
 from nvsf_core.recipe.slower import differ_in_step_size, full_name, share_of, slower
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "TrainingSpec",
     "differ_in_step_size",
     "full_name",
+    "is_seed_folder",
     "preset",
     "recipe_from_json",
     "require_seed",

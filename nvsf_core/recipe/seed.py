@@ -2,7 +2,7 @@
 
 from nvsf_core.errors import RecipeError
 
-__all__ = ["MOST_SEED", "require_seed", "seed_from_text"]
+__all__ = ["MOST_SEED", "is_seed_folder", "require_seed", "seed_from_text"]
 
 MOST_SEED = 2**32 - 1
 """What numpy, torch and a table's int64 column all take."""
@@ -24,6 +24,11 @@ def require_seed(seed: object, what: str = "seed") -> int:
         found = "one that is far outside" if is_huge else f"{seed!r:.60}"
         raise RecipeError(f"{what}: expected a whole number from 0 to {MOST_SEED}, found {found}")
     return seed
+
+
+def is_seed_folder(name: str) -> bool:
+    """Whether a folder is named as that of a seed is: by its digits alone."""
+    return name.isascii() and name.isdecimal() and len(name) <= 10 and str(int(name)) == name
 
 
 def seed_from_text(text: str, what: str) -> int:

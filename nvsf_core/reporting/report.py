@@ -52,10 +52,25 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
         no_data: Catalogue scenes whose recordings are not on this machine.
         more: Ready-made sections (HTML) that stand below the scenes.
     """
+    shown = [_shown(scene) for scene in scenes]
+    scenes = [scene for scene, _ in shown]
     measured = [scene for scene in scenes if scene.runs]
     parts = [_intro(scenes), _summary(scenes, measured, no_data), _how_to_read()]
-    parts += [*(_scene(scene) for scene in scenes), more]
+    parts += [*(section for _, section in shown), more]
     return page("NVSF benchmark report", "\n".join(parts))
+
+
+def _shown(scene: SceneOutputs) -> tuple[SceneOutputs, str]:
+    """The scene and its section; nothing of it but the reason where its numbers cannot be drawn."""
+    try:
+        section = _scene(scene)
+        if scene.runs:
+            _summary([scene], [scene], [])
+    except Exception as error:  # a plot's or a format's, of numbers that no stage writes
+        reasons = [scene.failure, f"what was published cannot be shown: {error!r:.200}"]
+        scene = SceneOutputs(name=scene.name, failure="; ".join(filter(None, reasons)))
+        section = _scene(scene)
+    return scene, section
 
 
 def write_report(
@@ -63,7 +78,7 @@ def write_report(
 ) -> Path:
     """Write `index.html` into a folder; returns its path. Arguments as of `report_html`."""
     path = folder / "index.html"
-    path.write_text(report_html(scenes, no_data, more), encoding="utf-8")
+    path.write_text(report_html(scenes, no_data, more), encoding="utf-8", errors="backslashreplace")
     return path
 
 

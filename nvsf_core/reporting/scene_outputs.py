@@ -11,13 +11,17 @@ import numpy as np
 
 from nvsf_core.metrics.table import BASELINES, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
+from nvsf_core.recipe import is_seed_folder
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.stores.arrays import read_arrays, read_attrs
-from nvsf_core.stores.scene_store import published
+from nvsf_core.stores.contents import foreign
+from nvsf_core.stores.pictures import read_picture
+from nvsf_core.stores.scene_store import SceneStore, published
 from nvsf_core.stores.tables import read_rows, read_table
 
 METHODS = ("model", "reproject", "copy_nearest", "mesh")
 TEST_VIEW = "test"
+_READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,20 +103,34 @@ def measured_scenes(home: Path) -> list[str]:
     """Names of the scenes below a home that have metrics of any recipe and seed, by name."""
     if not home.is_dir():
         return []
-    named = [path for path in home.iterdir() if name_fault(path.name, RESERVED_SCENES) is None]
+    named = [
+        path
+        for path in home.iterdir()
+        if name_fault(path.name, RESERVED_SCENES) is None and not path.is_symlink()
+    ]
     return sorted(path.name for path in named if _metric_tables(path))
 
 
 def collect_scene(
     home: Path, name: str, records: Sequence[StageRecord] = (), failure: str | None = None
 ) -> SceneOutputs:
-    """Read one scene's metrics, curves and pictures from `<home>/<name>/`."""
-    root = home / name
+    """Read one scene's metrics, curves and pictures from `<home>/<name>/`.
+
+    Raises:
+        StoreError: What lies there is damaged, a link, or another scene's.
+    """
+    store = SceneStore(home, name)
+    for stage in _READ:
+        store.path(stage)  # refuses a link to elsewhere
+    root = store.root
     tables = sorted(_metric_tables(root), key=lambda path: -path.stat().st_mtime_ns)
     runs = []
     for position, table in enumerate(tables):
         recipe, seed = table.parts[-3], table.parts[-2]
         rows = read_rows(table)
+        others = sorted({str(row["scene"]) for row in rows} - {name})
+        if others:
+            raise foreign(table, f"expected metrics of scene {name!r}, found those of {others[0]!r:.60}")
         curve = root / "field" / recipe / seed / "curve.parquet"
         runs.append(
             FieldRun(
@@ -154,7 +172,7 @@ def _machine(records: Sequence[StageRecord], recipe: str, seed: str) -> str:
 def _metric_tables(root: Path) -> list[Path]:
     """Published tables only: a killed writer leaves hidden folders behind."""
     found = published(root, "scene_metrics/*/*/metrics.parquet")
-    return [path for path in found if path.parent.name.isdecimal()]
+    return [path for path in found if is_seed_folder(path.parent.name)]
 
 
 def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
@@ -169,8 +187,7 @@ def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
 
 
 def _error_cloud(metrics: Path) -> bytes | None:
-    path = metrics / ERROR_CLOUD_NAME
-    return path.read_bytes() if path.is_file() else None
+    return read_picture(metrics / ERROR_CLOUD_NAME)
 
 
 def _pictures(root: Path, views: Path) -> list[ViewPictures]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from nvsf_core.errors import NvsfError
+from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
@@ -35,14 +35,23 @@ def make_benchmark_report(
 
     Returns:
         Path of `<home>/benchmark_report/index.html`.
+
+    Raises:
+        StoreError: The disk refuses it.
     """
     own = list(dict.fromkeys([*scene_names, *failures]))
     others = [name for name in measured_scenes(home) if name not in own]
     scenes = [_collected(home, name, failures.get(name)) for name in [*own, *others]]
     no_data = [name for name in no_data if name not in others]
     target = home / "benchmark_report"
-    with publish_folder(target) as folder:
-        written = write_report(folder, scenes, no_data, speed_section(curves))
+    try:
+        with publish_folder(target) as folder:
+            written = write_report(folder, scenes, no_data, speed_section(curves))
+    except OSError as error:
+        raise StoreError(
+            f"the disk refused {error.filename or target} ({error.strerror or error}); free space, or mend "
+            "what is in its place, and make the report again"
+        ) from error
     return target / written.name
 
 

@@ -1,5 +1,6 @@
 """Training one network of a scene from where it was killed, and what a family of recipes hands back."""
 
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -63,6 +64,8 @@ def saving(task: Task, path: Path) -> Save:
 
 def resume(task: Task, state: TrainingState, path: Path) -> None:
     """Go on from a checkpoint, if there is a readable one of the task's recipe and inputs."""
+    if path.is_dir():
+        shutil.rmtree(path)  # it would refuse the first checkpoint, after minutes
     if not path.is_file():
         return
     place = f"[{task.scene.name}] field, {path.stem}"

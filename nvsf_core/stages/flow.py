@@ -129,22 +129,22 @@ def run_named_stage(
         raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
     stage = by_name[name]
     inputs = _input_fingerprints(stage, by_name, run)
-    with (
-        _lease_for(stage, run, progress),
-        Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
-    ):
-        try:
-            places = [by_name[source].location(run.config) for source in stage.inputs]
+    places = [by_name[source].location(run.config) for source in stage.inputs]
+    try:
+        with (
+            _lease_for(stage, run, progress),
+            Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
+        ):
             return run_stage(stage, run.scene, run.store, run.config, say, inputs, places)
-        except OSError as error:
-            raise StoreError(
-                f"scene {run.scene.name}, stage {name}: the disk refused {error.filename or run.store.root} "
-                f"({error.strerror or error}); free space, or mend what is in its place, and run again"
-            ) from error
-        except NvsfError as error:
-            if run.scene.name in str(error):
-                raise
-            raise type(error)(f"scene {run.scene.name}, stage {name}: {error}") from error
+    except OSError as error:
+        raise StoreError(
+            f"scene {run.scene.name}, stage {name}: the disk refused {error.filename or run.store.root} "
+            f"({error.strerror or error}); free space, or mend what is in its place, and run again"
+        ) from error
+    except NvsfError as error:
+        if run.scene.name in str(error):
+            raise
+        raise type(error)(f"scene {run.scene.name}, stage {name}: {error}") from error
 
 
 def field_made_from(run: SceneRun) -> str:

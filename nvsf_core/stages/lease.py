@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from nvsf_core.errors import StoreError
 from nvsf_core.stages.stage import Progress
 
 _POLL_S = 0.2
@@ -23,10 +24,16 @@ def device_lease(folder: Path, progress: Progress) -> Iterator[str]:
 
     `folder` holds one lock file a device; whoever shares the devices must share the folder. A process
     trains on its first visible GPU: on a machine with several, give each worker its CUDA_VISIBLE_DEVICES.
+
+    Raises:
+        StoreError: Something else has the lock file's name.
     """
     folder.mkdir(parents=True, exist_ok=True)
     device = _device()
-    with (folder / f"{device}.lock").open("a") as handle:
+    path = folder / f"{device}.lock"
+    if os.path.lexists(path) and not path.is_file():
+        raise StoreError(f"{path}: expected a lock file, found a folder or a pipe; delete it and run again")
+    with path.open("a") as handle:
         started_s = time.monotonic()
         said_s = -_SAY_EVERY_S
         while not _locked(handle.fileno()):

@@ -234,7 +234,7 @@ def run_stage(
     facts = _facts(stage, scene, config, input_fingerprints)
     fingerprint = _digest(facts)
     inputs_digest = _without_recipe(facts)
-    record = read_record(store.path(location))
+    record = read_record(store.recovered(location))
 
     def task(folder: Path) -> Task:
         return Task(

@@ -15,12 +15,14 @@ RECORD_NAME = "stage.json"
 _OWN = "."
 """Stands for the record's own folder among those whose files it lists."""
 _KINDS: dict[str, type | tuple[type, ...]] = {
-    "fingerprint": str, "metadata": dict, "previews": dict, "checks": list, "seconds": (int, float),
+    "fingerprint": str, "metadata": dict, "previews": dict, "checks": list,
 }  # fmt: skip
 _CHECK_KINDS: dict[str, type | tuple[type, ...]] = {
     "name": str, "passed": bool, "detail": str, "blocking": bool, "unit": str,
     "value": (int, float, type(None)), "limit": (int, float, type(None)),
 }  # fmt: skip
+_LARGEST = 2**63
+_LONGEST_PATH = 1000
 _CHECK_NEEDS = frozenset({"name", "passed", "detail"})
 
 
@@ -69,9 +71,9 @@ def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> st
 def _is_record(record: Mapping[str, Any]) -> bool:
     if not all(isinstance(record.get(key), kind) for key, kind in _KINDS.items()):
         return False
-    scalars = (int, float, str, bool)
     return (
-        all(isinstance(value, scalars) for value in record["metadata"].values())
+        _is_number(record.get("seconds"))
+        and all(_is_scalar(value) for value in record["metadata"].values())
         and all(_is_inside(file) for file in record["previews"].values())
         and all(_is_check(check) for check in record["checks"])
         and _lists_files(record.get("files", {}))
@@ -84,7 +86,25 @@ def _is_check(check: Any) -> bool:
         and check.keys() >= _CHECK_NEEDS
         and check.keys() <= _CHECK_KINDS.keys()
         and all(isinstance(value, _CHECK_KINDS[key]) for key, value in check.items())
+        and all(_is_scalar(value) for value in check.values() if value is not None)
+        and all(check.get(key) is None or _is_number(check[key]) for key in ("value", "limit"))
     )
+
+
+def _is_scalar(value: Any) -> bool:
+    return isinstance(value, bool) or _is_number(value) or _is_text(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it fits a float; NaN and infinity are numbers that a stage may say."""
+    return isinstance(value, float) or (
+        isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    )
+
+
+def _is_text(value: Any) -> bool:
+    """Whether it can be written to a page: JSON can hold halves of characters."""
+    return isinstance(value, str) and value == value.encode(errors="ignore").decode()
 
 
 def _lists_files(listed: Any) -> bool:
@@ -100,7 +120,7 @@ def _lists_files(listed: Any) -> bool:
 
 def _is_inside(path: Any) -> bool:
     """Whether a relative path stays below the folder that it is relative to."""
-    if not isinstance(path, str) or not path or "\0" in path:
+    if not _is_text(path) or not 0 < len(path) <= _LONGEST_PATH or "\0" in path:
         return False
     parts = PurePosixPath(path)
     return not parts.is_absolute() and ".." not in parts.parts

@@ -1,5 +1,6 @@
 """Writing a rendered view: arrays for the metrics, scan and image files as a driver finds them, a picture."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -72,13 +73,21 @@ def _costs(task: Task, method: str) -> dict[str, float]:
             "model_mb": evidence_mb,
             "peak_memory_mb": 0.0,
         }
-    field = (read_record(task.store.require(FIELD_STAGE.location(task.config))) or {})["metadata"]
+    field = (read_record(task.store.require(FIELD_STAGE.location(task.config))) or {"metadata": {}})[
+        "metadata"
+    ]
     return {
-        "train_seconds": record["seconds"] + field["train_seconds"],
-        "parameters": field["parameters"],
-        "model_mb": evidence_mb + field["model_mb"],
-        "peak_memory_mb": field["peak_memory_mb"],
+        "train_seconds": record["seconds"] + _number(field, "train_seconds"),
+        "parameters": _number(field, "parameters"),
+        "model_mb": evidence_mb + _number(field, "model_mb"),
+        "peak_memory_mb": _number(field, "peak_memory_mb"),
     }
+
+
+def _number(metadata: dict[str, Any], name: str) -> float:
+    """A number that the field's record says; NaN where it says none."""
+    value = metadata.get(name)
+    return value if isinstance(value, int | float) else math.nan
 
 
 def export_files(folder: Path, arrays: dict[str, np.ndarray], frame: np.ndarray) -> None:

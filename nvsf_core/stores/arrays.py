@@ -21,6 +21,9 @@ from nvsf_core.errors import StoreError
 from nvsf_core.stores.contents import Contents, foreign
 from nvsf_core.stores.schemas import field_faults, spec_at, violations
 
+_MOST_CHUNKS = 1_000_000
+_MOST_CHUNK_BYTES = 4 << 30
+_HEADROOM_BYTES = 4 << 20
 _CHUNK_BYTES = 4 << 20
 """Target size of a chunk: a frame's worth of returns or one image, so that a reader fetches few files."""
 
@@ -95,7 +98,8 @@ def read_attrs(path: Path) -> dict[str, Any]:
 def _read(
     group: zarr.Group, path: Path, names: tuple[str, ...], rows: slice | EllipsisType
 ) -> Contents[np.ndarray]:
-    present = sorted(group.array_keys())
+    members = dict(group.arrays())
+    present, known = sorted(members), list(members.values())
     wanted = names or tuple(present)
     missing = [name for name in wanted if name not in present]
     if missing:
@@ -103,23 +107,38 @@ def _read(
     spec = spec_at(path)
     found: Contents[np.ndarray] = Contents(path)
     for name in wanted:
-        stored: Any = group[name]
+        stored: Any = members[name]
         # Before anything is read: a shape that somebody changed may ask for more memory than there is.
         faults = () if spec is None else field_faults(spec, name, stored.dtype, stored.shape)
         for fault in faults:
             raise foreign(path, fault)
-        if _is_checked(stored):
-            _require_all_chunks(path, name, stored)
+        _require_chunks(path, name, stored, is_whole=any(map(_is_checked, known)))
         found[name] = np.asarray(stored[rows])
     return found
 
 
-def _require_all_chunks(path: Path, name: str, stored: Any) -> None:
-    """Count chunks by their files: to list those that a shape of 10^13 would have takes all memory."""
+def _require_chunks(path: Path, name: str, stored: Any, *, is_whole: bool) -> None:
+    """Count chunks by their files: to list those that a shape of 10^13 would have takes all memory.
+
+    Args:
+        path: Of the group.
+        name: Of the array.
+        stored: The array.
+        is_whole: Whether the group was written with all chunks, those of zeros, too; earlier ones were not.
+
+    Raises:
+        StoreError: Chunks are missing, or larger than they can be.
+    """
+    chunk_bytes = math.prod(stored.chunks) * stored.dtype.itemsize
     expected = math.prod(-(-n // chunk) for n, chunk in zip(stored.shape, stored.chunks, strict=True))
-    found = sum(len(files) for _, _, files in os.walk(path / name)) - 1  # without zarr.json
-    if found != expected:
-        raise foreign(path, f"{name}: expected {expected} chunks, found {found}")
+    files = [Path(folder) / file for folder, _, files in os.walk(path / name) for file in files]
+    sizes = [file.stat().st_size for file in files if file.name != "zarr.json"]
+    if (is_whole and len(sizes) != expected) or expected > _MOST_CHUNKS:
+        raise foreign(path, f"{name}: expected {expected} chunks, found {len(sizes)}")
+    if max(sizes, default=0) > 2 * chunk_bytes + _HEADROOM_BYTES or chunk_bytes > _MOST_CHUNK_BYTES:
+        raise foreign(
+            path, f"{name}: expected chunks of {chunk_bytes:,} bytes, found one of {max(sizes, default=0):,}"
+        )
 
 
 def _is_checked(stored: zarr.Array) -> bool:
@@ -133,8 +152,13 @@ def _open(path: Path) -> zarr.Group:
     for folder, _, files in os.walk(path):
         for name in files:
             # Who opens a pipe waits for ever. (Links to folders are no files to `walk`, either.)
-            if not stat.S_ISREG((Path(folder) / name).lstat().st_mode):
+            found = (Path(folder) / name).lstat()
+            if not stat.S_ISREG(found.st_mode):
                 raise foreign(path, f"expected regular files, found something else at {Path(folder) / name}")
+            if name == "zarr.json" and found.st_size > _HEADROOM_BYTES:
+                raise foreign(
+                    path, f"{Path(folder) / name}: expected metadata, found {found.st_size:,} bytes"
+                )
     return zarr.open_group(str(path), mode="r")
 
 

@@ -85,11 +85,22 @@ class SceneStore:
             raise StoreError(
                 f"scene {self.scene}: expected an output's folder below {root}, found {relative!r}"
             )
-        if path == self.root or not _leads_below(path, root):
+        if path == self.root or not _is_plain(path, root / relative):
             raise StoreError(
-                f"scene {self.scene}: output {relative!r} leads out of {root}, or in a circle; "
-                "replace the link by a folder (NVSF_HOME itself may be a link)"
+                f"scene {self.scene}: output {relative!r} is a link, or lies below one: out of {root}, into "
+                "another output, or in a circle; replace it by a folder (NVSF_HOME itself may be a link)"
             )
+        return path
+
+    def recovered(self, relative: str) -> Path:
+        """Folder of an output, put back first where a writer died between its two renames.
+
+        Raises:
+            StoreError: See `path`.
+        """
+        path = self.path(relative)
+        if not path.exists() and path.parent.is_dir():
+            _sweep_leftovers(path)
         return path
 
     def require(self, relative: str) -> Path:
@@ -98,7 +109,7 @@ class SceneStore:
         Raises:
             StoreError: It was never published, or lies elsewhere (see `path`).
         """
-        path = self.path(relative)
+        path = self.recovered(relative)
         if not path.is_dir():
             raise StoreError(
                 f"scene {self.scene}: no output {relative!r} at {path}; run the stage that makes it first"
@@ -130,20 +141,22 @@ class SceneStore:
             yield folder
 
 
-def _leads_below(path: Path, root: Path) -> bool:
+def _is_plain(path: Path, place: Path) -> bool:
+    """Whether a path leads to where it seems to, without any link."""
     try:
-        return path.resolve().is_relative_to(root)
-    except (OSError, RuntimeError):  # links that lead in circles
+        return path.resolve() == place
+    except (OSError, RuntimeError, ValueError):  # links that lead in circles, names that no disk has
         return False
 
 
 def published(root: Path, pattern: str) -> list[Path]:
-    """Paths below a folder that match a glob pattern, by name; nothing that a killed writer left."""
+    """Paths below a folder that match a pattern, by name; no links, nothing that a killed writer left."""
     hidden = (_TEMPORARY, _RETIRED, ".work")
     return [
         path
         for path in sorted(root.glob(pattern))
         if not any(part.startswith(hidden) for part in path.relative_to(root).parts)
+        and _is_plain(path, root.resolve() / path.relative_to(root))
     ]
 
 
@@ -163,7 +176,7 @@ def publish_folder(target: Path) -> Iterator[Path]:
 
 
 def _swap_in(temporary: Path, target: Path) -> None:
-    if not target.exists():
+    if not os.path.lexists(target):
         temporary.rename(target)
         _flush(target.parent)
         return

@@ -7,6 +7,9 @@ from assets.factory import CHECK_NAME, asset_of, picture, scalar_metadata
 from assets.workspace import Workspace
 from nvsf_core.stages.stage import Check, Stage, StageOutput
 
+PNG = b"\x89PNG\r\n\x1a\n"
+"""How a picture's file begins."""
+
 
 def _stage(run):
     return Stage(name="frames", group="ingest", inputs=(), description="rows", version="7", run=run)
@@ -28,7 +31,7 @@ def materialize(tmp_path, monkeypatch):
 
 def _output(*checks):
     def run(task):
-        (task.folder / "top.png").write_bytes(b"png")
+        (task.folder / "top.png").write_bytes(PNG)
         return StageOutput(metadata={"rows": 3}, checks=list(checks), previews={"top": "top.png"})
 
     return run
@@ -61,7 +64,7 @@ def test_a_failed_law_that_does_not_block_warns(materialize, tmp_path):
 
 def test_a_large_picture_is_named_instead_of_stored(tmp_path):
     path = tmp_path / "large.png"
-    path.write_bytes(bytes(100_001))
+    path.write_bytes(PNG + bytes(100_000))
     assert picture(path) == dg.MetadataValue.path(str(path))
 
 

@@ -165,7 +165,7 @@ def test_real_panos_of_a_van_and_a_cyclist() -> None:
         scan = read_scan(layout.scan_path(frame))
         range_m, intensity = pano.project(scan[:, :3], scan[:, 3])
         panos.append(PanoImage(range_m=range_m, intensity=intensity, hit=(range_m > 0).astype(np.float32)))
-    boxes = [box for box in read_boxes(layout.boxes_path("train"), 20, 20) if box.dynamic]
+    boxes = [box for box in read_boxes(layout.boxes_path("train"), 20, 20)[0] if box.dynamic]
     lidar_to_world = _lidar_to_world(layout, poses, 20)
     in_lidar = np.stack([invert_pose(lidar_to_world) @ box.box_to_world for box in boxes])
     view = (pano.fov_up_deg, pano.fov_deg)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nvsf_core.errors import StoreError
+from nvsf_core.stages import benchmark_report
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
@@ -130,18 +131,32 @@ def test_what_an_earlier_run_left_unreadable_is_named_and_costs_no_page(tmp_path
     array = store.path("novel_views/quick/0") / "test" / "model.zarr" / "points_m"
     array.rename(array.with_name("lost"))
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
-    assert "old failed: what an earlier run published cannot be read" in text and "points_m" in text
+    assert "old failed: what was published cannot be read" in text and "points_m" in text
     assert "quick is best in" in text
 
 
-def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
-    store = write_street(tmp_path, "street")
+def test_a_page_is_replaced_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_street(tmp_path, "street")
     before = make_benchmark_report(tmp_path, ["street"], {}, []).read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "index.html")
+
+    monkeypatch.setattr(benchmark_report, "write_report", full)
+    with pytest.raises(StoreError, match="No space left"):
+        make_benchmark_report(tmp_path, ["street"], {}, [])
+    assert (tmp_path / "benchmark_report" / "index.html").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_path: Path) -> None:
+    store = write_street(tmp_path, "street")
     (store.path("field/quick/0") / "curve.parquet").unlink()
     for array in ("pano_range_m", "points_m"):
         folder = store.path("novel_views/quick/0") / "test" / "model.zarr" / array
         folder.rename(folder.with_name(f"lost_{array}"))
-    with pytest.raises(StoreError):
-        make_benchmark_report(tmp_path, ["street"], {}, [])
-    assert (tmp_path / "benchmark_report" / "index.html").read_bytes() == before
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "street failed: what was published cannot be read" in text
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []

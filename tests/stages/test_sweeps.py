@@ -96,7 +96,8 @@ def _task(drive, folder, **changes):
 def test_every_return_is_a_ray_onto_the_walls(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
     output = sweeps.STAGE.run(_task(drive, tmp_path / "out"))
-    assert all(check.passed for check in output.checks), output.checks
+    # The walls are of one colour.
+    assert [c.name for c in output.checks if not c.passed] == ["intensities_are_recorded"], output.checks
     a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
     assert a["frame"].tolist() == [0, 1, 2, 3, 5]
     assert (a["firings"] == FIRINGS).all()
