@@ -125,7 +125,7 @@ def test_a_link_out_of_the_scenes_folder_is_refused_and_what_it_leads_to_stays(t
     store = SceneStore(home=tmp_path / "home", scene="s")
     store.root.mkdir(parents=True)
     (store.root / "pano").symlink_to(tmp_path / "victim")
-    with pytest.raises(StoreError, match="leads out of"), store.publish("pano"):
+    with pytest.raises(StoreError, match="out of"), store.publish("pano"):
         pass
     assert (tmp_path / "victim" / "kept").is_file()
 
