@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import struct
 import zlib
 from collections.abc import Callable
@@ -77,6 +78,36 @@ def sparse(gigabytes: float) -> Harm:
             handle.truncate(int(gigabytes * (1 << 30)) // 16 * 16)
 
     return harm
+
+
+def no_folder(path: Path) -> None:
+    """A pipe in place of a folder."""
+    shutil.rmtree(path)
+    os.mkfifo(path)
+
+
+def black(path: Path) -> None:
+    cv2.imwrite(str(path), np.zeros_like(cv2.imread(str(path))))
+
+
+def rows(path: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Change one scan's (N, 4) rows."""
+    change(np.fromfile(path, "<f4").reshape(-1, 4)).astype("<f4").tofile(path)
+
+
+def crowded(scan: np.ndarray) -> np.ndarray:
+    """Each return three times, turned by less than the encoder can tell."""
+    turned = []
+    for angle in (0.0, 1e-4, 2e-4):
+        x, y = (
+            scan[:, 0] * np.cos(angle) - scan[:, 1] * np.sin(angle),
+            scan[:, 0] * np.sin(angle) + scan[:, 1] * np.cos(angle),
+        )
+        turned.append(np.column_stack([x, y, scan[:, 2:]]))
+    azimuth = [np.round(np.arctan2(part[:, 1], part[:, 0]), 9) for part in turned]
+    laser = np.concatenate([[0], np.cumsum(np.diff(np.mod(azimuth[0], 2 * np.pi)) < -np.pi)])
+    every = np.concatenate(turned)
+    return every[np.lexsort((np.mod(np.concatenate(azimuth), 2 * np.pi), np.tile(laser, 3)))]
 
 
 def scans(layout: DriveLayout, change: Callable[[np.ndarray], np.ndarray]) -> None:

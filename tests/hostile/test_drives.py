@@ -1,5 +1,6 @@
 """Drives with something wrong: refused by name, or a doubt that the report shows. One row a case."""
 
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -242,6 +243,53 @@ CASES: list[tuple[str, Callable[[DriveLayout], None], Outcome]] = [
         lambda layout: harm.scans(layout, lambda rows: rows * [1, 1, 1, 0]),
         Doubted("intensities_are_recorded"),
     ),
+    (
+        "one scan cut between two returns",
+        at(scan, lambda path: path.write_bytes(path.read_bytes()[:1600])),
+        Doubted("scans_are_of_one_size", "1: 100"),
+    ),
+    (
+        "one scan without intensities",
+        at(scan, lambda path: harm.rows(path, lambda r: r * [1, 1, 1, 0])),
+        Doubted("intensities_are_recorded", "frames 1"),
+    ),
+    (
+        "more firings than the encoder has steps",
+        lambda layout: harm.scans(layout, harm.crowded),
+        Doubted("no_two_returns_share_a_firing"),
+    ),
+    (
+        "a pipe for the scans' folder",
+        at(lambda layout: layout.scan_path(0).parent, harm.no_folder),
+        Refused("data: expected a folder"),
+    ),
+    (
+        "a pipe for the images' folder",
+        at(lambda layout: layout.camera_dir("image_00"), harm.no_folder),
+        Refused("data_rect: expected a folder"),
+    ),
+    ("a black image", at(image, harm.black), Doubted("all_images_are_usable", "one value in all pixels")),
+    ("a mirrored pose", pose(1, lambda m: m.__setitem__(slice(0, 3), -m[:3])), Refused("a mirror in it")),
+    (
+        "two frames a microsecond apart",
+        at(times, harm.stamps(0.1, -0.099999)),
+        Doubted("timestamps_are_usable"),
+    ),
+    (
+        "a byte order mark",
+        at(PERSPECTIVE, lambda path: path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())),
+        Doubted(""),
+    ),
+    (
+        "a name that is no text",
+        lambda layout: (layout.calibration_dir / os.fsdecode(b"a\xff")).touch(),
+        Doubted(""),
+    ),
+    (
+        "a million lines of poses",
+        at(POSES, lambda path: path.write_text("\n" * 1_000_000)),
+        Refused("100,000 lines"),
+    ),
     # Boxes.
     (
         "a flat box",
@@ -252,6 +300,51 @@ CASES: list[tuple[str, Callable[[DriveLayout], None], Outcome]] = [
         "a misspelt transform",
         lambda layout: boxes(layout).write_text(boxes(layout).read_text().replace("transform", "tranform")),
         Refused("field 'transform' is missing"),
+    ),
+    (
+        "boxes in no encoding of text",
+        at(boxes, harm.text('<?xml version="1.0" encoding="rot13"?><a/>')),
+        Refused("cannot read boxes"),
+    ),
+    ("boxes in UTF-7", at(boxes, harm.text('<?xml version="1.0" encoding="utf-7"?><a/>')), Refused("boxes")),
+    (
+        "a comment of 8 MiB",
+        at(boxes, harm.text("<a><!--" + " " * (8 << 20) + "--></a>")),
+        Refused("one `>` to the next"),
+    ),
+    (
+        "a box of a hundred thousand parts",
+        at(boxes, harm.text("<a><b>" + "<c/>" * 100_000 + "</b></a>")),
+        Refused("boxes of 100 elements"),
+    ),
+    ("nested boxes", at(boxes, harm.text("<a>" * 1000)), Refused("8 deep")),
+    (
+        "an entity that unfolds",
+        at(boxes, harm.text('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>')),
+        Refused("boxes"),
+    ),
+    (
+        "a number of rows without end",
+        at(boxes, harm.replaced(r"<rows>\d+", "<rows>" + "9" * 400)),
+        Refused("rows"),
+    ),
+    (
+        "an object without end",
+        at(boxes, harm.replaced(r"<semanticId>\d+", "<semanticId>" + "9" * 30)),
+        Refused("semanticId: expected a whole number"),
+    ),
+    (
+        "digits of another script",
+        at(boxes, harm.replaced(r"<instanceId>\d+", "<instanceId>\u0663")),
+        Refused("instanceId"),
+    ),
+    (
+        "a box beyond the horizon",
+        at(
+            boxes,
+            harm.replaced(r"(?s:(<transform.*?<data>)[^<]*)", r"\g<1>4 0 0 5e6 0 2 0 5e6 0 0 1.5 0 0 0 0 1"),
+        ),
+        Doubted("all_boxes_are_usable", "20000 m away"),
     ),
 ]
 

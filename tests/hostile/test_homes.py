@@ -1,18 +1,26 @@
 """Homes with something wrong in them: made anew where it is needed, or refused by name. One row a case."""
 
+import base64
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+import zarr
 
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.kitti360.catalogue import load_catalogue
+from nvsf_core.metrics.table import COLUMNS
+from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
+from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.lease import device_lease
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.stage_record import read_record
 from nvsf_core.stores.arrays import read_arrays, write_arrays
@@ -21,6 +29,7 @@ from nvsf_core.stores.scene_store import SceneStore, publish_folder
 from nvsf_core.stores.tables import read_rows, write_rows
 from pipelines.schedules import newest_field
 from tests.hostile import harm
+from tests.reporting.street_store import write_street
 
 STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence")
 FRAMES, CAMERAS, DRIVE = "frames/frames.parquet", "frames/cameras.parquet", "frames/drive.json"
@@ -144,6 +153,26 @@ READ = [
         lambda store: _texts(store.path(FRAMES)),
         "column frame: expected i8, found string",
     ),
+    (
+        "a pipe for a chunk",
+        lambda store: harm.pipe(_first_chunk(store.path(RETURNS))),
+        "expected regular files",
+    ),
+    (
+        "a device for metadata",
+        lambda store: harm.endless(store.path(RETURNS) / "zarr.json"),
+        "expected regular files",
+    ),
+    (
+        "a chunk of 3 GB",
+        lambda store: harm.sparse(3)(_first_chunk(store.path(RETURNS))),
+        "expected chunks of",
+    ),
+    (
+        "a foreign array without chunks",
+        lambda store: _foreign(store.path(RETURNS)),
+        "expected 1 chunks, found 0",
+    ),
     ("no origin", lambda store: store.path(DRIVE).write_text("{}"), "drive.json: expected 'scene_origin_m'"),
 ]
 
@@ -156,6 +185,11 @@ def _retyped(group: Path) -> None:
 def _claims(group: Path) -> None:
     facts = json.loads((group / "range_m" / "zarr.json").read_text())
     (group / "range_m" / "zarr.json").write_text(json.dumps(facts | {"shape": [10**13]}))
+
+
+def _foreign(group: Path) -> None:
+    stored = zarr.open_group(str(group), mode="a")
+    stored.create_array("foo", shape=(10,), dtype="f4", chunks=(10,))
 
 
 def _texts(path: Path) -> None:
@@ -247,6 +281,75 @@ def test_one_scene_that_cannot_be_read_costs_no_other_its_place_in_the_report(tm
         (folder / "metrics.parquet").write_bytes(b"PAR1" if name == "torn" else b"")
     page = make_benchmark_report(tmp_path, ["torn"], {}, []).read_text()
     assert page.count("cannot be read") >= 2 and "metrics.parquet" in page
+
+
+def test_a_link_from_one_output_to_another_is_refused(run: SceneRun) -> None:
+    shutil.rmtree(run.store.path("pano"))
+    (run.store.root / "pano").symlink_to(run.store.root / "sweeps")
+    with pytest.raises(StoreError, match="is a link"):
+        run_named_stage("pano", run, lambda line: None)
+    assert (run.store.path(RETURNS)).is_dir()
+
+
+def test_an_output_whose_writer_died_between_two_renames_is_put_back_and_not_made_again(
+    run: SceneRun,
+) -> None:
+    run.store.path("frames").rename(run.store.root / ".retired-frames-0123abcd")
+    assert _prepare(run) == []
+
+
+@pytest.mark.parametrize("harmed", [{"seconds": 10**400}, {"seconds": True}, {"metadata": {"a": "\ud800"}},
+                                    {"previews": {"a": "b" * 5000}}, {"files": {"\ud800": {}}}])  # fmt: skip
+def test_a_record_that_no_page_can_show_is_healed(run: SceneRun, harmed: dict[str, Any]) -> None:
+    path = run.store.path("frames") / "stage.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | harmed))
+    assert _prepare(run) == ["frames"]
+
+
+def test_numbers_that_no_plot_can_draw_cost_no_other_scene_its_page(tmp_path: Path) -> None:
+    for name in ("street", "absurd"):
+        store = write_street(tmp_path, name)
+    table = store.path("scene_metrics/quick/0") / "metrics.parquet"
+    write_rows(table, [row | {"train_seconds": 1e308, "value": 1e308} for row in read_rows(table)], COLUMNS)
+    page = make_benchmark_report(tmp_path, ["street", "absurd"], {}, []).read_text()
+    assert 'id="absurd"' in page and "is best in" in page.split('id="street"')[1]
+
+
+def test_metrics_of_another_scene_are_not_shown_as_this_ones(tmp_path: Path) -> None:
+    write_street(tmp_path, "street").root.rename(tmp_path / "other")
+    page = make_benchmark_report(tmp_path, ["other"], {}, []).read_text()
+    assert "expected metrics of scene" in page and "is best in" not in page
+
+
+def test_a_link_is_no_picture_and_no_scene(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("a private word")
+    store = write_street(tmp_path / "home", "street")
+    cloud = store.path("scene_metrics/quick/0") / ERROR_CLOUD_NAME
+    cloud.unlink(missing_ok=True)
+    cloud.symlink_to(secret)
+    (tmp_path / "home" / "linked").symlink_to(store.root)
+    page = make_benchmark_report(tmp_path / "home", ["street"], {}, []).read_text()
+    assert base64.b64encode(b"a private word").decode() not in page
+    assert measured_scenes(tmp_path / "home") == ["street"]
+
+
+@pytest.mark.parametrize("name", ["\u0663", "007", "9" * 200, "none"])
+def test_only_a_seeds_own_folder_is_a_field(tmp_path: Path, run: SceneRun, name: str) -> None:
+    for recipe, folder in (("lean", name), ("no_such_recipe", "0")):
+        place = tmp_path / "s" / "field" / recipe / folder
+        place.mkdir(parents=True)
+        shutil.copy(run.store.path("frames") / "stage.json", place)
+    assert newest_field(tmp_path / "s") is None
+
+
+@pytest.mark.parametrize("done", [Path.mkdir, os.mkfifo])
+def test_what_takes_the_locks_place_is_named(tmp_path: Path, done: Callable[[Path], None]) -> None:
+    (tmp_path / "locks").mkdir()
+    done(tmp_path / "locks" / "cpu.lock")
+    refused = pytest.raises(StoreError, match=r"cpu\.lock: expected a lock file")
+    with refused, device_lease(tmp_path / "locks", lambda line: None):
+        pass
 
 
 def test_links_in_a_circle_are_named(run: SceneRun) -> None:

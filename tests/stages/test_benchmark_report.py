@@ -135,9 +135,7 @@ def test_what_an_earlier_run_left_unreadable_is_named_and_costs_no_page(tmp_path
     assert "quick is best in" in text
 
 
-def test_a_page_is_replaced_as_a_whole_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_street(tmp_path, "street")
     before = make_benchmark_report(tmp_path, ["street"], {}, []).read_bytes()
 
