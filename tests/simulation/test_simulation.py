@@ -100,5 +100,7 @@ def still_sweep(mount: np.ndarray | None = None):
 
 
 def plan(name: str, frames=None, times_s=None, sensor=None):
-    view = plan_view(name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s)
+    view = plan_view(
+        name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s
+    )
     return plan_sweeps(view, LEARNED, sensor)

@@ -102,7 +102,9 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
     model = load_model(task, recording)
     assert recording.lidar is not None and model.as_recorded
     table = recording.lidar.sweeps.table
-    wrong = replace(table, range_bias_m=np.linspace(-0.5, 0.5, 64), intensity_gain=np.linspace(0.5, 2.0, 64))
+    wrong = replace(
+        table, range_bias_m=np.linspace(-0.5, 0.5, 64), intensity_gain=np.linspace(0.5, 2.0, 64)
+    )
     lidars = [
         replace(recording.lidar, sweeps=replace(recording.lidar.sweeps, table=each))
         for each in (table, wrong)
