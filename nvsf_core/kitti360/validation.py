@@ -123,7 +123,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         calibration=calibration,
         times=times,
         scene_origin_m=_scene_origin_m(frames),
-        disagreement=_disagreement(layout, poses, entry),
+        disagreement=_disagreement(layout, poses, entry, calibration),
         notes=tuple(notes),
     )
 
@@ -235,9 +235,10 @@ def _read_boxes(
 
 
 def _disagreement(
-    layout: DriveLayout, poses: dict[int, np.ndarray], entry: SceneEntry
+    layout: DriveLayout, poses: dict[int, np.ndarray], entry: SceneEntry, calibration: Calibration
 ) -> PoseDisagreement | None:
-    camera0_to_pose = read_rectified_camera0_to_pose(layout)
+    camera0 = calibration.cameras.get("image_00")
+    camera0_to_pose = read_rectified_camera0_to_pose(layout) if camera0 is None else camera0.to_pose
     if camera0_to_pose is None or not is_there(layout.cam0_to_world_path):
         return None
     section = range(entry.first_frame, entry.last_frame + 1)

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import zarr
 
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.kitti360.catalogue import load_catalogue
+from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.reporting.scene_outputs import measured_scenes
@@ -350,6 +352,23 @@ def test_what_takes_the_locks_place_is_named(tmp_path: Path, done: Callable[[Pat
     refused = pytest.raises(StoreError, match=r"cpu\.lock: expected a lock file")
     with refused, device_lease(tmp_path / "locks", lambda line: None):
         pass
+
+
+@pytest.mark.parametrize(("stage", "file"), [("undistorted", "image_path"), ("sweeps", "scan_path")])
+def test_what_changed_after_it_was_validated_is_refused(
+    made: Path, tiny_catalogue: Path, tmp_path: Path, stage: str, file: str
+) -> None:
+    shutil.copytree(tiny_catalogue.parent / "drive", tmp_path / "drive")
+    shutil.copytree(made, tmp_path / "home")
+    entry = replace(load_catalogue([tiny_catalogue], None)[0], root=tmp_path / "drive")
+    run = plan_run(entry, tmp_path / "home", recipe="smoke")
+    layout = DriveLayout(entry.root, entry.sequence)
+    one, other = (
+        (layout.image_path("image_00", k) if file == "image_path" else layout.scan_path(k)) for k in (0, 1)
+    )
+    shutil.copy(one, other)
+    with pytest.raises(NvsfError, match="changed since the stage `frames` validated it"):
+        run_named_stage(stage, run, lambda line: None)
 
 
 def test_links_in_a_circle_are_named(run: SceneRun) -> None:
