@@ -66,6 +66,8 @@ def _run(
     tasks = [(templates, subject, number, seed, folder) for subject, number in numbers]
     with multiprocessing.get_context("fork").Pool(os.cpu_count()) as pool:
         for done, row in enumerate(pool.imap_unordered(_case, tasks), start=1):
+            if row["kind"] in FAULTS:
+                print(f"{row['subject']} {row['number']}: {row['kind']}: {row['words']}", file=sys.stderr)
             if done % _SAY_EVERY == 0:
                 print(f"{done} of {len(tasks)} cases", file=sys.stderr)
             yield row

@@ -15,14 +15,15 @@ ODD_NUMBERS = (
     "1e400", "2147483648", "18446744073709551616", "0.5", "1e-9", "1_000", "\u0663", "", "abc", "0x10",
     "1" * 400, "--3", "1e", "NaN", "None",
 )  # fmt: skip
-_MOST_BYTES = 64 << 20
+MOST_BYTES = 16 << 20
+"""Larger files, sparse ones of before, are harmed no further: who harms reads them whole."""
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_]{3,}")
 
 
 def mutate(path: Path, random: Random) -> str:
     """Do one thing to a file; returns what, in words."""
-    if path.stat().st_size > _MOST_BYTES:
+    if path.stat().st_size > MOST_BYTES:
         return "nothing more"  # a sparse file of before
     kinds = _KINDS.get(path.suffix, ()) + _ANY
     harm = kinds[int(random.integers(len(kinds)))]
@@ -89,7 +90,7 @@ def _sparse(path: Path, random: Random) -> None:
 
 def _other_file(path: Path, random: Random) -> None:
     near = sorted(other for other in path.parent.parent.rglob("*") if other.is_file() and other != path)
-    others = [other for other in near if other.stat().st_size <= _MOST_BYTES]
+    others = [other for other in near if other.stat().st_size <= MOST_BYTES]
     path.write_bytes(others[int(random.integers(len(others)))].read_bytes() if others else b"")
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.hostile.limits import End
-from benchmarks.hostile.mutations import ODD_NUMBERS, Random, mutate
+from benchmarks.hostile.mutations import MOST_BYTES, ODD_NUMBERS, Random, mutate
 from nvsf_core.errors import NvsfError
 from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
@@ -150,7 +150,7 @@ class Templates:
         shutil.copytree(self.folder / "drive", place / "drive", symlinks=True)
         how = []
         for _ in range(int(random.choice([1, 1, 2, 3]))):
-            if path.is_file() and not path.is_symlink():
+            if path.is_file() and not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
                 how.append(mutate(path, random) if random.random() < 0.6 else _odd_value(path, random))
         return Case("scenes.toml", ", ".join(how), lambda: self._end_of_catalogue(path, place / "home"))
 
