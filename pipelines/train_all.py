@@ -70,9 +70,9 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
             context.log.info(f"[{name}] no data, left out: {failure}")
             continue
         # Dagster's keys know neither `-` nor `.`, and come once each.
-        plain = key = re.sub(r"\W", "_", name, flags=re.ASCII) or "scene"
+        key = re.sub(r"\W", "_", name, flags=re.ASCII) or "scene"
         while key in keys:
-            key = f"{plain}_{len(keys)}" if f"{plain}_{len(keys)}" not in keys else f"{key}_"
+            key += "_"
         keys.add(key)
         state: SceneState = {"scene": name, "failed": failure, "stages": [], "exports": []}
         yield dg.DynamicOutput(state, mapping_key=key, output_name="scene")

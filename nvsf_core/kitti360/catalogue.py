@@ -98,6 +98,10 @@ def load_catalogue(
             scenes[entry.name] = entry
         for raw in _entries(table, "view", path):
             views.append((f"{path}: view {raw.get('name')!r:.60}", _view(raw, path)))
+    if not scenes:
+        raise DataError(
+            f"{', '.join(map(str, paths)):.300}: expected at least one `[[scene]]`, found none; add one"
+        )
     if len(views) > _MOST_VIEWS:
         raise DataError(f"{paths[0]}: expected at most {_MOST_VIEWS} views in all, found {len(views)}")
     _require_known_scenes(views, scenes)

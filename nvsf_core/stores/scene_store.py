@@ -8,6 +8,7 @@ import contextlib
 import os
 import re
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -42,13 +43,22 @@ def require_home(home: Path) -> Path:
     try:
         home = home.resolve()
         nearest = next(path for path in (home, *home.parents) if path.exists())
-        usable = nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
+        usable = nearest.is_dir() and _is_writable(nearest)
     except (OSError, ValueError, RuntimeError) as error:  # over-long, a NUL, links that lead in circles
         raise StoreError(f"NVSF_HOME: expected a folder, found {str(home)!r:.200} ({error})") from error
     if not usable:
         found = "which cannot be written to" if nearest.is_dir() else "which is no folder"
         raise StoreError(f"NVSF_HOME={home}: expected a folder to write to, found {nearest}, {found}")
     return home
+
+
+def _is_writable(folder: Path) -> bool:
+    """Tried, not asked: to root everything seems writable, a read-only disk and /proc, too."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=".nvsf-", dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 @dataclass(frozen=True, slots=True)

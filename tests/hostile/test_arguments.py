@@ -1,6 +1,5 @@
 """Arguments and environment variables that no run can be made with. One row a case."""
 
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -80,8 +79,6 @@ def test_the_environment_is_refused_when_the_run_is_read(
 ) -> None:
     monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
     monkeypatch.setenv(variable, value)
-    if value.startswith("/proc") and os.access("/proc", os.W_OK):
-        pytest.skip("root may write everywhere, it is said")
     for ask in (lambda: Workspace().plan("tiny"), lambda: Workspace().require_possible()):
         with pytest.raises(NvsfError, match=words):
             ask()
@@ -110,7 +107,7 @@ def test_the_demo_is_never_written_for_somebodys_own_drive(street: SceneEntry, t
     assert not (tmp_path / "mine").exists()
 
 
-@pytest.mark.parametrize("relative", ["../victim", "/tmp/victim", "a/../../victim", "", "a\0b"])
+@pytest.mark.parametrize("relative", ["../victim", "/victim", "a/../../victim", "", "a\0b"])
 def test_an_output_lies_in_its_scenes_folder(tmp_path: Path, relative: str) -> None:
     store = SceneStore(home=tmp_path / "home", scene="s")
     for ask in (store.path, store.require):

@@ -68,6 +68,7 @@ CASES = [
     ("times before the drive", VIEW + "frames = [-1.0]\n", "frames: expected"),
     # Files.
     ("brackets nested without end", "a = " + "[" * 5000, "is no TOML"),
+    ("no scene at all", "# nothing\n", "expected at least one"),
     ("a key of a thousand parts", "a" + ".a" * 1000 + " = 1", "more than 20 parts"),
     ("a header of a thousand parts", "[a" + ".a" * 1000 + "]", "more than 20 parts"),
     ("a table of a thousand parts", "a = {b" + ".b" * 1000 + " = 1}", "more than 20 parts"),
