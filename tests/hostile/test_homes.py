@@ -88,7 +88,7 @@ HEALED: list[tuple[str, str, Callable[[Path], None], list[str]]] = [
             CAMERAS,
             DRIVE,
             f"{RETURNS}/zarr.json",
-            "evidence/stage.json",
+            "pano/stage.json",
         )
         for what, done in (("cut", harm.cut), ("empty", harm.empty), ("no", harm.remove))
     ),

@@ -9,7 +9,6 @@ import dagster as dg
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.stage import Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
-from pipelines.executors import timing_executor
 from pipelines.train_all import make_train_all_scenes
 
 
@@ -36,7 +35,9 @@ FLOW = (
 
 def crashing_job():
     """The job, in processes of their own as the user's is."""
-    return make_train_all_scenes(FLOW, executor=timing_executor())
+    start = {"forkserver": {"preload_modules": ["pipelines.train_all"]}}
+    processes = dg.multiprocess_executor.configured({"max_concurrent": 3, "start_method": start})
+    return make_train_all_scenes(FLOW, executor=processes)
 
 
 if __name__ == "__main__":
