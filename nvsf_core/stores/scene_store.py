@@ -126,10 +126,6 @@ class SceneStore:
             )
         return path
 
-    def published(self, pattern: str) -> list[Path]:
-        """Paths below the scene's folder that match, by name; nothing that a killed writer left."""
-        return published(self.root, pattern)
-
     def work_dir(self, relative: str) -> Path:
         """Scratch folder that outlives a killed process (checkpoints); made if absent."""
         path = self.path(f".work/{relative}")
