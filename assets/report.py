@@ -6,7 +6,7 @@ import dagster as dg
 
 from assets.factory import assets_of_group
 from assets.workspace import Workspace, catalogue
-from nvsf_core.kitti360.catalogue import has_data
+from nvsf_core.drives.catalogue import has_data
 from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 

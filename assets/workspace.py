@@ -6,7 +6,7 @@ from typing import Any
 
 import dagster as dg
 
-from nvsf_core.kitti360.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
+from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
 from nvsf_core.recipe import preset, seed_from_text
 from nvsf_core.stages import RunConfig, SceneRun, find_scene, plan_run
 from nvsf_core.stages.flow import DEFAULT_RECIPE

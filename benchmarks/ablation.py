@@ -19,9 +19,9 @@ import torch
 from benchmarks.ablation_baselines import baseline_rows
 from benchmarks.ablation_scoring import COLUMN_STEP, Scene, Scored, quarter, rows_of, score_image, score_pano
 from benchmarks.ablation_table import RESULTS, Row, read_rows, write_rows, write_table
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
-from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.stores.scene_store import SceneStore
 
 RESULTS = Path(__file__).resolve().parent / "results" / "curves"

@@ -22,7 +22,7 @@ from benchmarks.curve_plan import FULL, MARKS_S, RESULTS, Split, result_path, sp
 from benchmarks.curve_scoring import IMAGE_METRIC, Judge, judge_of, samples_a_ray, shrunk_images
 from benchmarks.curve_sizes import NAME as PAPER_CPU
 from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size, probe, timed
-from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.simulation.scene_model import SceneModel

@@ -17,7 +17,7 @@ from benchmarks.curve_document import write_document
 from benchmarks.curve_plan import FULL, MARKS_S, RESULTS, VAL, read_result, result_path
 from benchmarks.curve_sizes import NAME as PAPER_CPU
 from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size
-from nvsf_core.kitti360.catalogue import catalogue_from_environment, has_data
+from nvsf_core.drives.catalogue import catalogue_from_environment, has_data
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, preset
 from nvsf_core.stages.flow import DEMO_SCENE, say_on_stderr

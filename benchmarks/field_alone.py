@@ -14,8 +14,8 @@ from benchmarks.curve_plan import FULL, RESULTS, read_result, result_path
 from benchmarks.curve_sizes import NAME, chosen_size, timed
 from benchmarks.curves import SCENE
 from benchmarks.results_table import RECIPES, ROOT, measured_rows, write
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.flow import DEFAULT_RECIPE, run_scene
 

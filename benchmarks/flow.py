@@ -22,9 +22,9 @@ from scipy.spatial import cKDTree
 from benchmarks.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
 from benchmarks.markers import write_between
 from benchmarks.parameters import DOCUMENT
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
 from nvsf_core.stages.demo_truth import read_demo_truth

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from nvsf_core.demo.motion import FRAME_PERIOD_S
+from nvsf_core.demo.world import DemoWorld
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.stages.demo_truth import DemoTruth
 from nvsf_core.stages.evidence import Sweeps
 from nvsf_core.training.flow_clouds import flow_cloud

@@ -23,10 +23,10 @@ from benchmarks.curve_scoring import LIDAR_METRICS, RAW_METRICS, Judge, judge_of
 from benchmarks.lean_variants import VARIANTS, RayGrid, Variant, VariantStep, ray_grid
 from benchmarks.rigidity import RESULTS as RIGIDITY
 from benchmarks.rigidity import section
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.errors import DataError
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kitti360.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ResidualRecipe, preset
 from nvsf_core.simulation.scene_model import SceneModel

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.demo.lidar import simulate_scan
+from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.find_moving import STANDING_M, find_moving
 from nvsf_core.evidence.ground import build_ground
 from nvsf_core.evidence.moving import MovingObject, MovingObjects
 from nvsf_core.evidence.returns import TimedReturns
 from nvsf_core.geometry.boxes import inside_any
-from nvsf_core.kitti360.demo_lidar import simulate_scan
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.stages.evidence import Sweeps, read_sweeps, training_returns
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows

@@ -14,9 +14,9 @@ from pathlib import Path
 from benchmarks.job import execute_benchmark
 from benchmarks.results_table import ROOT, write
 from benchmarks.targets import OTHER
-from nvsf_core.kitti360.catalogue import home_from_environment
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.kitti360.demo_motion import EgoSpeed
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.motion import EgoSpeed
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.stages.flow import say_on_stderr
 
 _SIZE = replace(DemoSize.full(), cameras=("image_00",), fisheye_side=0)

@@ -15,7 +15,7 @@ from typing import Any
 from benchmarks.results_document import Row, as_document, by_method, cell, commits_of, error_of, rank
 from benchmarks.targets import OTHER
 from benchmarks.voxel_walk_table import walk_table
-from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.stages.machine import machine
 from nvsf_core.stores.tables import read_rows

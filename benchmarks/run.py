@@ -14,7 +14,7 @@ from benchmarks.curve_plan import FULL, RESULTS
 from benchmarks.curves import Asked, asked_from, measure
 from benchmarks.job import execute_benchmark
 from benchmarks.results_table import ROOT, write
-from nvsf_core.kitti360.catalogue import home_from_environment
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.recipe import PaperRecipe, preset
 
 

@@ -18,8 +18,8 @@ from pydantic import Field
 from assets.factory import events_of, failed_checks, reason_of
 from assets.report import CURVES, METRICS_STAGE
 from assets.workspace import Workspace, catalogue
+from nvsf_core.drives.catalogue import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
-from nvsf_core.kitti360.catalogue import has_data
 from nvsf_core.metrics.table import summary_table
 from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report

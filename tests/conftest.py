@@ -58,7 +58,7 @@ def repo() -> Path:
 @pytest.fixture(scope="session")
 def tiny_catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A catalogue with the scene `tiny` (4 frames, 8 lasers, one small camera) and one without data."""
-    from nvsf_core.kitti360.demo import DemoSize, write_demo
+    from nvsf_core.demo.drive import DemoSize, write_demo
 
     folder = tmp_path_factory.mktemp("tiny")
     write_demo(folder / "drive", size=DemoSize.tiny())

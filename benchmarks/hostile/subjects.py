@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.hostile.limits import End
 from benchmarks.hostile.mutations import MOST_BYTES, ODD_NUMBERS, Random, mutate
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.errors import NvsfError
-from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry, load_catalogue
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.recording import read_recording

@@ -17,10 +17,10 @@ import numpy as np
 from benchmarks.stability_cases.case import Case, Reading
 from benchmarks.stability_cases.far_poses import FAR_M, KITTI_360_M
 from benchmarks.stability_cases.tolerances import SHIFTED_POSE_M
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.kitti360.layout import DriveLayout
-from nvsf_core.kitti360.writer import write_frame_poses
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage
 from nvsf_core.stages.evidence import read_evidence

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import preset
 from nvsf_core.stages.flow import plan_run, run_named_stage
 from nvsf_core.stages.recording import read_recording

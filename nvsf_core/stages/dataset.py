@@ -18,9 +18,9 @@ import numpy as np
 
 from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
+from nvsf_core.drives.catalogue import ViewEntry
+from nvsf_core.drives.kitti360.writer import write_image
 from nvsf_core.errors import StoreError
-from nvsf_core.kitti360.catalogue import ViewEntry
-from nvsf_core.kitti360.writer import write_image
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan

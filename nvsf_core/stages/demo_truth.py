@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.demo.drive import DEMO_SEQUENCE
+from nvsf_core.demo.lidar import ExactAnswers, exact_answers
+from nvsf_core.demo.motion import FRAME_PERIOD_S
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
-from nvsf_core.kitti360.catalogue import ViewEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE
-from nvsf_core.kitti360.demo_lidar import ExactAnswers, exact_answers
-from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.intensity import ray_intensity_metrics
 from nvsf_core.metrics.measure import Measure

@@ -8,14 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.errors import DataError, NvsfError, StoreError
-from nvsf_core.kitti360.asked_times import require_times_in_drive
-from nvsf_core.kitti360.catalogue import (
+from nvsf_core.drives.asked_times import require_times_in_drive
+from nvsf_core.drives.catalogue import (
     SceneEntry,
     catalogue_from_environment,
     has_data,
     home_from_environment,
 )
+from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.heartbeat import Heartbeat
 from nvsf_core.stages.lease import device_lease
@@ -177,7 +177,7 @@ def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
     if scene.name != DEMO_SCENE or has_data(scene):
         return
     # The writer loads scipy and cv2: imported only where a drive is written.
-    from nvsf_core.kitti360.demo import DEMO_SEQUENCE, write_demo
+    from nvsf_core.demo.drive import DEMO_SEQUENCE, write_demo
 
     if scene.sequence != DEMO_SEQUENCE:
         return  # somebody's own drive, which happens to have the name

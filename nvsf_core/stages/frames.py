@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.kitti360.validation import Drive, read_drive
+from nvsf_core.drives.kitti360.validation import Drive, read_drive
 from nvsf_core.reporting.previews import path_preview
 from nvsf_core.stages.stage import Check, Progress, Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.tables import write_rows

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from nvsf_core.demo.drive import DEMO_SEQUENCE
 from nvsf_core.errors import MissingLibraryError
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.above_lasers import looks_above, seen_above
 from nvsf_core.stages.field import load_model

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import CheckFailedError, DataError, StoreError
-from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.names import name_fault
 from nvsf_core.recipe import Recipe, require_seed
 from nvsf_core.stages.stage_record import RECORD_NAME, damage_of, listed_files, read_record

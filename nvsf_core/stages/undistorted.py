@@ -8,11 +8,11 @@ import numpy as np
 
 from nvsf_core.cameras.masks import lens_circle
 from nvsf_core.cameras.undistort import Undistorter, make_undistorter, perspective_view
+from nvsf_core.drives.kitti360.images import read_image
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kitti360.images import read_image
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.reporting.previews import image_preview
 from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays

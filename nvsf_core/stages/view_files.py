@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.kitti360.writer import write_image, write_scan
+from nvsf_core.drives.kitti360.writer import write_image, write_scan
 from nvsf_core.reporting.previews import image_preview, range_preview
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
 from nvsf_core.stages.stage import Check, StageOutput, Task

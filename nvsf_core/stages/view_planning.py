@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.kitti360.catalogue import ViewEntry
+from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
 from nvsf_core.stages.recording import Recording
 

@@ -8,8 +8,8 @@ import pytest
 from benchmarks.ablation_baselines import baseline_rows
 from benchmarks.ablation_scoring import IMAGE_STEP, Scene, averaged_rgb, score_image
 from benchmarks.ablation_table import read_rows
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.catalogue import load_catalogue
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, run_named_stage

@@ -13,9 +13,9 @@ from benchmarks.curve_plan import read_result, result_path, split_of, write_resu
 from benchmarks.curve_scoring import thin_pinhole, thinned
 from benchmarks.curve_sizes import SIZES, chosen_size
 from benchmarks.curves import asked_from, is_done
+from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.reporting.speed_error import METRICS, Point, curve, pareto_front, read_runs
 from nvsf_core.reporting.speed_plots import speed_section

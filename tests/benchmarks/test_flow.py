@@ -8,10 +8,10 @@ import torch
 
 from benchmarks.flow import errors_m, learned, nearest_in_time, nothing, table, targets
 from benchmarks.flow_truth import SURFACES, TrueMotion, displacements_m
+from nvsf_core.demo.motion import FRAME_PERIOD_S
+from nvsf_core.demo.world import DemoWorld
 from nvsf_core.fields.flow import FlowField
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.recipe.paper import AuthorsSlips, FlowSpec, GridSpec
 
 BOUNDS = Bounds(centre_m=(3.0, -2.0, 1.0), half_m=50.0)

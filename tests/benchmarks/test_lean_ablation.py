@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.lean_ablation import VARIANTS, helps, make_field, read_rows
 from benchmarks.lean_variants import PATCH, RayGrid, Variant, VariantStep, huber_depth_loss, ray_grid
-from nvsf_core.kitti360.catalogue import load_catalogue
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.losses.depth import depth_loss
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset

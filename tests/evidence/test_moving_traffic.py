@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from nvsf_core.demo.lidar import OWN_VEHICLE, simulate_scan
+from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
+from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.find_moving import STANDING_M, find_moving
 from nvsf_core.evidence.moving import MovingObjects
 from nvsf_core.evidence.returns import TimedReturns
 from nvsf_core.geometry.se3 import invert_pose, transform_points
-from nvsf_core.kitti360.demo_lidar import OWN_VEHICLE, simulate_scan
-from nvsf_core.kitti360.demo_motion import FRAME_PERIOD_S, EgoSpeed
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nvsf_core.demo.motion import ROAD_RADIUS_M, ArcMotion, EgoSpeed
+from nvsf_core.demo.shapes import Kind, ShapeList
+from nvsf_core.demo.street import Material, Mover
+from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.moving import MovingObject
 from nvsf_core.evidence.object_evidence import ObjectEvidence, ObjectRays
 from nvsf_core.geometry.se3 import exp_so3, invert_pose, pose_from_parts, transform_points
-from nvsf_core.kitti360.demo_motion import ROAD_RADIUS_M, ArcMotion, EgoSpeed
-from nvsf_core.kitti360.demo_shapes import Kind, ShapeList
-from nvsf_core.kitti360.demo_street import Material, Mover
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.sensors.tables import HDL_64E
 
 FRAME_S = 0.1

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.drives.kitti360.boxes import read_boxes
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.scans import read_scan
 from nvsf_core.geometry.boxes import box_rectangles
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_so3, invert_pose
-from nvsf_core.kitti360.boxes import read_boxes
-from nvsf_core.kitti360.layout import DriveLayout
-from nvsf_core.kitti360.scans import read_scan
 from nvsf_core.metrics.depth import published_depth_rmse
 from nvsf_core.metrics.foreground import cut_pano, image_regions, lidar4d_regions
 from nvsf_core.metrics.image import image_metrics

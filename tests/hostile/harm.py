@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.layout import DriveLayout
 
 Harm = Callable[[Path], None]
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from assets.workspace import Workspace
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.errors import (
     CalibrationError,
     DivergedError,
@@ -19,7 +20,6 @@ from nvsf_core.errors import (
     StoreError,
 )
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.metrics import lpips
 from nvsf_core.recipe import preset
 from nvsf_core.rendering.warping import sample

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError
-from nvsf_core.kitti360.catalogue import load_catalogue
 
 SCENE = """
 [[scene]]

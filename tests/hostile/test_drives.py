@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.demo.drive import DEMO_SEQUENCE
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import NvsfError
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.stages import plan_run, run_named_stage
 from tests.hostile import harm
 

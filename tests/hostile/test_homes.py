@@ -14,9 +14,9 @@ import pytest
 import torch
 import zarr
 
+from nvsf_core.drives.catalogue import load_catalogue
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import NvsfError, StoreError
-from nvsf_core.kitti360.catalogue import load_catalogue
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.reporting.scene_outputs import measured_scenes

@@ -3,9 +3,9 @@
 import shutil
 from pathlib import Path
 
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.kitti360.demo_motion import EgoSpeed
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.motion import EgoSpeed
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import Recipe
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.flow import SceneRun

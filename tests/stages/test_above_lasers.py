@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.kitti360.demo_lidar import exact_answers
-from nvsf_core.kitti360.demo_world import DemoWorld
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.lidar import exact_answers
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid
 from nvsf_core.simulation.scan import HIT_THRESHOLD

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import preset
 from nvsf_core.rendering.image_alignment import align_images
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage

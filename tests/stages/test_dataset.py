@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nvsf_core.clouds.ply import read_ply
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
-from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
 from nvsf_core.recipe import preset
 from nvsf_core.simulation.draw import draw_scan, sharpen_hits
 from nvsf_core.stages.dataset import STAGE

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.demo.lidar import exact_answers, simulate_scan
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.drives.catalogue import ViewEntry, load_catalogue
 from nvsf_core.errors import StoreError
-from nvsf_core.kitti360.catalogue import ViewEntry, load_catalogue
-from nvsf_core.kitti360.demo_lidar import exact_answers, simulate_scan
-from nvsf_core.kitti360.demo_world import DemoWorld
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import HDL_64E, sensor_table
 from nvsf_core.simulation.view_plan import mount_pose

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.kitti360.catalogue import load_catalogue
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.field_check import check_loss, check_rendering, check_weights

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import CameraSpec, FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
 from nvsf_core.stages import fitting, plan_run, residual_training, run_named_stage
 from nvsf_core.stores.checkpoints import load_tensors

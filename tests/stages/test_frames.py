@@ -5,9 +5,9 @@ import cv2
 import numpy as np
 import pytest
 
+from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import CheckFailedError, DataError
-from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.recipe import preset
 from nvsf_core.stages.frames import STAGE
 from nvsf_core.stages.stage import Outcome, RunConfig, run_stage

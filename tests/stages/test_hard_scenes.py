@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from nvsf_core.demo.cameras import LIDAR_TO_POSE
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError, DivergedError, MissingLibraryError
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.kitti360.demo_cameras import LIDAR_TO_POSE
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import Outcome, mesh, plan_run, run_named_stage, scene_metrics

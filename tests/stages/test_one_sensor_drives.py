@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.kitti360.catalogue import SceneEntry, ViewEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.kitti360.layout import DriveLayout
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.recipe import FieldSpec, PaperRecipe, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import AuthorsSlips, PaperLosses, PaperRecipe, Recipe, preset
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import plan_run, run_named_stage, run_scene

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.demo import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages import Outcome, plan_run, run_named_stage

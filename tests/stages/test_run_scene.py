@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import pytest
 
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError, RecipeError, StoreError
-from nvsf_core.kitti360.catalogue import load_catalogue
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.lease import device_lease

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import StoreError
-from nvsf_core.kitti360.catalogue import SceneEntry
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.linear_pano import LinearPano

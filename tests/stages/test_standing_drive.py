@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nvsf_core.kitti360.demo_motion import EgoSpeed
+from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.metrics.protocols import Scan, lidar4d, project_scan
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.linear_pano import LinearPano

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.geometry.se3 import exp_se3
-from nvsf_core.kitti360.catalogue import SceneEntry, load_catalogue
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory

@@ -5,9 +5,9 @@ import cv2
 import numpy as np
 import pytest
 
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import NvsfError
-from nvsf_core.kitti360.catalogue import SceneEntry
-from nvsf_core.kitti360.layout import DriveLayout
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.stages.stage import RunConfig, StageOutput, Task
 from nvsf_core.stages.undistorted import STAGE

@@ -1,0 +1,1 @@
+"""The demo: an analytic street, exact everywhere, written as a drive."""

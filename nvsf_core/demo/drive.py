@@ -1,0 +1,210 @@
+"""Write the demo drive: an analytic street, scanned and photographed, in KITTI-360's layout."""
+
+import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from nvsf_core.demo.cameras import (
+    LIDAR_TO_POSE,
+    DemoCamera,
+    demo_fisheye,
+    demo_perspective,
+    render_image,
+)
+from nvsf_core.demo.lidar import simulate_scan
+from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
+from nvsf_core.demo.street import CAR_SIZE_M
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.writer import (
+    RectifiedCamera,
+    WrittenBox,
+    write_boxes,
+    write_cam_to_pose,
+    write_fisheye,
+    write_frame_poses,
+    write_image,
+    write_perspective,
+    write_pose,
+    write_scan,
+    write_timestamps,
+)
+from nvsf_core.errors import DataError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.se3 import invert_pose
+
+__all__ = ["DEMO_SEQUENCE", "DemoSize", "write_demo"]
+
+DEMO_SEQUENCE = "2013_05_28_drive_9900_sync"
+"""KITTI-360 has no such number."""
+_START = datetime.fromisoformat("2013-05-28 08:00:00")
+"""Without a time zone, as KITTI-360's files are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemoSize:
+    """How much of the demo to write; the street is the same."""
+
+    frames: int
+    """Frames 0 .. frames - 1."""
+    lasers: tuple[int, ...]
+    """Which of the HDL-64E's lasers, from the top."""
+    firings: int
+    """Of each laser in a turn."""
+    cameras: tuple[str, ...]
+    """Perspective cameras."""
+    width: int
+    """Of their images."""
+    height: int
+    """Of their images."""
+    fisheye_side: int
+    """Of the square image of `image_02`; 0 for none."""
+
+    @classmethod
+    def full(cls) -> Self:
+        """What the demo drive is: 32 frames, a whole HDL-64E, two cameras and a fisheye."""
+        return cls(
+            frames=32, lasers=tuple(range(64)), firings=2100, cameras=("image_00", "image_01"),
+            width=704, height=188, fisheye_side=350,
+        )  # fmt: skip
+
+    @classmethod
+    def tiny(cls) -> Self:
+        """What a test can write and read in a second: 4 frames, 8 lasers, one small camera."""
+        return cls(
+            frames=4, lasers=(4, 10, 16, 22, 28, 36, 46, 56), firings=64, cameras=("image_00",),
+            width=64, height=48, fisheye_side=0,
+        )  # fmt: skip
+
+
+def write_demo(
+    root: Path,
+    *,
+    size: DemoSize | None = None,
+    seed: int = 0,
+    speed: EgoSpeed | None = None,
+    traffic: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write the demo drive whole: `root` appears when everything is in it.
+
+    The sequence is `DEMO_SEQUENCE`. The same arguments give the same bytes.
+
+    Args:
+        root: KITTI-360 root to make; it must not exist, or be an empty folder.
+        size: How much; None = `DemoSize.full()`.
+        seed: Of the street and of all noise.
+        speed: Of the recording car; None = the demo's own, about 9 m/s.
+        traffic: Cars that drive in addition to the demo's own, at most 12.
+        progress: Told (frames done, frames) after each frame.
+
+    Raises:
+        DataError: `root` holds something already, or the disk refuses.
+    """
+    size = DemoSize.full() if size is None else size
+    if _is_taken(root):
+        raise DataError(f"expected no {root}, found one; remove it to write the demo drive again")
+    part = root.with_name(f".{root.name}.{os.getpid()}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        layout = DriveLayout(part, DEMO_SEQUENCE)
+        world = DemoWorld(seed, speed=speed, traffic=traffic)
+        cameras = _cameras(size)
+        _write_calibration(layout, cameras)
+        _write_poses(layout, world, cameras[0], size.frames)
+        _write_times(layout, cameras, size.frames)
+        write_boxes(layout.boxes_path("train"), _boxes(world, size.frames))
+        _write_frames(layout, world, cameras, size, progress)
+        part.rename(root)
+    except OSError as error:
+        remedy = "another process wrote it: use that" if _is_taken(root) else "check space and rights"
+        raise DataError(f"expected to write the demo drive to {root}, found {error}; {remedy}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _is_taken(root: Path) -> bool:
+    return root.exists() and not (root.is_dir() and not any(root.iterdir()))
+
+
+def _cameras(size: DemoSize) -> list[DemoCamera]:
+    cameras = [demo_perspective(name, size.width, size.height) for name in size.cameras]
+    return [*cameras, demo_fisheye("image_02", size.fisheye_side)] if size.fisheye_side else cameras
+
+
+def _write_calibration(layout: DriveLayout, cameras: list[DemoCamera]) -> None:
+    write_perspective(
+        layout.perspective_path,
+        {camera.name: camera.model for camera in cameras if isinstance(camera.model, RectifiedCamera)},
+    )
+    for camera in cameras:
+        if isinstance(camera.model, MeiFisheye):
+            write_fisheye(layout.fisheye_path(camera.name), camera.name, camera.model)
+    write_cam_to_pose(layout.cam_to_pose_path, {camera.name: camera.camera_to_pose for camera in cameras})
+    write_pose(layout.cam_to_velo_path, invert_pose(LIDAR_TO_POSE) @ cameras[0].camera_to_pose)
+
+
+def _write_poses(layout: DriveLayout, world: DemoWorld, camera: DemoCamera, frames: int) -> None:
+    pose_to_world = world.lidar_to_world(np.arange(frames) * FRAME_PERIOD_S) @ invert_pose(LIDAR_TO_POSE)
+    write_frame_poses(layout.poses_path, range(frames), pose_to_world, rows=3)
+    write_frame_poses(layout.cam0_to_world_path, range(frames), pose_to_world @ camera.image_to_pose, rows=4)
+
+
+def _write_times(layout: DriveLayout, cameras: list[DemoCamera], frames: int) -> None:
+    instants = np.arange(frames) * FRAME_PERIOD_S
+    for kind, shift in (("", 0.0), ("start", -0.5 * FRAME_PERIOD_S), ("end", 0.5 * FRAME_PERIOD_S)):
+        write_timestamps(layout.timestamps_path(kind), _START, (instants + shift).tolist())
+    for camera in cameras:
+        write_timestamps(layout.camera_dir(camera.name).parent / "timestamps.txt", _START, instants.tolist())
+
+
+def _boxes(world: DemoWorld, frames: int) -> list[WrittenBox]:
+    """Moving objects once a frame, at the pose's instant; parked cars once."""
+    boxes = []
+    for mover in world.street.movers:
+        poses = world.object_to_world(mover.object_id, np.arange(frames) * FRAME_PERIOD_S)
+        for frame, pose in enumerate(poses):
+            box = _box_to_world(pose, mover.size_m)
+            boxes.append(WrittenBox(mover.object_id, mover.label, True, frame, 0, frames - 1, box))
+    for car in world.street.parked:
+        box = _box_to_world(world.street_to_world @ car.pose, CAR_SIZE_M)
+        boxes.append(WrittenBox(car.object_id, "car", False, -1, 0, frames - 1, box))
+    return boxes
+
+
+def _box_to_world(pose: np.ndarray, size_m: tuple[float, float, float]) -> np.ndarray:
+    """Unit cube to world of an object that stands on the road: its frame's origin is below its centre."""
+    raised = np.diag([*size_m, 1.0])
+    raised[2, 3] = 0.5 * size_m[2]
+    box: np.ndarray = pose @ raised
+    return box
+
+
+def _write_frames(
+    layout: DriveLayout,
+    world: DemoWorld,
+    cameras: list[DemoCamera],
+    size: DemoSize,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    lasers = np.array(size.lasers)
+
+    def write_frame(frame: int) -> None:
+        scan = simulate_scan(world, frame, lasers, size.firings)
+        write_scan(layout.scan_path(frame), scan.points_m, scan.intensity)
+        for camera in cameras:
+            rgb = render_image(world, camera, frame * FRAME_PERIOD_S)
+            write_image(layout.image_path(camera.name, frame), rgb)
+
+    # numpy lets go of the interpreter in long operations, so threads use the cores there are.
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for done, _ in enumerate(pool.map(write_frame, range(size.frames)), start=1):
+            if progress is not None:
+                progress(done, size.frames)

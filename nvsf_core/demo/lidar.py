@@ -1,0 +1,292 @@
+"""The demo's LiDAR: each firing of each laser at its own time, then what a real sensor does to it.
+
+A ray of laser l at encoder angle theta starts at o = (0, 0, v_l / cos e_l) + h_l (-sin theta, cos theta, 0)
+and runs along d = (cos e_l cos theta, cos e_l sin theta, sin e_l); the file records o + r d. In the
+world the same ray is turned up by the sensor's elevation correction, in the plane of theta, about the
+sensor's centre: files are as recorded, without it. These rays are written out here rather than taken
+from `sensors.beam_table`, so that the demo can tell whether those are right.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.demo.motion import FRAME_PERIOD_S
+from nvsf_core.demo.shapes import (
+    Kind,
+    ShapeList,
+    Shapes,
+    cast_shapes,
+    tile_cones,
+    tile_index,
+    tile_select,
+)
+from nvsf_core.demo.street import Material
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.sensors.tables import HDL_64E, LaserTable
+
+__all__ = ["MAX_RANGE_M", "RANGE_NOISE_M", "DemoScan", "ExactAnswers", "exact_answers", "simulate_scan"]
+
+MAX_RANGE_M = 80.0
+"""Nothing farther is recorded."""
+RANGE_NOISE_M = 0.015
+"""Standard deviation of a range."""
+OWN_VEHICLE = -2
+"""`instance` of returns from the recording car itself."""
+
+_REFLECTIVITY = {
+    Material.SKY: 0.0, Material.ASPHALT: 0.22, Material.MARKING: 0.55, Material.PAVEMENT: 0.33,
+    Material.KERB: 0.38, Material.PLASTER: 0.42, Material.GLASS: 0.12, Material.BARK: 0.3,
+    Material.LEAF: 0.4, Material.METAL: 0.35, Material.SIGN: 1.3, Material.PAINT: 0.3,
+    Material.RUBBER: 0.08, Material.CLOTH: 0.45,
+}  # fmt: skip
+_GLASS_RETURNS = 0.35
+"""Share of pulses on glass that come back at all: the rest goes through or away."""
+_RANDOM_DROPS = 0.008
+_HALF_SIGNAL = 2e-6
+"""reflectivity x cos incidence / range^2 at which half of the pulses are lost: asphalt at 60 m."""
+_MIXED_SHARE = 0.3
+"""Share of the pulses at an edge that fall on both sides of it."""
+_MIXED_STEP_M = (0.15, 2.0)
+"""Two surfaces this far apart along the ray merge into one echo between them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DemoScan:
+    """One turn as recorded: N returns, laser by laser from the top, azimuth ascending in [0, 360) degrees."""
+
+    points_m: np.ndarray
+    """(N, 3) float32 in the sensor's frame at each return's own time."""
+    intensity: np.ndarray
+    """(N,) float32 in 0..0.99, in steps of 0.01."""
+    laser: np.ndarray
+    """(N,) int16, index among the lasers that were asked for."""
+    time_s: np.ndarray
+    """(N,) float64 of firing, since the first frame."""
+    true_range_m: np.ndarray
+    """(N,) float32 along the laser's ray, without noise."""
+    instance: np.ndarray
+    """(N,) int32 of what was met; -2 is the recording car."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactAnswers:
+    """What L lasers x F firings would meet, without noise, mixed pixels or chance; all (L, F)."""
+
+    range_m: np.ndarray
+    """float32 along the laser's ray; inf where it meets nothing."""
+    chance: np.ndarray
+    """float64, of a return: 0 beyond `MAX_RANGE_M`."""
+    intensity: np.ndarray
+    """float64, expected, 0..0.99."""
+
+
+def exact_answers(
+    world: DemoWorld,
+    table: LaserTable,
+    lasers: np.ndarray,
+    theta_rad: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    mount: np.ndarray | None,
+    own_vehicle: bool,
+) -> ExactAnswers:
+    """The truth for any sensor on the recording car's path, at any time.
+
+    Args:
+        world: What to look at.
+        table: The sensor.
+        lasers: (L,) rows of the table.
+        theta_rad: (L, F) encoder angles.
+        time_s: (L, F) since the first frame.
+        mount: (4, 4) pose of the sensor in the recording sensor's frame; None = the same place.
+        own_vehicle: Whether the recording car is around the sensor, wherever that is mounted.
+    """
+    origin, direction = _recorded_rays(table, lasers, theta_rad)
+    tiles = tile_index(len(lasers), theta_rad.shape[1], 8)
+    shapes = _OWN_VEHICLE if own_vehicle else None
+    range_m, material, _, cosine = _cast(
+        world, table, origin, direction, theta_rad.ravel(), time_s.ravel(), tiles, mount, shapes
+    )
+    shape = theta_rad.shape
+    range_m, material, cosine = range_m.reshape(shape), material.reshape(shape), cosine.reshape(shape)
+    present = range_m < MAX_RANGE_M
+    distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
+    reflectivity = _reflectivity(material)
+    return ExactAnswers(
+        range_m=range_m,
+        chance=present * _return_chance(distance, material, reflectivity, cosine),
+        intensity=np.clip(_shine(distance, reflectivity, cosine), 0.0, 0.99),
+    )
+
+
+def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int) -> DemoScan:
+    """The scan of a frame.
+
+    Args:
+        world: What to scan; its seed, with the frame's number, also decides the noise.
+        frame: Its pose instant is frame x 0.1 s, when the lasers face forward.
+        lasers: (L,) indices of the HDL-64E's lasers, from the top.
+        firings: Firings a turn, at most the 4000 steps of the encoder.
+    """
+    rng = np.random.default_rng([world.seed, 1 + frame])
+    theta, fraction = _firings(HDL_64E, lasers, firings, rng)
+    origin, direction = _recorded_rays(HDL_64E, lasers, theta)
+    time_s = (frame + fraction.ravel()) * FRAME_PERIOD_S
+    tiles = tile_index(len(lasers), firings, 8)
+    hit = _cast(world, HDL_64E, origin, direction, theta.ravel(), time_s, tiles, None, _OWN_VEHICLE)
+    range_m, material, instance, cosine = hit
+    measured, intensity, returned = _measure(
+        rng, range_m.reshape(theta.shape), material.reshape(theta.shape), cosine.reshape(theta.shape)
+    )
+    kept = np.flatnonzero(returned)
+    points = (origin[kept] + measured.ravel()[kept, None] * direction[kept]).astype(np.float32)
+    laser = kept // firings
+    # float64: float32 would round a small negative angle up to the whole turn itself.
+    recorded = np.arctan2(points[:, 1].astype(np.float64), points[:, 0].astype(np.float64))
+    order = np.lexsort((np.mod(recorded, 2.0 * np.pi), laser))
+    kept = kept[order]
+    return DemoScan(
+        points_m=points[order],
+        intensity=intensity.ravel()[kept],
+        laser=laser[order].astype(np.int16),
+        time_s=time_s[kept],
+        true_range_m=range_m[kept],
+        instance=instance[kept],
+    )
+
+
+def _firings(
+    table: LaserTable, lasers: np.ndarray, firings: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Encoder angles theta in [0, 2 pi), ascending within a laser, and their sweep fractions, (L, F).
+
+    All lasers fire together, in firing columns one or two steps of the encoder apart (evenly, if there
+    are fewer), starting anywhere; each laser's own column is the firing's, shifted by its constant. A
+    firing at azimuth a in (-pi, pi] comes s = -a / 2 pi of a sweep after the pose's instant.
+    """
+    steps = np.diff(np.arange(firings + 1) * table.lattice_steps // firings)
+    start = rng.integers(table.lattice_steps)
+    column = np.mod(start + np.cumsum(rng.permutation(steps)), table.lattice_steps)
+    half = table.lattice_steps // 2
+    fraction = (np.mod(half - column, table.lattice_steps) - half) / table.lattice_steps
+    own = np.mod(column[None] - table.firing_shift_steps[lasers][:, None], table.lattice_steps)
+    theta = np.mod((own + table.phase_steps[lasers][:, None]) * table.step_rad, 2.0 * np.pi)
+    order = np.argsort(theta, axis=1)
+    return np.take_along_axis(theta, order, axis=1), fraction[order]
+
+
+def _recorded_rays(table: LaserTable, lasers: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (L F, 3) float64 in the sensor's frame, as recorded."""
+    elevation = table.elevation_rad[lasers][:, None]
+    sine, cosine, flat = np.sin(theta), np.cos(theta), np.cos(elevation)
+    beside = table.horizontal_offset_m[lasers][:, None]
+    above = np.broadcast_to(table.vertical_offset_m[lasers][:, None] / flat, theta.shape)
+    origin = np.stack([-beside * sine, beside * cosine, above], axis=-1)
+    up = np.broadcast_to(np.sin(elevation), theta.shape)
+    direction = np.stack([flat * cosine, flat * sine, up], axis=-1)
+    return origin.reshape(-1, 3), direction.reshape(-1, 3)
+
+
+def _turned_up(vectors: np.ndarray, theta: np.ndarray, angle_rad: float) -> np.ndarray:
+    """Vectors (N, 3) turned up by an angle in the vertical plane of theta (N,)."""
+    ahead = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], axis=-1)
+    along, up = (vectors * ahead).sum(axis=1), vectors[:, 2]
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    turned: np.ndarray = vectors + (cosine * along - sine * up - along)[:, None] * ahead
+    turned[:, 2] = sine * along + cosine * up
+    return turned
+
+
+def _cast(
+    world: DemoWorld,
+    table: LaserTable,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    theta: np.ndarray,
+    time_s: np.ndarray,
+    tiles: np.ndarray,
+    mount: np.ndarray | None,
+    own_vehicle: Shapes | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Range, material, instance and |cos incidence| (N,) of recorded rays fired at their times."""
+    correction = table.elevation_correction_rad
+    origin, direction = _turned_up(origin, theta, correction), _turned_up(direction, theta, correction)
+    pose = world.lidar_to_street(time_s)
+    pose = pose if mount is None else pose @ mount
+    turn = pose[:, :3, :3]
+    street_origin = (turn @ origin[:, :, None])[..., 0] + pose[:, :3, 3]
+    street_direction = (turn @ direction[:, :, None])[..., 0]
+    hits = world.cast_in_street(street_origin, street_direction, time_s, tiles)
+    cosine = np.abs((hits.normal * street_direction).sum(axis=1))
+    range_m, material, instance = hits.range_m, hits.material, hits.instance
+    if own_vehicle is None:
+        return range_m, material, instance, cosine
+
+    tile_origin, tile_direction = tile_select(origin, tiles), tile_select(direction, tiles)
+    none = np.full(tiles.shape, np.inf, np.float32)
+    cones = tile_cones(tile_origin, tile_direction)
+    own = np.empty_like(range_m)
+    own[tiles] = cast_shapes(own_vehicle, tile_origin, tile_direction, none, cones)[0]
+    on_own = own < range_m
+    range_m[on_own], material[on_own] = own[on_own], Material.PAINT
+    instance[on_own], cosine[on_own] = OWN_VEHICLE, 0.5
+    return range_m, material, instance, cosine
+
+
+def _own_vehicle() -> Shapes:
+    """What the LiDAR sees of its car: the bonnet's middle and two roof mounts, nearer than 2.5 m."""
+    shapes = ShapeList()
+    paint = int(Material.PAINT)
+    shapes.add(Kind.ELLIPSOID, np.array([1.9, 0.0, -0.84]), (0.25, 0.2, 0.07), np.eye(3), paint, OWN_VEHICLE)
+    for side in (-0.55, 0.55):
+        mount = np.array([-1.5, side, -0.67])
+        shapes.add(Kind.BOX, mount, (0.03, 0.03, 0.07), np.eye(3), paint, OWN_VEHICLE)
+    return shapes.build()
+
+
+_OWN_VEHICLE = _own_vehicle()
+
+
+def _measure(
+    rng: np.random.Generator, range_m: np.ndarray, material: np.ndarray, cosine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measured range, intensity and whether there is a return, on the grid (L, F) of lasers x firings."""
+    shape = range_m.shape
+    present = range_m < MAX_RANGE_M
+    distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
+
+    # Mixed pixels: a pulse at an edge echoes from both surfaces, and the echo lies between them.
+    beside = np.roll(distance, -1, axis=1)
+    jump = np.abs(beside - distance)
+    edge = present & np.roll(present, -1, axis=1) & (jump > _MIXED_STEP_M[0]) & (jump < _MIXED_STEP_M[1])
+    share = np.where(edge & (rng.random(shape) < _MIXED_SHARE), rng.uniform(0.1, 0.9, shape), 0.0)
+    measured = distance + share * (beside - distance) + rng.normal(0.0, RANGE_NOISE_M, shape)
+
+    reflectivity = _reflectivity(material)
+    chance = _return_chance(distance, material, reflectivity, cosine)
+    returned = present & (rng.random(shape) < chance) & (measured < MAX_RANGE_M)
+
+    intensity = np.clip(_shine(distance, reflectivity, cosine) + rng.normal(0.0, 0.02, shape), 0.0, 0.99)
+    return measured, (np.round(intensity * 100.0) / 100.0).astype(np.float32), returned
+
+
+def _reflectivity(material: np.ndarray) -> np.ndarray:
+    found: np.ndarray = np.array([_REFLECTIVITY[kind] for kind in Material])[material]
+    return found
+
+
+def _return_chance(
+    distance_m: np.ndarray, material: np.ndarray, reflectivity: np.ndarray, cosine: np.ndarray
+) -> np.ndarray:
+    """Probability that a pulse comes back strong enough to be seen."""
+    signal = reflectivity * np.maximum(cosine, 0.01) / np.maximum(distance_m, 2.0) ** 2
+    chance: np.ndarray = 1.0 / (1.0 + (_HALF_SIGNAL / np.maximum(signal, 1e-12)) ** 2)
+    chance *= np.where(material == Material.GLASS, _GLASS_RETURNS, 1.0) * (1.0 - _RANDOM_DROPS)
+    return chance
+
+
+def _shine(distance_m: np.ndarray, reflectivity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Expected intensity before it is clipped."""
+    shine: np.ndarray = reflectivity * (0.35 + 0.65 * cosine) * (1.1 - distance_m / 160.0)
+    return shine

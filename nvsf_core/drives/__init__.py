@@ -1,0 +1,1 @@
+"""Recorded drives: the catalogue of them, and one folder a format."""

@@ -1,0 +1,321 @@
+"""The scene catalogue: which drives there are and which synthetic views are asked for."""
+
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from nvsf_core.drives.entries import EXPORTS, SceneEntry, ViewEntry
+from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.text import MIB, read_text
+from nvsf_core.errors import DataError
+from nvsf_core.names import RESERVED_VIEWS
+
+__all__ = [
+    "EXPORTS",
+    "UNSET_ROOT",
+    "SceneEntry",
+    "ViewEntry",
+    "catalogue_from_environment",
+    "has_data",
+    "home_from_environment",
+    "load_catalogue",
+]
+
+UNSET_ROOT = Path("$NVSF_KITTI360_ROOT")
+"""Root of an entry that names none while the variable is not set: it exists nowhere, and says why."""
+
+_HOME_VARIABLE = "$NVSF_HOME"
+_MOST_BYTES = MIB
+"""Of a catalogue: some ten thousand scenes."""
+_LONGEST_TEXT = 1000
+"""Of a value: a path's parts may have 255 bytes each."""
+_MOST_DOTS = 20
+_MOST_VIEWS = 1000
+_LARGEST = 1e15
+"""Larger numbers are none that a catalogue asks for."""
+_SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
+_NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
+_VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
+
+
+def home_from_environment(environ: Mapping[str, str]) -> Path:
+    """NVSF_HOME as an absolute path; default `.nvsf` in the working directory."""
+    return _expanded(environ.get("NVSF_HOME") or ".nvsf", "NVSF_HOME").absolute()
+
+
+def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, ...]:
+    """The catalogue that NVSF_SCENES (default: the checkout's `scenes.toml`) and NVSF_KITTI360_ROOT ask for.
+
+    Raises:
+        DataError: See `load_catalogue`.
+    """
+    parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
+    named = [_expanded(part, "NVSF_SCENES") for part in parts if part]
+    root = environ.get("NVSF_KITTI360_ROOT")
+    default = Path(__file__).resolve().parents[2] / "scenes.toml"
+    return load_catalogue(
+        named or [default],
+        _expanded(root, "NVSF_KITTI360_ROOT") if root else None,
+        home=home_from_environment(environ),
+    )
+
+
+def _expanded(text: str, what: str) -> Path:
+    """A path whose leading `~` or `~user` stands for a home folder."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise DataError(f"{what}: expected a path, found {text!r:.100} ({error})") from error
+
+
+def load_catalogue(
+    paths: Sequence[Path], kitti360_root: Path | None, *, home: Path | None = None
+) -> tuple[SceneEntry, ...]:
+    """Read catalogue files; scenes with more frames come first, else in the files' order.
+
+    Args:
+        paths: Catalogue files; a view of one may name a scene of another.
+        kitti360_root: Where entries without a root are looked for.
+        home: What `$NVSF_HOME` in a root means; default `.nvsf` in the working directory.
+
+    Raises:
+        DataError: A file is absent or no TOML, a key is unknown, missing or of the wrong kind, a name
+            is given twice, or frames do not fit; the message names file, entry and key.
+    """
+    scenes: dict[str, SceneEntry] = {}
+    views: list[tuple[str, ViewEntry]] = []
+    for path in paths:
+        table = _read_toml(path)
+        _require_keys(table, frozenset({"scene", "view"}), frozenset(), f"{path}")
+        for raw in _entries(table, "scene", path):
+            entry = _scene(raw, path, kitti360_root, home or home_from_environment({}))
+            if entry.name in scenes:
+                raise DataError(f"{path}: scene {entry.name!r} is given twice; rename one")
+            scenes[entry.name] = entry
+        for raw in _entries(table, "view", path):
+            views.append((f"{path}: view {raw.get('name')!r:.60}", _view(raw, path)))
+    if not scenes:
+        raise DataError(
+            f"{', '.join(map(str, paths)):.300}: expected at least one `[[scene]]`, found none; add one"
+        )
+    if len(views) > _MOST_VIEWS:
+        raise DataError(f"{paths[0]}: expected at most {_MOST_VIEWS} views in all, found {len(views)}")
+    _require_known_scenes(views, scenes)
+    _require_other_names(scenes)
+    ordered = sorted(scenes.values(), key=lambda entry: entry.first_frame - entry.last_frame)
+    return tuple(replace(entry, views=_views_of(entry, views)) for entry in ordered)
+
+
+def has_data(entry: SceneEntry) -> bool:
+    """Whether a scan or an image of the section is on this machine.
+
+    Raises:
+        DataError: The disk does not say.
+    """
+    layout = DriveLayout(entry.root, entry.sequence)
+    try:
+        return any(
+            layout.scan_path(frame).is_file()
+            or any(layout.image_path(name, frame).is_file() for name in CAMERAS)
+            for frame in range(entry.first_frame, entry.last_frame + 1)
+        )
+    except OSError as error:
+        raise DataError(
+            f"scene {entry.name}: cannot look into {error.filename or entry.root} ({error.strerror}); "
+            "correct its root, or its permissions"
+        ) from error
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        text = read_text(path, _MOST_BYTES)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DataError(f"cannot read catalogue {path} ({reason}); correct NVSF_SCENES") from error
+    if _is_nested(text):
+        raise DataError(
+            f"{path} is no TOML of a catalogue: a key has more than {_MOST_DOTS} parts; shorten it"
+        )
+    try:
+        return tomllib.loads(text)
+    # A number of five thousand digits is a ValueError, brackets nested as deep a RecursionError.
+    except (ValueError, RecursionError) as error:
+        reason = error if isinstance(error, tomllib.TOMLDecodeError) else "absurd numbers or nesting"
+        raise DataError(f"{path} is no TOML: {reason!s:.300}; correct the file") from error
+
+
+def _is_nested(text: str) -> bool:
+    """Whether a key has absurdly many parts: reading `a.a.a. ... = 1` takes gigabytes."""
+    for line in text.splitlines():
+        *before, last = line.split("=")
+        # A key ends at each `=`, in inline tables too; a line without any is a header, or no TOML.
+        keys = [re.split(r"[,{\[]", part)[-1] for part in before] or [last.partition(",")[0]]
+        if any(key.count(".") > _MOST_DOTS for key in keys):
+            return True
+    return False
+
+
+def _entries(table: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, Any]]:
+    entries = table.get(kind, [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise DataError(f"{path}: expected `[[{kind}]]` entries, found {entries!r:.60}; double the brackets")
+    return entries
+
+
+def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path) -> SceneEntry:
+    where = f"{path}: scene {raw.get('name')!r:.60}"
+    _require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
+    period_s = raw.get("sweep_period_s")
+    if period_s is not None and not _is_number(period_s):
+        raise DataError(f"{where}: sweep_period_s: expected seconds of one turn, found {period_s!r:.60}")
+    values: dict[str, Any] = {
+        "name": _string(raw, "name", where),
+        "root": _root(raw, path, kitti360_root, home, where),
+        "sequence": _string(raw, "sequence", where),
+        "first_frame": _integer(raw, "first_frame", where),
+        "last_frame": _integer(raw, "last_frame", where),
+        "test_frames": tuple(sorted(_list(raw, "test_frames", int, where))),
+        "sweep_period_s": None if period_s is None else float(period_s),
+        "cameras": _list(raw, "cameras", str, where) if "cameras" in raw else None,
+        "recipe": _string(raw, "recipe", where) if "recipe" in raw else None,
+        "compensate": _boolean(raw, "compensate", where) if "compensate" in raw else True,
+    }
+    try:
+        return SceneEntry(**values)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path, where: str) -> Path:
+    if "root" not in raw:
+        return UNSET_ROOT if kitti360_root is None else kitti360_root.absolute()
+    text = _string(raw, "root", where)
+    if text.split("/")[0] == _HOME_VARIABLE:
+        return home / text.removeprefix(_HOME_VARIABLE).lstrip("/")
+    # joinpath keeps an absolute root as it is.
+    return path.absolute().parent.joinpath(_expanded(text, f"{where}: root"))
+
+
+def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
+    where = f"{path}: view {raw.get('name')!r:.60}"
+    _require_keys(raw, _VIEW_KEYS, frozenset({"name"}), where)
+    if raw["name"] in RESERVED_VIEWS:
+        raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
+    shift_m = raw.get("shift_m", [0.0, 0.0, 0.0])
+    yaw_deg = raw.get("yaw_deg", 0.0)
+    if not (isinstance(shift_m, list) and len(shift_m) == 3 and all(map(_is_number, shift_m))):
+        raise DataError(f"{where}: shift_m: expected [forward, left, up] in metres, found {shift_m!r:.60}")
+    if not _is_number(yaw_deg):
+        raise DataError(f"{where}: yaw_deg: expected degrees, found {yaw_deg!r:.60}")
+    frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
+    values: dict[str, Any] = {
+        "name": _string(raw, "name", where),
+        "scenes": _list(raw, "scenes", str, where) if "scenes" in raw else None,
+        "sensor": _string(raw, "sensor", where) if "sensor" in raw else None,
+        "shift_m": tuple(map(float, shift_m)),
+        "yaw_deg": float(yaw_deg),
+        "frames": frames,
+        "times_s": times_s,
+        "exports": _list(raw, "exports", str, where) if "exports" in raw else ("bin", "ply"),
+    }
+    try:
+        return ViewEntry(**values)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], tuple[float, ...] | None]:
+    """`all`, whole numbers (frames), or numbers with a point (seconds of the drive)."""
+    if value == "all":
+        return "all", None
+    if isinstance(value, list) and value and all(_is_number(item) and item >= 0 for item in value):
+        if all(isinstance(item, int) for item in value):
+            return tuple(value), None
+        if all(isinstance(item, float) for item in value):
+            return (), tuple(value)
+    raise DataError(
+        f'{where}: frames: expected "all", frame numbers [3, 4], or seconds [0.35, 0.45], found {value!r:.60}'
+    )
+
+
+def _require_known_scenes(views: Iterable[tuple[str, ViewEntry]], scenes: Mapping[str, SceneEntry]) -> None:
+    for where, view in views:
+        for name in scenes if view.scenes is None else view.scenes:
+            if name not in scenes:
+                raise DataError(f"{where}: unknown scene {name!r}; the catalogue has {', '.join(scenes)}")
+            first, last = scenes[name].first_frame, scenes[name].last_frame
+            if view.times_s is None and view.frames != "all":
+                outside = [frame for frame in view.frames if not first <= float(frame) <= last]
+                if outside:
+                    remedy = "; say in `scenes` which it is for" if view.scenes is None else ""
+                    raise DataError(
+                        f"{where}: frames {outside!s:.200} are not in {first}..{last} of scene {name}{remedy}"
+                    )
+
+
+def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
+    """Names that differ in case alone are one folder on some disks."""
+    known: dict[str, str] = {}
+    for name in scenes:
+        other = known.setdefault(name.casefold(), name)
+        if other != name:
+            raise DataError(f"scenes {other!r} and {name!r} differ in case alone; rename one")
+
+
+def _views_of(entry: SceneEntry, views: Iterable[tuple[str, ViewEntry]]) -> tuple[ViewEntry, ...]:
+    chosen: dict[str, ViewEntry] = {}
+    for where, view in views:
+        if view.scenes is None or entry.name in view.scenes:
+            if view.name in chosen:
+                raise DataError(f"{where}: scene {entry.name} has a view of this name already; rename one")
+            chosen[view.name] = view
+    return tuple(chosen.values())
+
+
+def _require_keys(raw: Mapping[str, Any], known: frozenset[str], needed: frozenset[str], where: str) -> None:
+    unknown, missing = sorted(raw.keys() - known), sorted(needed - raw.keys())
+    if unknown:
+        raise DataError(
+            f"{where}: unknown keys {', '.join(unknown):.200}; known are {', '.join(sorted(known))}"
+        )
+    if missing:
+        raise DataError(f"{where}: missing keys {', '.join(missing)}")
+
+
+def _string(raw: Mapping[str, Any], key: str, where: str) -> str:
+    value = raw[key]
+    if not isinstance(value, str) or not value or not value.isprintable() or len(value) > _LONGEST_TEXT:
+        raise DataError(
+            f"{where}: {key}: expected 1 to {_LONGEST_TEXT} printable characters, found {value!r:.60}"
+        )
+    return value
+
+
+def _integer(raw: Mapping[str, Any], key: str, where: str) -> int:
+    value = raw[key]
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise DataError(f"{where}: {key}: expected a whole number, found {value!r:.60}")
+    return value
+
+
+def _boolean(raw: Mapping[str, Any], key: str, where: str) -> bool:
+    value = raw[key]
+    if not isinstance(value, bool):
+        raise DataError(f"{where}: {key}: expected true or false, found {value!r:.60}")
+    return value
+
+
+def _list(raw: Mapping[str, Any], key: str, kind: type, where: str) -> tuple[Any, ...]:
+    value = raw[key]
+    if not isinstance(value, list) or not all(type(item) is kind for item in value):
+        raise DataError(f"{where}: {key}: expected a list of {kind.__name__}, found {value!r:.60}")
+    return tuple(value)
+
+
+def _is_number(value: Any) -> bool:
+    # NaN and infinity compare false, too.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST

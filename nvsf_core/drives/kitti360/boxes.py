@@ -1,0 +1,215 @@
+"""Annotated 3-D boxes, read from KITTI-360's XML with entities and DTDs refused."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import iterparse
+
+from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers
+from nvsf_core.errors import DataError
+
+STATIC_FRAME = -1
+"""The `frame` of a box that does not move."""
+_MOST_BYTES = 512 * MIB
+"""A box has 3 kB: of far more than KITTI-360's 70,000 in all of its drives."""
+_MOST_BOXES, _MOST_PARTS = 200_000, 100
+"""A box has 20 elements."""
+_LONGEST_TOKEN_BYTES = 4 * MIB
+_MOST_ROWS = 100_000
+"""Of the vertices of one object."""
+_MOST_COLUMNS = 4
+_MOST_ID = 1_000_000
+_MOST_FRAME = 9_999_999_999
+_LONGEST_NUMBER = 20
+_DEEPEST = 8
+"""A box's numbers lie 4 deep; a million nested elements would be kept until the last one closes."""
+_LEAST_VOLUME = 0.1
+_SIDES_M = (1e-3, 1e3)
+"""Between these lies a side of anything that stands in a street."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box:
+    """One annotated box: for a moving object, its place in one frame."""
+
+    frame: int
+    """Frame number, or -1 for a box that stands all the time."""
+    object_id: int
+    """semanticId * 1000 + instanceId: the same number is the same object."""
+    label: str
+    dynamic: bool
+    box_to_world: np.ndarray
+    """(4, 4) float64: the unit cube [-0.5, 0.5]^3 to world; the 3x3 part holds the size as scale."""
+
+
+def read_boxes(path: Path, first_frame: int, last_frame: int) -> tuple[list[Box], list[str]]:
+    """Boxes of the frames `first_frame..last_frame`, and the static ones annotated around them.
+
+    Returns:
+        The boxes, and why others were left out: those that no thing in a street can have.
+
+    Raises:
+        DataError: The file is no plain XML, too large, or a box lacks or garbles a field.
+    """
+    size = path.stat().st_size if path.is_file() else None
+    if size is None or size > _MOST_BYTES:
+        raise DataError(
+            f"cannot read boxes {path}: expected a regular file of at most {_MOST_BYTES:,} bytes, found "
+            f"{'none' if size is None else f'{size:,}'}; restore the file of the drive, or remove it"
+        )
+    boxes: list[Box] = []
+    left_out: list[str] = []
+    place = "its first element"
+    try:
+        _require_short_tokens(path)
+        for element in _children(path):
+            place = f"element {element.tag}"
+            if _is_box(element) and _is_wanted(element, first_frame, last_frame):
+                box = _box(element)
+                fault = _fault(box.box_to_world)
+                if fault is None:
+                    boxes.append(box)
+                else:
+                    left_out.append(f"{element.tag} {box.object_id} in frame {box.frame}: {fault}")
+    # An encoding that Python does not know, or that is none of text, is a LookupError.
+    except (ParseError, DefusedXmlException, LookupError, OSError) as error:
+        raise DataError(
+            f"cannot read boxes {path} ({error!r:.300}); restore the file of the drive"
+        ) from error
+    except ValueError as error:
+        raise DataError(f"{path}, {place}: {error}; restore the file of the drive") from error
+    return boxes, left_out
+
+
+def _children(path: Path) -> Iterator[Element]:
+    """The root's children one after the other; none is kept.
+
+    Raises:
+        ValueError: Elements are nested too deep, or there are too many of them.
+    """
+    depth, count, parts = 0, 0, 0
+    root: Element | None = None
+    for event, element in iterparse(str(path), events=("start", "end"), forbid_dtd=True):
+        root = element if root is None else root
+        depth += 1 if event == "start" else -1
+        parts += event == "start"
+        if depth > _DEEPEST or parts > _MOST_PARTS or count > _MOST_BOXES:
+            raise ValueError(
+                f"expected at most {_MOST_BOXES:,} boxes of {_MOST_PARTS} elements, {_DEEPEST} deep"
+            )
+        if event == "end" and depth == 1:
+            yield element
+            root.clear()
+            count, parts = count + 1, 0
+
+
+def _require_short_tokens(path: Path) -> None:
+    """Refuse markup that a parser would hold whole: a comment of a gigabyte, a million attributes.
+
+    Raises:
+        ValueError: Between two `>` lies more than any box's numbers need.
+    """
+    run = 0
+    with path.open("rb") as handle:
+        while block := handle.read(MIB):
+            lengths = [len(part) for part in block.split(b">")]
+            if max(run + lengths[0], *lengths[1:], 0) > _LONGEST_TOKEN_BYTES:
+                raise ValueError(f"expected at most {_LONGEST_TOKEN_BYTES:,} bytes from one `>` to the next")
+            run = lengths[-1] + (run if len(lengths) == 1 else 0)
+
+
+def _is_box(element: Element) -> bool:
+    """Whether an element describes a box, if only in part; other elements may stand beside them."""
+    return any(
+        element.find(name) is not None for name in ("transform", "semanticId", "timestamp", "vertices")
+    )
+
+
+def _is_wanted(element: Element, first_frame: int, last_frame: int) -> bool:
+    frame = _frame_of(element)
+    if frame != STATIC_FRAME:
+        return first_frame <= frame <= last_frame
+    if element.find("start_frame") is None or element.find("end_frame") is None:
+        return True
+    start, end = (_integer(element, name, -1, _MOST_FRAME) for name in ("start_frame", "end_frame"))
+    return start <= last_frame and first_frame <= end
+
+
+def _frame_of(element: Element) -> int:
+    return _integer(element, "timestamp", STATIC_FRAME, _MOST_FRAME)
+
+
+def _integer(element: Element, name: str, least: int, most: int) -> int:
+    """A field's whole number within bounds."""
+    text = _text(element, name).strip()
+    # Python reads `1_0` and digits of any script; no drive writes them.
+    is_plain = text.isascii() and text.removeprefix("-").isdecimal() and len(text) <= _LONGEST_NUMBER
+    if not is_plain or not least <= int(text) <= most:
+        raise ValueError(f"{name}: expected a whole number from {least} to {most}, found {text!r:.60}")
+    return int(text)
+
+
+def _box(element: Element) -> Box:
+    frame = _frame_of(element)
+    is_dynamic = frame != STATIC_FRAME
+    if element.find("dynamic") is not None:
+        is_dynamic = bool(_integer(element, "dynamic", 0, 1))
+    semantic, instance = (_integer(element, name, 0, _MOST_ID) for name in ("semanticId", "instanceId"))
+    return Box(
+        frame=frame,
+        object_id=semantic * 1000 + instance,
+        label=(element.findtext("label") or "unknown").strip(),
+        dynamic=is_dynamic,
+        box_to_world=_opencv_matrix(element, "transform", (4, 4)) @ _unit_cube_to_vertices(element),
+    )
+
+
+def _fault(box_to_world: np.ndarray) -> str | None:
+    """What is no box in the world: flat, sheared to nothing, of absurd size, or nowhere on Earth."""
+    least_m, most_m = _SIDES_M
+    sides_m = np.linalg.norm(box_to_world[:3, :3], axis=0)
+    if not ((sides_m >= least_m) & (sides_m <= most_m)).all():
+        return f"transform: expected sides of {least_m:g} to {most_m:g} m, found {sides_m}"
+    # Of axes of length 1: 1 for a box, 0 for one without volume.
+    volume = abs(float(np.linalg.det(box_to_world[:3, :3] / sides_m)))
+    if volume < _LEAST_VOLUME:
+        return f"transform: expected three different axes, found a volume of {volume:.3g} of a box's"
+    if np.abs(box_to_world[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+        return f"transform: expected the last row 0 0 0 1, found {box_to_world[3]}"
+    if np.abs(box_to_world[:3, 3]).max() > FARTHEST_M:
+        return f"transform: expected a place within {FARTHEST_M:g} m, found {box_to_world[:3, 3]}"
+    return None
+
+
+def _unit_cube_to_vertices(element: Element) -> np.ndarray:
+    """The bounding box of `vertices` as a transform of the unit cube: the identity for ordinary boxes."""
+    matrix = np.eye(4)
+    if element.find("vertices") is None:
+        return matrix
+    vertices = _opencv_matrix(element, "vertices", None)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    matrix[:3, :3] = np.diag(high - low)
+    matrix[:3, 3] = (low + high) / 2.0
+    return matrix
+
+
+def _opencv_matrix(element: Element, name: str, shape: tuple[int, int] | None) -> np.ndarray:
+    node: Any = element.find(name)
+    if node is None:
+        raise ValueError(f"field {name!r} is missing")
+    found = (_integer(node, "rows", 1, _MOST_ROWS), _integer(node, "cols", 1, _MOST_COLUMNS))
+    if found != (shape or (found[0], 3)):
+        raise ValueError(f"{name}: expected a matrix of shape {shape or 'n x 3'}, found {found}")
+    return parse_numbers(_text(node, "data"), found[0] * found[1]).reshape(found)
+
+
+def _text(element: Element, name: str) -> str:
+    text = element.findtext(name)
+    if text is None:
+        raise ValueError(f"field {name!r} is missing")
+    return text

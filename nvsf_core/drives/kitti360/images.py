@@ -1,0 +1,156 @@
+"""Camera images: PNG files, read as RGB."""
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from nvsf_core.drives.kitti360.files import read_bytes, require_unchanged
+from nvsf_core.errors import DataError
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_MOST_PIXEL_BYTES = 4
+"""Of a PNG: noise in four channels of 8 bits does not shrink."""
+_HEADROOM_BYTES = 1 << 20
+"""For headers, and what else a camera's maker writes into an image."""
+_ORIENTATION_TAG = 0x0112
+_UPRIGHT = 1
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+"""Numbers a pixel by a PNG's colour type: grey, colour, palette, grey and opacity, colour and opacity."""
+
+
+def read_image(path: Path, width: int, height: int, checksum: str = "") -> np.ndarray:
+    """Read an image as (height, width, 3) uint8 RGB.
+
+    Args:
+        path: Of a PNG file with 8 bits a channel.
+        width: Expected columns, pixels.
+        height: Expected rows, pixels.
+        checksum: Of the file when it was validated (`checksum_of`); empty = not held against any.
+
+    Raises:
+        DataError: See `decode_image`; or the file is absent, too large, or has changed since.
+    """
+    data = read_image_bytes(path, width, height)
+    require_unchanged(path, data, checksum)
+    return decode_image(path, data, width, height)
+
+
+def read_image_bytes(path: Path, width: int, height: int) -> bytes:
+    """An image's file, whatever is in it.
+
+    Raises:
+        DataError: It is absent, no regular file, or larger than an image of that size can be.
+    """
+    return read_bytes(path, _HEADROOM_BYTES + _MOST_PIXEL_BYTES * width * height, "image")
+
+
+def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray:
+    """Take an image's file apart and validate it: (height, width, 3) uint8 RGB.
+
+    Args:
+        path: Where it is from, for messages.
+        data: Its content.
+        width: Expected columns, pixels.
+        height: Expected rows, pixels.
+
+    Raises:
+        DataError: It is damaged, or of another size, depth or orientation.
+    """
+    # What the header claims, before the decoder makes room for it.
+    fault = _png_fault(data) or _header_fault(data, width, height)
+    if fault:
+        raise DataError(f"{path}: {fault}")
+    try:
+        # The pixels as they are stored: a turned image would not be the calibrated camera's.
+        decoded = cv2.imdecode(
+            np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        )
+    except cv2.error as error:
+        raise DataError(f"{path}: unreadable image, its decoder says {error}; copy it again") from error
+    if decoded is not None and decoded.min() == decoded.max():
+        raise DataError(f"{path}: expected a picture, found one value in all pixels; the camera sent nothing")
+    if decoded is None or decoded.shape != (height, width, 3):
+        raise DataError(f"{path}: unreadable image, no decoder accepts it; copy it again")
+    return np.ascontiguousarray(decoded[:, :, ::-1])
+
+
+def _png_fault(data: bytes) -> str | None:
+    """What is wrong with a PNG's chunks: the decoder fills a truncated picture with grey and says nothing."""
+    if not data.startswith(_PNG_SIGNATURE):
+        return f"unreadable image, {'no PNG signature' if data else 'empty file'}; copy it again"
+    for name, body, checksum in _chunks(data):
+        if len(checksum) < 4:
+            break
+        if zlib.crc32(name + body) != int.from_bytes(checksum, "big"):
+            return f"unreadable image, checksum of chunk {name.decode('latin-1')!r} is wrong; copy it again"
+        if name == b"IEND":
+            return None
+    return "unreadable image, truncated; copy it again"
+
+
+def _header_fault(data: bytes, width: int, height: int) -> str | None:
+    """What of an image's header does not fit the calibration, or how images are read here."""
+    name, header, _ = next(_chunks(data))
+    if name != b"IHDR" or len(header) != 13:
+        return "unreadable image, its first chunk is no header; copy it again"
+    found = (int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big"))
+    if found != (width, height):
+        return (
+            f"wrong size, expected {width} x {height} as the calibration says, "
+            f"found {found[0]} x {found[1]}; use the calibration of this drive"
+        )
+    if header[8] > 8:
+        return (
+            f"expected 8 bits a channel, found {header[8]}: whether it uses all of them cannot be known; "
+            "convert the drive's images to 8 bits"
+        )
+    if not _is_whole(data, header):
+        return "unreadable image, its pixels are damaged or too few; copy it again"
+    turned = [body for name, body, _ in _chunks(data) if name == b"eXIf" and _orientation(body) != _UPRIGHT]
+    if turned:
+        return (
+            f"expected pixels as the camera recorded them, found EXIF orientation {_orientation(turned[0])}: "
+            "the calibration speaks of stored pixels; turn the image for good or remove the tag"
+        )
+    return None
+
+
+def _is_whole(data: bytes, header: bytes) -> bool:
+    """Whether the compressed pixels are as many as the header says; the decoder would fill up with grey."""
+    width, height = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
+    if header[12]:  # interlaced: seven small pictures, whose rows are rounded up each by itself
+        return True
+    row_bits = width * header[8] * _CHANNELS.get(header[9], 0)
+    expected = height * (1 + (row_bits + 7) // 8)
+    packed = b"".join(body for name, body, _ in _chunks(data) if name == b"IDAT")
+    try:
+        return len(zlib.decompressobj().decompress(packed, expected + 1)) == expected
+    except zlib.error:
+        return False
+
+
+def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes, bytes]]:
+    """Name, content and checksum of each chunk; the last may be cut."""
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        body = data[position + 8 : position + 8 + length]
+        yield data[position + 4 : position + 8], body, data[position + 8 + length : position + 12 + length]
+        position += 12 + length
+
+
+def _orientation(exif: bytes) -> int:
+    """How an image is to be turned, 1 to 8 as in EXIF 2.32; upright where nothing is said."""
+    order: Literal["little", "big"] = "little" if exif[:2] == b"II" else "big"
+    start = int.from_bytes(exif[4:8], order)
+    for entry in range(int.from_bytes(exif[start : start + 2], order)):
+        field = exif[start + 2 + 12 * entry : start + 14 + 12 * entry]
+        if len(field) < 12:
+            break
+        if int.from_bytes(field[:2], order) == _ORIENTATION_TAG:
+            return int.from_bytes(field[8:10], order)
+    return _UPRIGHT

@@ -1,0 +1,153 @@
+"""When each frame was taken, from the drive's timestamp files or, without them, a nominal period."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.text import MIB, is_there, read_text
+from nvsf_core.errors import DataError
+
+NOMINAL_PERIOD_S = 0.1
+"""A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
+SHORTEST_STEP_S, LONGEST_STEP_S = 0.01, 2.0
+"""Between two frames, in the median: LiDARs turn 5 to 20 times a second, cameras record 1 to 100 images."""
+LEAST_OF_MEDIAN = 0.05
+"""Of the median step: frames that are nearer in time than that were not recorded so."""
+LONGEST_PAUSE_S = 10.0
+"""Between any two frames of one section: a longer one is another recording, or another unit."""
+_MOST_BYTES = 64 * MIB
+_LONGEST_SHOWN = 60
+# datetime64[ns] wraps around silently outside of 1678 to 2262.
+_TIME = re.compile(r"(?:1[7-9]|2[01])\d\d-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTimes:
+    """Times of a section's frames."""
+
+    time_s: np.ndarray
+    """(n,) float64, seconds since the first frame, one per frame number of the section."""
+    sweep_period_s: float
+    """Seconds of one turn."""
+    is_assumed: bool
+    """True where times and period are nominal, not recorded."""
+    source: str
+    """The file, or why there is none that serves."""
+    is_refused: bool = False
+    """True where times were recorded and could not be used."""
+
+
+def frame_times(
+    layout: DriveLayout, first_frame: int, last_frame: int, nominal_period_s: float | None
+) -> FrameTimes:
+    """Times of the frames `first_frame..last_frame`, inclusive.
+
+    A drive's timestamp file has one line a frame, numbered from 0; a cut-out drive may have lines for
+    its own frames only. Which of the two it is follows from the number of lines and of scans. Where
+    neither fits, the nominal period is taken and the reason is kept.
+
+    Raises:
+        DataError: A line is no time.
+    """
+    path = _timestamp_file(layout)
+    count = last_frame - first_frame + 1
+    period_s = NOMINAL_PERIOD_S if nominal_period_s is None else nominal_period_s
+    if path is None:
+        return _nominal(count, period_s, "no timestamp file", is_refused=False)
+    stamps = read_timestamps(path)
+    first_line = _line_of_first_frame(len(stamps), first_frame, last_frame, _recorded_frames(layout))
+    if first_line is None:
+        misfit = f"{len(stamps)} lines fit frames {first_frame}..{last_frame} neither by number nor by count"
+        return _nominal(count, period_s, f"{path.name}: {misfit}", is_refused=True)
+    section = stamps[first_line : first_line + count]
+    if np.isnat(section).any() or (np.diff(section) <= np.timedelta64(0, "ns")).any():
+        misfit = f"{path.name} has gaps or steps back in this section"
+        return _nominal(count, period_s, misfit, is_refused=True)
+    time_s = (section - section[0]) / np.timedelta64(1, "s")
+    steps_s = np.diff(time_s) if count > 1 else np.array([period_s])
+    median_s, longest_s = float(np.median(steps_s)), float(steps_s.max())
+    shortest_s = float(steps_s.min())
+    is_even = SHORTEST_STEP_S <= median_s <= LONGEST_STEP_S and shortest_s >= LEAST_OF_MEDIAN * median_s
+    if not is_even or longest_s > LONGEST_PAUSE_S:
+        misfit = (
+            f"{path.name}: frames {shortest_s:g} to {longest_s:g} s apart, {median_s:g} s in the median; "
+            f"expected a median of {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} s, at least "
+            f"{LEAST_OF_MEDIAN:g} of it and at most {LONGEST_PAUSE_S:g} s: another unit?"
+        )
+        return _nominal(count, period_s, misfit, is_refused=True)
+    return FrameTimes(time_s, median_s, False, str(path.relative_to(layout.root)))
+
+
+def read_timestamps(path: Path) -> np.ndarray:
+    """Read `YYYY-MM-DD hh:mm:ss.nnnnnnnnn` lines as (n,) datetime64[ns]; an empty line is NaT.
+
+    Raises:
+        DataError: The file is too large or no text, or a line is no time; file, line and remedy are named.
+    """
+    try:
+        lines = read_text(path, _MOST_BYTES).rstrip().splitlines()
+    except (OSError, ValueError) as error:
+        raise DataError(
+            f"cannot read times {path} ({error}); restore the file, or remove it: the nominal period is then "
+            "assumed"
+        ) from error
+    stamps = np.full(len(lines), np.datetime64("NaT", "ns"))
+    for index, line in enumerate(lines):
+        if not line.strip():
+            continue
+        try:
+            stamps[index] = _instant(line.strip())
+        except ValueError as error:
+            raise DataError(
+                f"{path}, line {index + 1}: expected `YYYY-MM-DD hh:mm:ss.nnnnnnnnn`, found "
+                f"{line[:_LONGEST_SHOWN]!r}; restore the file, or remove it: the nominal period is then "
+                "assumed"
+            ) from error
+    return stamps
+
+
+def _instant(text: str) -> np.datetime64:
+    """A time of day, to the nanosecond.
+
+    Raises:
+        ValueError: It is none: numpy also reads `2013`, `2013-05`, `NaT` and `now`, which are not.
+    """
+    if not _TIME.fullmatch(text):
+        raise ValueError(text[:_LONGEST_SHOWN])
+    return np.datetime64(text.replace(" ", "T", 1), "ns")
+
+
+def _nominal(count: int, period_s: float, reason: str, *, is_refused: bool) -> FrameTimes:
+    source = f"assumed {period_s:g} s a frame: {reason}"
+    return FrameTimes(np.arange(count) * period_s, period_s, True, source, is_refused)
+
+
+def _timestamp_file(layout: DriveLayout) -> Path | None:
+    """The scans' times, else (camera-only) those of the first camera that has any."""
+    candidates = [layout.timestamps_path()]
+    candidates += [layout.camera_timestamps_path(name) for name in CAMERAS]
+    # What stands there and is no file is refused when it is read, not passed over.
+    return next((path for path in candidates if is_there(path)), None)
+
+
+def _recorded_frames(layout: DriveLayout) -> list[int]:
+    """Frame numbers of the scans on disk, ascending; of the first camera in a camera-only drive."""
+    folders = [layout.scan_path(0).parent] + [layout.camera_dir(name) for name in CAMERAS]
+    for folder in folders:
+        if folder.is_dir():
+            names = [path.stem for path in folder.iterdir()]
+            return sorted(int(name) for name in names if name.isascii() and name.isdecimal())
+    return []
+
+
+def _line_of_first_frame(n_lines: int, first: int, last: int, recorded: list[int]) -> int | None:
+    """Index of the line that belongs to frame `first`, or None where no reading of the file fits."""
+    is_cut_out = bool(recorded) and recorded[0] > 0 and recorded[-1] - recorded[0] + 1 == n_lines
+    if is_cut_out and recorded[0] <= first and last <= recorded[-1]:
+        return first - recorded[0]
+    if n_lines > last:
+        return first
+    return 0 if n_lines == last - first + 1 else None

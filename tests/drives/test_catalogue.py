@@ -1,0 +1,136 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from nvsf_core.drives.catalogue import UNSET_ROOT, catalogue_from_environment, has_data, load_catalogue
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.errors import DataError
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SCENE = """
+[[scene]]
+name = "a"
+root = "drives/a"
+sequence = "s_sync"
+first_frame = 3
+last_frame = 6
+test_frames = [4]
+"""
+STATIC = {1538, 1728, 1908, 3353}
+DYNAMIC = {2350, 4950, 8120, 10200, 10750, 11400}
+
+
+def written(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_the_papers_ten_scenes_have_its_frames_and_splits() -> None:
+    entries = {entry.name: entry for entry in catalogue_from_environment({})}
+    for number in STATIC | DYNAMIC:
+        entry = entries[f"kitti360_{number}"]
+        step, count = (13, 64) if number in STATIC else (10, 51)
+        assert entry.sequence == "2013_05_28_drive_0000_sync"
+        assert (entry.first_frame, entry.last_frame) == (number, number + count - 1)
+        assert entry.test_frames == tuple(range(number + step, number + 4 * step + 1, step))
+    assert len(entries) == 11
+
+
+def test_the_demo_lies_in_the_home_and_asks_for_four_views() -> None:
+    demo = next(e for e in catalogue_from_environment({"NVSF_HOME": "/somewhere"}) if e.name == "demo")
+    assert demo.root == Path("/somewhere/drives/demo") and demo.recipe == "quick"
+    near, far, vlp16, between = demo.views
+    assert (near.name, near.shift_m, len(near.frames)) == ("shift_1m", (0.0, 1.0, 0.0), 2)
+    assert (far.name, far.shift_m, len(far.frames)) == ("shift_3m", (0.0, 3.0, 0.0), 2)
+    assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)
+    assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
+    assert all(abs(time_s / 0.1 % 1.0 - 0.5) < 1e-9 for time_s in between.times_s)
+
+
+def test_the_demo_lies_in_the_working_directory_by_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    demo = next(e for e in catalogue_from_environment({}) if e.name == "demo")
+    assert demo.root == tmp_path / ".nvsf" / "drives" / "demo"
+
+
+def test_the_longest_scenes_come_first() -> None:
+    lengths = [e.last_frame - e.first_frame for e in catalogue_from_environment({})]
+    assert lengths == sorted(lengths, reverse=True)
+
+
+def test_roots_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
+    (entry,) = load_catalogue([written(tmp_path / "here" / "c.toml", SCENE)], None)
+    assert entry.root == tmp_path / "here" / "drives" / "a"
+
+
+def test_a_scene_without_a_root_is_looked_for_under_kitti360(tmp_path: Path) -> None:
+    path = written(tmp_path / "c.toml", SCENE.replace('root = "drives/a"', ""))
+    assert load_catalogue([path], Path("/kitti360"))[0].root == Path("/kitti360")
+    (homeless,) = load_catalogue([path], None)
+    assert homeless.root == UNSET_ROOT and not has_data(homeless)
+
+
+def test_several_files_are_one_catalogue(tmp_path: Path) -> None:
+    first = written(tmp_path / "a.toml", SCENE)
+    text = SCENE.replace('"a"', '"b"') + '[[view]]\nname = "v"\nscenes = ["a"]\n'
+    second = written(tmp_path / "b.toml", text)
+    environ = {"NVSF_SCENES": os.pathsep.join([str(first), str(second)])}
+    views = {entry.name: [view.name for view in entry.views] for entry in catalogue_from_environment(environ)}
+    assert views == {"a": ["v"], "b": []}
+
+
+def test_a_views_frames_are_all_or_numbers_or_times(tmp_path: Path) -> None:
+    frames = {"u": '"all"', "v": "[3, 4]", "w": "[0.05]"}
+    text = SCENE + "".join(f'[[view]]\nname = "{name}"\nframes = {what}\n' for name, what in frames.items())
+    (entry,) = load_catalogue([written(tmp_path / "c.toml", text)], None)
+    assert [(v.frames, v.times_s) for v in entry.views] == [("all", None), ((3, 4), None), ((), (0.05,))]
+
+
+def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_path: Path) -> None:
+    (entry,) = load_catalogue([written(tmp_path / "c.toml", SCENE)], None)
+    layout = DriveLayout(entry.root, entry.sequence)
+    assert not has_data(entry)
+    layout.scan_path(2).parent.mkdir(parents=True)
+    layout.scan_path(2).touch()
+    assert not has_data(entry)
+    layout.camera_dir("image_02").mkdir(parents=True)
+    layout.image_path("image_02", 6).touch()
+    assert has_data(entry)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (SCENE + SCENE, "scene 'a' is given twice"),
+        (SCENE + 'colour = "red"\n', "unknown keys colour"),
+        (SCENE + "[other]\n", "unknown keys other"),
+        (SCENE.replace('sequence = "s_sync"\n', ""), "missing keys sequence"),
+        (SCENE.replace("[4]", "[7]"), r"test_frames between them"),
+        (SCENE.replace("[4]", "[3, 4, 5, 6]"), "at least one to train on"),
+        (SCENE.replace('"a"', '"a/../b"'), "a name is a folder"),
+        (SCENE.replace("= 3", '= "3"'), "first_frame: expected a whole number"),
+        (SCENE + 'cameras = ["image_09"]\n', "image_09"),
+        (SCENE + "sweep_period_s = -1\n", "sweep_period_s"),
+        (SCENE + "compensate = 0\n", "compensate: expected true or false, found 0"),
+        (SCENE + '[[view]]\nname = "v"\nscenes = ["b"]\n', "unknown scene 'b'"),
+        (SCENE + '[[view]]\nname = "v"\nscenes = ["a"]\nframes = [9]\n', r"frames \[9\] are not in 3..6"),
+        (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),
+        (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),
+        (SCENE + '[[view]]\nname = "test"\n', "splits of recorded frames"),
+        (SCENE + '[[view]]\nname = "v"\n[[view]]\nname = "v"\n', "a view of this name already"),
+        ("[scene]\nname = 1\n", "double the brackets"),
+        ("not toml", "is no TOML"),
+    ],
+)
+def test_a_mistake_in_a_catalogue_is_named_with_its_file(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(DataError, match=rf"c\.toml.*{reason}"):
+        load_catalogue([written(tmp_path / "c.toml", text)], None)
+
+
+def test_an_absent_catalogue_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"cannot read catalogue .*none\.toml"):
+        load_catalogue([tmp_path / "none.toml"], None)
