@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.drop_prior import find_cells
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.raydrop.prior import find_cells
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.losses.depth import CLAMP_M, depth_loss

@@ -16,10 +16,10 @@ import numpy as np
 
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.world import DemoWorld
-from nvsf_core.evidence.find_moving import STANDING_M, find_moving
-from nvsf_core.evidence.ground import build_ground
-from nvsf_core.evidence.moving import MovingObject, MovingObjects
-from nvsf_core.evidence.returns import TimedReturns
+from nvsf_core.evidence.moving.detection import STANDING_M, find_moving
+from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.static.ground import build_ground
 from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.stages.evidence import Sweeps, read_sweeps, training_returns
 from nvsf_core.stores.scene_store import SceneStore

@@ -24,11 +24,11 @@ from scipy.spatial import cKDTree
 
 from benchmarks.commit import commit
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.evidence.find_moving import STANDING_M
-from nvsf_core.evidence.ground import build_ground
-from nvsf_core.evidence.local_planes import PLANE_POINTS
-from nvsf_core.evidence.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
-from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.evidence.moving.detection import STANDING_M
+from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
+from nvsf_core.evidence.static.ground import build_ground
+from nvsf_core.evidence.static.planes import PLANE_POINTS
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.evidence import read_evidence, read_sweeps, training_returns
 from nvsf_core.stages.machine import machine

@@ -10,9 +10,9 @@ import torch
 from benchmarks.stability_cases.case import Case, Reading, refused
 from benchmarks.stability_cases.tolerances import TOLERANCES
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
-from nvsf_core.evidence.voxels import index_points
+from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
+from nvsf_core.evidence.static.voxels import index_points
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.rendering.accumulate import value_at, weighted_median_index
 

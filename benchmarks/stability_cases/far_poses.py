@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.stability_cases.case import Case, Reading, refused
 from benchmarks.stability_cases.tolerances import SHIFTED_POSE_M
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
 from nvsf_core.geometry.se3 import exp_se3, interpolate_poses, invert_pose
 from nvsf_core.sensors.beam_table import sensor_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.stability_cases.case import Case, Reading
-from nvsf_core.evidence.voxels import index_points
+from nvsf_core.evidence.static.voxels import index_points
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.sensors.beam_table import recorded_ray_of_points
 from nvsf_core.sensors.linear_pano import LinearPano

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.at_rest import AtRest
-from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.dynamic import DynamicEvidence
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.moving.dynamic import DynamicEvidence
+from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.raydrop.stationary_scans import AtRest
+from nvsf_core.evidence.static.surfels import Surfels
 
 _RENDERED, _UNKNOWN = "rendered_", "unknown_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"

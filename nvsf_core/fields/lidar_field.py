@@ -5,7 +5,7 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_grid import HashGrid
-from nvsf_core.evidence.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.fields.layers import network
 from nvsf_core.fields.object_surfaces import object_places
 from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch

@@ -4,8 +4,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from nvsf_core.evidence.moving import MovingObject
-from nvsf_core.evidence.objects import ObjectSurfels, candidates_on
+from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on
+from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.geometry.bounds import Bounds
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.evidence.surfels import STOP_TRANSMITTANCE, Surfels
+from nvsf_core.evidence.static.surfels import STOP_TRANSMITTANCE, Surfels
 from nvsf_core.fields.object_surfaces import NO_SURFACES, ObjectSurfaces
 from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
 

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.objects import ObjectSurfels, candidates_on, merge_objects
-from nvsf_core.evidence.surfels import (
+from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on, merge_objects
+from nvsf_core.evidence.static.surfels import (
     STOP_TRANSMITTANCE,
     Candidates,
     Surfels,

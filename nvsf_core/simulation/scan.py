@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nvsf_core.evidence.at_rest import FiredRays, answer_at_rest
+from nvsf_core.evidence.raydrop.stationary_scans import FiredRays, answer_at_rest
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import Surfels, candidates_of
+from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.fields.surface_batch import surface_batch

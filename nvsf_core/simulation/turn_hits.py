@@ -15,7 +15,7 @@ from scipy.special import expit
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.kernels.seen_again import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
 from nvsf_core.recipe import HitsSpec

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.recipe import FieldSpec
 from nvsf_core.stages.profile import point_spacing_m, surface_m2
 

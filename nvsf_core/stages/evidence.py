@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.at_rest import AtRest, keep_scans, scans_at_rest
-from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior, find_cells
-from nvsf_core.evidence.dynamic import DynamicEvidence
-from nvsf_core.evidence.find_moving import find_moving
-from nvsf_core.evidence.moving import MovingObjects
-from nvsf_core.evidence.objects import prove_objects
-from nvsf_core.evidence.returns import TimedReturns
+from nvsf_core.evidence.moving.detection import find_moving
+from nvsf_core.evidence.moving.dynamic import DynamicEvidence
+from nvsf_core.evidence.moving.objects import prove_objects
+from nvsf_core.evidence.moving.rigid_path import MovingObjects
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior, find_cells
+from nvsf_core.evidence.raydrop.stationary_scans import AtRest, keep_scans, scans_at_rest
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
-from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.evidence.unknown_space import unknown_beside
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.evidence.static.unobserved import unknown_beside
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 from nvsf_core.stages.flow_choice import choose_flow

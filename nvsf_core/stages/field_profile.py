@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.surfels import Surfels, candidates_of
+from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.recipe import Recipe, ResidualRecipe
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.stages.profile import motion_in_words

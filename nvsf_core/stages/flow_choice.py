@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.stages.range_error import mean_range_error_m
 
 _JUDGES = 12

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.objects import objects_at
+from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.recipe import ResidualRecipe

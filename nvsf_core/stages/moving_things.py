@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nvsf_core.evidence.moving import MovingObject
-from nvsf_core.evidence.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.rendering.camera_view import MovingThing, moving_pixels
 from nvsf_core.stages.evidence import Sweeps

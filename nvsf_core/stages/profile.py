@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.stages.stage import Scalar
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.rendering.reproject import reproject_rays
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.object_votes import ObjectVotes
-from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.evidence.moving.object_votes import ObjectVotes
+from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.sensors.sweep import Trajectory

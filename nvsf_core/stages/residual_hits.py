@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from nvsf_core.evidence.drop_prior import find_cells
-from nvsf_core.evidence.objects import NearObjects
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.moving.objects import NearObjects
+from nvsf_core.evidence.raydrop.prior import find_cells
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.recipe import ResidualRecipe

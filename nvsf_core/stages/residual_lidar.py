@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.metrics.intensity import intensity_image_metrics

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from nvsf_core.errors import RecipeError
-from nvsf_core.evidence.objects import NearObjects
+from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.se3 import invert_pose

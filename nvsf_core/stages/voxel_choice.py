@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.stages.range_error import mean_range_error_m
 
 FIELD_VOXEL_M = 0.2

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.object_surfaces import ObjectSurfaces, join_surfaces
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.sensors.sweep import Trajectory

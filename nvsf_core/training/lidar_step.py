@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.losses.depth import depth_loss

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving import MovingObject, MovingObjects
-from nvsf_core.evidence.object_votes import ObjectVotes
-from nvsf_core.evidence.objects import ObjectSurfels, objects_at, prove_objects
-from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.evidence.moving.dynamic import DynamicEvidence
+from nvsf_core.evidence.moving.object_votes import ObjectVotes
+from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
+from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
+from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import ObjectSurfaces, join_surfaces, object_places, object_surfaces
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch

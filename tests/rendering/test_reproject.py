@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from nvsf_core.evidence.surfels import build_surfels, candidates_of
+from nvsf_core.evidence.static.surfels import build_surfels, candidates_of
 from nvsf_core.rendering.accumulate import weighted_median_index
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.recipe import HitsSpec, TrainingSpec
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.dynamic import DynamicEvidence
-from nvsf_core.evidence.object_evidence import ObjectEvidence
-from nvsf_core.evidence.object_votes import ObjectVotes
-from nvsf_core.evidence.objects import objects_at
+from nvsf_core.evidence.moving.dynamic import DynamicEvidence
+from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_votes import ObjectVotes
+from nvsf_core.evidence.moving.objects import objects_at
+from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.flow_choice import choose_flow
 from nvsf_core.stages.profile import scene_profile
-from tests.evidence.walkers import FRAME_S, Walk, rays_towards, walk_past
+from tests.evidence.moving.walkers import FRAME_S, Walk, rays_towards, walk_past
 
 SCANS = 14
 AHEAD = np.array([[1.0, 0.0, 0.0]], np.float32)

@@ -12,7 +12,7 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
@@ -25,8 +25,8 @@ from nvsf_core.stages.training_cost import expected_memory_mb, expected_seconds
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M
 
 OF_MOTION = (
-    "evidence/objects.py", "evidence/object_evidence.py", "evidence/object_votes.py",
-    "evidence/soft_motion.py", "fields/object_surfaces.py",
+    "evidence/moving/objects.py", "evidence/moving/object_evidence.py", "evidence/moving/object_votes.py",
+    "evidence/moving/soft_motion.py", "fields/object_surfaces.py",
 )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.scene_model import SceneModel

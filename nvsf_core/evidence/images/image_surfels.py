@@ -1,0 +1,65 @@
+"""Surfaces that images prove where no laser looked: places on which the depths of several views agree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+
+_VOXEL_M = 0.4
+_LEAST_VIEWS = 3
+"""Views whose depths must meet in a voxel: wrong depths, of sky above all, hardly ever do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthRays:
+    """What some pixels of one view look at."""
+
+    origin_m: np.ndarray
+    """(3,) float32 scene-local."""
+    direction: np.ndarray
+    """(n, 3) float32 unit, scene-local axes."""
+    range_m: np.ndarray
+    """(n,) float32; infinite where the images prove nothing nearer than the sky."""
+
+
+def image_surfels(
+    views: Sequence[DepthRays], *, far_m: float, intensity: float, threads: int
+) -> Surfels | None:
+    """Surfels of the places nearer than `far_m` that at least three views show; None where there is none.
+
+    Every ray sees through what it passes, as a return's does: a place that most views look through hardly
+    stops a ray. Images do not tell how brightly a laser returns: `intensity` stands for all.
+    """
+    lengths = [len(view.range_m) for view in views]
+    if sum(lengths) == 0:
+        return None
+    origin_m = np.repeat([view.origin_m for view in views], lengths, axis=0).astype(np.float32)
+    direction = np.concatenate([view.direction for view in views])
+    range_m = np.concatenate([view.range_m for view in views])
+    is_near = range_m < far_m
+    point_m = origin_m[is_near] + direction[is_near] * range_m[is_near, None]
+    is_surface = is_near.copy()
+    is_surface[is_near] = (
+        _views_there(point_m, np.repeat(np.arange(len(views)), lengths)[is_near]) >= _LEAST_VIEWS
+    )
+    if not is_surface.any():
+        return None
+    shine = np.full(len(range_m), intensity, np.float32)
+    return build_surfels(
+        origin_m, direction, np.minimum(range_m, far_m).astype(np.float32), shine,
+        voxel_m=_VOXEL_M, threads=threads, is_surface=is_surface,
+    )  # fmt: skip
+
+
+def _views_there(point_m: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """(n,) int64: how many views have a point in the voxel of each point (n, 3); `view` (n,) is its own."""
+    if len(point_m) == 0:
+        return np.zeros(0, np.int64)
+    cell = np.floor(point_m / _VOXEL_M).astype(np.int64)
+    cell -= cell.min(axis=0)
+    _, voxel = np.unique(np.ravel_multi_index(cell.T, cell.max(axis=0) + 1), return_inverse=True)
+    pairs = np.unique(voxel * (view.max() + 1) + view)
+    found: np.ndarray = np.bincount(pairs // (view.max() + 1))[voxel]
+    return found

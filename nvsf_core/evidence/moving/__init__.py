@@ -1,0 +1,1 @@
+"""What moves: found among the returns, followed from scan to scan, and kept in frames of its own."""

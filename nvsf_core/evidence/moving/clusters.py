@@ -1,0 +1,132 @@
+"""Clusters of one scan: returns that hang together, among them enough that left."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from nvsf_core.evidence.moving.visibility import SEED, STATIC
+
+_VOXEL_M = 0.25
+_LINK_M = 0.5
+_LEAST_SEEDS = 8
+_FEWEST_SEEDS = 3
+_USUAL_SPACING_RAD = 0.007
+"""Angle between neighbouring lasers of the sensor for which numbers of returns are told."""
+_SEED_SHARE = 0.4
+_SEEDS_PER_STATIC = 2.0
+_LONGEST_M = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """One thing that probably moves, in one scan."""
+
+    scan: int
+    """Which scan."""
+    members: np.ndarray
+    """(k,) int64 indices of its returns."""
+    time_s: float
+    """Mean time of its returns."""
+    centre_m: np.ndarray
+    """(3,) float64 mean of its returns."""
+    size_m: float
+    """Diagonal of its axis-parallel box."""
+    nearest_m: float
+    """Range of its nearest return."""
+
+
+def laser_density(spacing_rad: float) -> float:
+    """Returns of a thing to those that 64 lasers get of it, at most 1: by the angle between lasers."""
+    return min(1.0, _USUAL_SPACING_RAD / spacing_rad)
+
+
+def draw_in(
+    point_m: np.ndarray, above_sensor_m: np.ndarray, range_m: np.ndarray, spacing_rad: float
+) -> np.ndarray:
+    """Points (m, 3) drawn in towards the sensor's height until rows of lasers are within a link's reach.
+
+    Args:
+        point_m: (m, 3) scene-local.
+        above_sensor_m: (m,) their heights above the sensor.
+        range_m: (m,) their ranges.
+        spacing_rad: Between neighbouring lasers.
+    """
+    drawn = point_m.copy()
+    drawn[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
+    return drawn
+
+
+def cluster_scan(
+    scan: int,
+    index: np.ndarray,
+    point_m: np.ndarray,
+    label: np.ndarray,
+    time_s: np.ndarray,
+    range_m: np.ndarray,
+    drawn_in_m: np.ndarray,
+    density: float,
+) -> list[Cluster]:
+    """Moving clusters of a scan's standing returns.
+
+    Voxels that are mostly static do not link, the others do up to half a metre.
+
+    Args:
+        scan: Which scan.
+        index: (m,) int64, the standing returns' indices among all returns.
+        point_m: (m, 3) scene-local.
+        label: (m,) int8 from `judge_returns`.
+        time_s: (m,) their times.
+        range_m: (m,) their ranges.
+        drawn_in_m: (m, 3) the same points for the links alone, from `draw_in`.
+        density: From `laser_density`: so many times fewer seeds do.
+    """
+    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * density)
+    if (label == SEED).sum() < least_seeds:
+        return []
+    group = _groups(drawn_in_m, label)
+    count = int(group.max(initial=-1)) + 1
+    seeds = np.bincount(group[(label == SEED) & (group >= 0)], minlength=count)
+    static = np.bincount(group[(label == STATIC) & (group >= 0)], minlength=count)
+    size = np.bincount(group[group >= 0], minlength=count)
+    moving = (seeds >= least_seeds) & (seeds >= _SEED_SHARE * size) & (seeds >= _SEEDS_PER_STATIC * static)
+    clusters = []
+    for chosen in np.flatnonzero(moving):
+        rows = np.flatnonzero(group == chosen)
+        points = point_m[rows].astype(np.float64)
+        extent = np.ptp(points, axis=0)
+        if np.hypot(extent[0], extent[1]) > _LONGEST_M:
+            continue
+        clusters.append(
+            Cluster(
+                scan=scan,
+                members=index[rows],
+                time_s=float(time_s[rows].mean()),
+                centre_m=points.mean(axis=0),
+                size_m=float(np.linalg.norm(extent)),
+                nearest_m=float(range_m[rows].min()),
+            )
+        )
+    return clusters
+
+
+def _groups(point_m: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Number of the linked group of each point (m,), -1 in mostly static voxels."""
+    cell = np.floor(point_m / _VOXEL_M).astype(np.int64)
+    cell -= cell.min(axis=0)
+    extent = cell.max(axis=0) + 1
+    key = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+    keys, voxel = np.unique(key, return_inverse=True)
+    static_share = np.bincount(voxel, weights=label == STATIC) / np.bincount(voxel)
+    kept = np.flatnonzero(static_share <= 0.5)
+    group = np.full(len(keys), -1)
+    if len(kept):
+        rest, z = np.divmod(keys[kept], extent[2])
+        x, y = np.divmod(rest, extent[1])
+        centre = np.stack([x, y, z], axis=1) * _VOXEL_M
+        pairs = cKDTree(centre).query_pairs(_LINK_M + 1e-6, output_type="ndarray")
+        links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(kept),) * 2)
+        group[kept] = connected_components(links, directed=False)[1]
+    return group[voxel]

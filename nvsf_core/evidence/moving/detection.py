@@ -1,0 +1,133 @@
+"""From training returns to moving objects, without labels and without learning."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from nvsf_core.evidence.moving.clusters import cluster_scan, draw_in, laser_density
+from nvsf_core.evidence.moving.path_fitting import Path, Standing, carry_on, solve_path, start_path
+from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.moving.tracks import link_tracks
+from nvsf_core.evidence.moving.visibility import judge_returns
+from nvsf_core.evidence.static.ground import build_ground
+
+STANDING_M = 0.25
+"""Returns at least this high above the ground can move."""
+_HIGHEST_M = 5.0
+_FARTHEST_M = 80.0
+_NEAREST_M = 1.0
+_MODEL_VOXEL_M = 0.15
+_GROW_M = 0.3
+_LEAST_RETURNS = 30
+_LEAST_SCANS = 3
+_MOST_OF_WORLD_SHAPE = 0.8
+"""Voxels that an object's returns fill in its own frame, of those they fill in the world: what does not
+move, such as a hedge at whose edges the view changes, fills as many or more."""
+_OWN_VEHICLE_M = 2.5
+"""What never gets farther from the sensor than this rides with it: an antenna that was not learned as own."""
+
+
+def find_moving(returns: TimedReturns) -> MovingObjects:
+    """Find what moved, how it moved, and which returns it made.
+
+    Deterministic. Fewer than three scans, no returns, or a drive in which nothing moves give none.
+    """
+    nothing = MovingObjects((), np.full(len(returns.point_m), -1, np.int32))
+    if returns.scan_count < _LEAST_SCANS or len(returns.point_m) == 0:
+        return nothing
+    range_m = np.linalg.norm(returns.recorded_m, axis=1)
+    standing = _judge(returns, range_m)
+    spacing_rad = returns.laser_spacing_rad
+    density = laser_density(spacing_rad)
+    clusters = []
+    for scan in range(returns.scan_count):
+        part = slice(int(standing.offsets[scan]), int(standing.offsets[scan + 1]))
+        index = standing.index[part]
+        clusters.append(
+            cluster_scan(
+                scan,
+                index,
+                returns.point_m[index],
+                standing.label[part],
+                returns.time_s[index],
+                range_m[index],
+                draw_in(returns.point_m[index], returns.recorded_m[index, 2], range_m[index], spacing_rad),
+                density,
+            )
+        )
+    paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
+    for path in paths:
+        solve_path(path, returns)
+        if carry_on(path, returns, standing):
+            solve_path(path, returns)
+    return _whole_objects(paths, returns, standing, density) if paths else nothing
+
+
+def _judge(returns: TimedReturns, range_m: np.ndarray) -> Standing:
+    within = ~returns.is_own_vehicle & (range_m > _NEAREST_M) & (range_m < _FARTHEST_M)
+    if not within.any():
+        return Standing(
+            np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros(returns.scan_count + 1, np.int64)
+        )
+    height = build_ground(returns.point_m[within]).above(returns.point_m)
+    index = np.flatnonzero(within & (height > STANDING_M) & (height < _HIGHEST_M))
+    return Standing(index, judge_returns(returns, index), np.searchsorted(index, returns.offsets))
+
+
+def _whole_objects(
+    paths: list[Path], returns: TimedReturns, standing: Standing, density: float
+) -> MovingObjects:
+    """Give each object all loose returns near its accumulated shape, biggest first, and its extent."""
+    object_id = np.full(len(returns.point_m), -1, np.int32)
+    objects: list[MovingObject] = []
+    for path in sorted(paths, key=lambda p: (-sum(map(len, p.members)), p.scan[0])):
+        moving = path.as_object(returns.frame_s)
+        own = np.concatenate(path.members)
+        shape_o = moving.to_object(returns.point_m[own].astype(np.float64), returns.time_s[own])
+        shape_o = _thinned(shape_o)
+        taken = _take(moving, shape_o, returns, standing, object_id)
+        local = moving.to_object(returns.point_m[taken].astype(np.float64), returns.time_s[taken])
+        if not _is_object(taken, local, returns, _LEAST_RETURNS * density):
+            continue
+        object_id[taken] = len(objects)
+        objects.append(replace(moving, low_m=local.min(axis=0), high_m=local.max(axis=0)))
+    return MovingObjects(tuple(objects), object_id, density)
+
+
+def _is_object(taken: np.ndarray, local_m: np.ndarray, returns: TimedReturns, fewest: float) -> bool:
+    """Whether returns (k,), in the object's frame (k, 3), are one thing that its motion explains."""
+    if len(taken) < fewest or len(np.unique(returns.scan_of(taken))) < _LEAST_SCANS:
+        return False
+    if np.linalg.norm(returns.recorded_m[taken], axis=1).max() < _OWN_VEHICLE_M:
+        return False
+    return len(_thinned(local_m)) < _MOST_OF_WORLD_SHAPE * len(_thinned(returns.point_m[taken]))
+
+
+def _take(
+    moving: MovingObject,
+    shape_o: np.ndarray,
+    returns: TimedReturns,
+    standing: Standing,
+    object_id: np.ndarray,
+) -> np.ndarray:
+    """Indices of all free loose returns within 0.3 m of the shape (k, 3), in its frame at their own time."""
+    tree = cKDTree(shape_o)
+    reach = np.abs(shape_o).max() + _GROW_M + 1.0
+    taken = []
+    for scan, pose in zip(moving.scan, moving.pose, strict=True):
+        near = standing.loose_near(returns, int(scan), pose[:3] - reach, pose[:3] + reach)
+        near = near[object_id[near] < 0]
+        local = moving.to_object(returns.point_m[near].astype(np.float64), returns.time_s[near])
+        distance, _ = tree.query(local, distance_upper_bound=_GROW_M)
+        taken.append(near[np.isfinite(distance)])
+    return np.concatenate(taken)
+
+
+def _thinned(point_o: np.ndarray) -> np.ndarray:
+    """Means of the points (k, 3) in voxels of 0.15 m."""
+    _, voxel = np.unique(np.floor(point_o / _MODEL_VOXEL_M).astype(np.int64), axis=0, return_inverse=True)
+    voxel = voxel.ravel()
+    count = np.bincount(voxel)
+    return np.stack([np.bincount(voxel, weights=point_o[:, a]) / count for a in range(3)], axis=1)

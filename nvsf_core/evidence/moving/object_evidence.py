@@ -1,0 +1,126 @@
+"""A moving object's own rays in its own frame, and what some of its scans prove of it at an instant."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.soft_motion import flow_between, flow_to
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+
+OBJECT_VOXEL_M = 0.1
+"""For 64 lasers. Where fewer look, voxels are as much larger as keeps the returns in each."""
+NEAREST_SCANS = 4
+"""More add nothing, and blur what is not rigid, such as legs."""
+_THREADS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectRays:
+    """Training rays that cross an object's bounds, in its frame at each ray's own time."""
+
+    origin_m: np.ndarray
+    """(n, 3) float32."""
+    direction: np.ndarray
+    """(n, 3) float32 unit."""
+    range_m: np.ndarray
+    """(n,) float32 to the return, on the object, before it or behind it."""
+    intensity: np.ndarray
+    """(n,) float32 of the return."""
+    is_hit: np.ndarray
+    """(n,) bool: the return is the object's."""
+    scan: np.ndarray
+    """(n,) int32 training scan, ascending."""
+
+    def of(self, chosen: np.ndarray) -> "ObjectRays":
+        """Chosen rays, by number (m,) or (n,) bool."""
+        return ObjectRays(
+            self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
+            self.is_hit[chosen], self.scan[chosen],
+        )  # fmt: skip
+
+    def point_m(self, chosen: np.ndarray) -> np.ndarray:
+        """Where chosen rays, by number (m,) or (n,) bool, returned: (m, 3)."""
+        point: np.ndarray = self.origin_m[chosen] + self.direction[chosen] * self.range_m[chosen, None]
+        return point
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectEvidence:
+    """One moving object: its path and all rays that met its place."""
+
+    path: MovingObject
+    rays: ObjectRays
+    voxel_m: float = OBJECT_VOXEL_M
+    """Edge of its surfels' voxels."""
+    flow_m: np.ndarray | None = None
+    """(n, 2, 3) float32 how far each ray's return moves, in its frame, until the path's scan before sees it,
+    and until the scan after does; 0 of no return and without that scan. None where it is taken as rigid."""
+
+    def of_scans(self, scans: np.ndarray) -> "ObjectEvidence":
+        """Its path and rays in those scans alone, in the same frame and bounds; without a flow."""
+        path = self.path
+        kept = np.isin(path.scan, scans)
+        return ObjectEvidence(
+            replace(path, scan=path.scan[kept], time_s=path.time_s[kept], pose=path.pose[kept]),
+            self.rays.of(self._rows_of(scans)), self.voxel_m,
+        )  # fmt: skip
+
+    def with_flow(self) -> "ObjectEvidence":
+        """The same object, taken as one that bends."""
+        flow_m = np.zeros((len(self.rays.scan), 2, 3), np.float32)
+        rows = [self._rows_of(np.array([scan])) for scan in self.path.scan]
+        returns = [own[self.rays.is_hit[own]] for own in rows]
+        points = [self.rays.point_m(own) for own in returns]
+        for before in range(len(points) - 1):
+            flow_m[returns[before], 1] = flow_between(points[before], points[before + 1])
+            flow_m[returns[before + 1], 0] = flow_between(points[before + 1], points[before])
+        return replace(self, flow_m=flow_m)
+
+    def scans_near(self, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
+        """Its nearest 4 scans (k,); the training scan `leave_out` is not among them."""
+        scans = self.path.scan[np.argsort(np.abs(self.path.time_s - time_s), kind="stable")]
+        return (scans if leave_out is None else scans[scans != leave_out])[:NEAREST_SCANS]
+
+    def rays_at(self, scans: np.ndarray, time_s: float) -> ObjectRays:
+        """Rays (m,) of some of its scans; those that returned, laid where its flow has them at an instant."""
+        used = self._rows_of(scans)
+        rays = self.rays.of(used)
+        if self.flow_m is None:
+            return rays
+        flow_m = self.flow_m[used]
+        returns = [np.flatnonzero(rays.is_hit & (rays.scan == scan)) for scan in np.unique(rays.scan)]
+        returns = [rows for rows in returns if len(rows)]
+        points = [rays.point_m(rows) for rows in returns]
+        places = np.searchsorted(self.path.scan, [rays.scan[rows[0]] for rows in returns])
+
+        def step(first: int, second: int) -> np.ndarray:
+            # A scan that is left out between two: nothing that is stored was seen without it.
+            if abs(places[second] - places[first]) != 1:
+                return flow_between(points[first], points[second])
+            stored: np.ndarray = flow_m[returns[first], int(second > first)]
+            return stored
+
+        origin_m = rays.origin_m.copy()
+        moved = flow_to(points, self.path.time_s[places], time_s, step)
+        for rows, shift_m in zip(returns, moved, strict=True):
+            origin_m[rows] += shift_m
+        return replace(rays, origin_m=origin_m)
+
+    def surfels_from(self, scans: np.ndarray, time_s: float) -> Surfels | None:
+        """What some of its scans prove of it at an instant, in its frame; None where they saw nothing."""
+        rays = self.rays_at(scans, time_s)
+        if not rays.is_hit.any():
+            return None
+        return build_surfels(
+            rays.origin_m, rays.direction, rays.range_m, rays.intensity,
+            voxel_m=self.voxel_m, threads=_THREADS, is_surface=rays.is_hit,
+        )  # fmt: skip
+
+    def _rows_of(self, scans: np.ndarray) -> np.ndarray:
+        """(m,) int64 ascending: its rays in some scans."""
+        ordered = np.sort(scans)
+        starts = np.searchsorted(self.rays.scan, ordered, side="left")
+        ends = np.searchsorted(self.rays.scan, ordered, side="right")
+        rows = [np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
+        return np.concatenate([np.zeros(0, np.int64), *rows])

@@ -1,0 +1,253 @@
+"""Each moving object's own evidence, in its own frame: where it is solid, and what was seen through it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.moving.object_evidence import OBJECT_VOXEL_M, ObjectEvidence, ObjectRays
+from nvsf_core.evidence.moving.object_votes import NearVotes, ObjectVotes
+from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
+from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.kernels.bounds import rays_into_bounds
+
+_MOST_CANDIDATES = 12
+_MARGIN_M = 0.1
+_STEPS_A_FRAME = 8
+"""Instants at which objects are built: what bends moves 2 cm between them."""
+_SOME = 256
+"""Rays of a sweep that say where and when it was fired: to some decimetres and hundredths of a second."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectSurfels:
+    """A moving object as it is at some time: its path and its surfels in its own frame."""
+
+    number: int
+    """Of the scene's objects."""
+    path: MovingObject
+    surfels: Surfels
+    votes: NearVotes
+    """Its nearest scans, to be asked whether they returned at a place on it."""
+
+    def vote(
+        self, found: Candidates, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
+    ) -> np.ndarray:
+        """Share (r,) float32 of its nearest scans that returned where rays (r, 3) end on it.
+
+        Asked for at the ray's own place and not at its voxel's: a window's edge is finer than a voxel.
+        `found` are its surfaces along the rays, at least one each; the weighted median one is asked about.
+        """
+        far = np.cumsum(found.weights, axis=1)
+        row = np.arange(len(far))
+        range_m = found.range_m[row, (far >= 0.5 * far[:, -1:]).argmax(axis=1)]
+        point = origin_m + direction * range_m[:, None]
+        return self.votes.share(self.path.to_object(point.astype(np.float64), time_s))
+
+
+def prove_objects(
+    moving: MovingObjects,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    intensity: np.ndarray,
+    time_s: np.ndarray,
+    offsets: np.ndarray,
+) -> tuple[ObjectEvidence, ...]:
+    """Evidence of each moving object.
+
+    Args:
+        moving: What moves.
+        origin_m: (N, 3) scene-local, of the training rays that it was found in, in the same order.
+        direction: (N, 3) unit.
+        range_m: (N,) to the return.
+        intensity: (N,) of the return.
+        time_s: (N,) of the ray.
+        offsets: (n + 1,) where each training scan begins.
+    """
+    voxel_m = OBJECT_VOXEL_M / np.sqrt(moving.density)
+    found = []
+    for number, path in enumerate(moving.objects):
+        parts = []
+        for scan, scan_time_s in zip(path.scan, path.time_s, strict=True):
+            part = slice(int(offsets[scan]), int(offsets[scan + 1]))
+            inside, origin_o, direction_o = _crossing(
+                path, scan_time_s, origin_m[part], direction[part], time_s[part], spare_m=1.0
+            )
+            parts.append((part.start + inside, origin_o, direction_o, np.full(len(inside), scan, np.int32)))
+        index = np.concatenate([part[0] for part in parts])
+        rays = ObjectRays(
+            origin_m=np.concatenate([part[1] for part in parts]),
+            direction=np.concatenate([part[2] for part in parts]),
+            range_m=range_m[index].astype(np.float32),
+            intensity=intensity[index].astype(np.float32),
+            is_hit=moving.object_id[index] == number,
+            scan=np.concatenate([part[3] for part in parts]),
+        )
+        found.append(ObjectEvidence(path, rays, voxel_m))
+    return tuple(found)
+
+
+def objects_at(
+    evidence: tuple[ObjectEvidence, ...],
+    time_s: float,
+    votes: ObjectVotes,
+    *,
+    leave_out: int | None = None,
+) -> tuple[ObjectSurfels, ...]:
+    """The objects that may be seen about an instant, each from its nearest scans.
+
+    The scan `leave_out` tells neither what they look like nor where they are: both as if it were held out.
+    """
+    there, asked = [], []
+    for number, one in enumerate(evidence):
+        path = one.path.without(leave_out)
+        spare = np.array([time_s - path.frame_s, time_s, time_s + path.frame_s])
+        if not path.is_there(spare).any():
+            continue
+        scans = one.scans_near(time_s, leave_out=leave_out)
+        surfels = one.surfels_from(scans, time_s + _lag_s(one.path, scans, votes))
+        if surfels is not None:
+            there.append((number, path, surfels))
+            asked.append((path, scans))
+    return tuple(
+        ObjectSurfels(*one, own_votes)
+        for one, own_votes in zip(there, votes.near(asked, time_s), strict=True)
+    )
+
+
+class NearObjects:
+    """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
+
+    def __init__(
+        self, evidence: tuple[ObjectEvidence, ...], votes: ObjectVotes, *, leave_out: int | None = None
+    ) -> None:
+        """Of the objects as all scans but the training scan `leave_out` prove them."""
+        self.evidence = evidence
+        self._votes = votes
+        self._leave_out = leave_out
+        self._instant: int | None = None
+        self._objects: tuple[ObjectSurfels, ...] = ()
+
+    def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
+        """The objects about the middle of times (r,), taken to eighths of a frame; none without rays."""
+        if len(time_s) == 0 or not self.evidence:
+            return ()
+        frame_s = self.evidence[0].path.frame_s
+        # Parts of a sweep agree: their middles lie near its own.
+        instant = round(_STEPS_A_FRAME * float(np.median(time_s)) / frame_s)
+        if instant != self._instant:
+            self._objects = objects_at(
+                self.evidence, instant * frame_s / _STEPS_A_FRAME, self._votes, leave_out=self._leave_out
+            )
+            self._instant = instant
+        return self._objects
+
+
+def candidates_on(
+    one: ObjectSurfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    near_m: float,
+    far_m: float,
+) -> tuple[np.ndarray, Candidates]:
+    """Which rays (k,) int64 of (r, 3) meet an object where it is at their times (r,), and its surfaces there.
+
+    The candidates (k, 12) have the object's own voxel numbers.
+    """
+    middle_s = float(np.median(_some(time_s))) if len(time_s) > 0 else 0.0
+    inside, origin_o, direction_o = _crossing(one.path, middle_s, origin_m, direction, time_s, spare_m=2.0)
+    own = candidates_of(one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m)
+    met = own.voxel[:, 0] >= 0
+    found = Candidates(own.range_m[met], own.voxel[met], own.opacity[met], own.cosine[met])
+    return inside[met], found
+
+
+def merge_objects(
+    found: Candidates,
+    rays: np.ndarray,
+    first_voxel: int,
+    objects: tuple[ObjectSurfels, ...],
+    met: list[tuple[np.ndarray, Candidates]],
+) -> Candidates:
+    """Merge objects' surfaces into a static scene's candidates, by range.
+
+    Args:
+        found: Candidates (m, k) of the static surfels along some rays of a batch.
+        rays: (m,) int64 ascending: which rays of the batch those are.
+        first_voxel: Number that the first object's first voxel gets; the others' follow.
+        objects: From `objects_at`.
+        met: What `candidates_on` found of each object in the batch; all of its rays must be in `rays`.
+
+    Returns:
+        Candidates of the same shape; where there are more than k the farthest are left out.
+    """
+    range_m, voxel, opacity, cosine = (
+        found.range_m.copy(), found.voxel.copy(), found.opacity.copy(), found.cosine.copy()
+    )  # fmt: skip
+    number = first_voxel
+    for one, (ray, own) in zip(objects, met, strict=True):
+        first_voxel, number = number, number + one.surfels.index.count
+        rows = np.searchsorted(rays, ray)
+        own_voxel = np.where(own.voxel >= 0, own.voxel + first_voxel, -1)
+        voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
+        ranges = np.concatenate([range_m[rows], own.range_m], axis=1)
+        order = np.argsort(np.where(voxels >= 0, ranges, np.inf), axis=1, kind="stable")[:, : voxel.shape[1]]
+        voxel[rows] = np.take_along_axis(voxels, order, axis=1)
+        range_m[rows] = np.take_along_axis(ranges, order, axis=1)
+        for target, mine in ((opacity, own.opacity), (cosine, own.cosine)):
+            target[rows] = np.take_along_axis(np.concatenate([target[rows], mine], axis=1), order, axis=1)
+    return Candidates(range_m, voxel, opacity, cosine)
+
+
+def _lag_s(path: MovingObject, scans: np.ndarray, votes: ObjectVotes) -> float:
+    """How long after a sweep's instant an object is met, as in some of its scans (k,).
+
+    By the recording sensor: another one, turned by half a turn, meets it up to half a frame earlier or later.
+    """
+    met_s = path.time_s[np.searchsorted(path.scan, scans)]
+    return float(np.median(met_s - votes.prior.time_s[scans])) if len(scans) else 0.0
+
+
+def _some(column: np.ndarray) -> np.ndarray:
+    """Rows (at most 256) of a column of rays, evenly chosen."""
+    return column[:: len(column) // _SOME + 1]
+
+
+def _crossing(
+    path: MovingObject,
+    middle_s: float,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    spare_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which rays (k,) int64 of (r, 3) cross the object's bounds while it is there, at their times (r,).
+
+    With the origins and directions (k, 3) float32 of those in its frame. Asked are rays towards the ball
+    around the object as it is at `middle_s`, so much larger as the object moves until they are fired.
+    """
+    axis, least_cosine = _cone(path, middle_s, origin_m, spare_m)
+    first_s, last_s = path.there_s
+    crossing: tuple[np.ndarray, np.ndarray, np.ndarray] = rays_into_bounds(
+        origin_m, direction, time_s, axis, least_cosine, first_s, last_s, path.time_s, path.pose,
+        path.low_m - _MARGIN_M, path.high_m + _MARGIN_M,
+    )  # fmt: skip
+    return crossing
+
+
+def _cone(
+    path: MovingObject, time_s: float, origin_m: np.ndarray, spare_m: float
+) -> tuple[np.ndarray, float]:
+    """Axis (3,) float64 and least cosine of the rays (r, 3) that run towards an object's ball at a time."""
+    centre_o = 0.5 * (path.low_m + path.high_m)
+    pose = path.matrix_at(np.array([time_s]))[0]
+    radius_m = 0.5 * float(np.linalg.norm(path.high_m - path.low_m)) + spare_m
+    start_m = _some(origin_m).mean(axis=0) if len(origin_m) > 0 else np.zeros(3)
+    towards_m = pose[:3, :3] @ centre_o + pose[:3, 3] - start_m
+    distance_m = float(np.linalg.norm(towards_m))
+    if distance_m <= radius_m:
+        return np.zeros(3), -1.0
+    return towards_m / distance_m, float(np.sqrt(1.0 - (radius_m / distance_m) ** 2))

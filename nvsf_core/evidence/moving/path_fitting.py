@@ -1,0 +1,200 @@
+"""The path of one track: its clusters registered, smoothed, and carried on where the clusters end."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from nvsf_core.evidence.moving.registration import Cloud, make_cloud, register
+from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.smoothing import smooth_poses
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.moving.tracks import Track
+from nvsf_core.evidence.moving.visibility import STATIC
+
+_STRIDES = (1, 2, 4)
+_REACH_M = 0.5
+_MOST_SHIFT_M = 0.5
+_LEAST_SHARE = 0.25
+_LEAST_INLIERS = 0.5
+_MOST_RESIDUAL_M = 0.2
+_MOST_MISSES = 2
+_MODEL_SCANS = 3
+_LEAST_RETURNS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """The standing returns, judged."""
+
+    index: np.ndarray
+    """(m,) int64 among all returns, ascending."""
+    label: np.ndarray
+    """(m,) int8 from `judge_returns`."""
+    offsets: np.ndarray
+    """(n + 1,) int64: which of them are of which scan."""
+
+    def loose_near(
+        self, returns: TimedReturns, scan: int, low_m: np.ndarray, high_m: np.ndarray
+    ) -> np.ndarray:
+        """Indices among all returns of a scan's standing, not static returns in a scene-local box."""
+        part = slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))
+        index = self.index[part][self.label[part] != STATIC]
+        point = returns.point_m[index]
+        return index[np.all((point >= low_m) & (point <= high_m), axis=1)]
+
+
+@dataclass(slots=True, eq=False)
+class Path:
+    """A track's poses as they are being found."""
+
+    scan: list[int]
+    members: list[np.ndarray]
+    """Indices of its returns in each scan."""
+    time_s: np.ndarray
+    """(k,) mean times."""
+    pose: np.ndarray
+    """(k, 4) x, y, z, yaw."""
+
+    def as_object(self, frame_s: float) -> MovingObject:
+        """The same, with no extent yet."""
+        return MovingObject(
+            np.array(self.scan, np.int32), self.time_s, self.pose, frame_s, np.zeros(3), np.zeros(3)
+        )
+
+
+def solve_path(path: Path, returns: TimedReturns) -> None:
+    """Register the path's clouds with one another and find the poses anew, in place."""
+    clouds = _clouds(path, returns)
+    first, second = [], []
+    for stride in _STRIDES:
+        first.append(np.arange(len(clouds) - stride))
+        second.append(np.arange(stride, len(clouds)))
+    i, k = np.concatenate(first), np.concatenate(second)
+    # Both ways: a partial view matches the fuller one well, the fuller one not the partial.
+    i, k = np.concatenate([i, k]), np.concatenate([k, i])
+    pairs = register(clouds, i, k, path.pose[k, :3] - path.pose[i, :3])
+    time_frames = (path.time_s - path.time_s[0]) / returns.frame_s
+    path.pose = smooth_poses(path.pose, time_frames, pairs)
+
+
+def start_path(track: Track) -> Path:
+    """A path through the means of a track's clusters, heading where they went."""
+    centre = track.centres_m()
+    ahead = centre[-1] - centre[0]
+    heading = np.full((len(centre), 1), np.arctan2(ahead[1], ahead[0]))
+    return Path(
+        scan=[cluster.scan for cluster in track.clusters],
+        members=[cluster.members for cluster in track.clusters],
+        time_s=track.times_s(),
+        pose=np.concatenate([centre, heading], axis=1),
+    )
+
+
+def carry_on(path: Path, returns: TimedReturns, standing: Standing) -> bool:
+    """Follow the object into scans where it made no cluster, at both ends; True where any was added."""
+    grown = _carry(path, returns, standing, forward=True)
+    return _carry(path, returns, standing, forward=False) or grown
+
+
+def _carry(path: Path, returns: TimedReturns, standing: Standing, *, forward: bool) -> bool:
+    step, misses, grown = (1 if forward else -1), 0, False
+    scan = (path.scan[-1] if forward else path.scan[0]) + step
+    while 0 <= scan < returns.scan_count and misses < _MOST_MISSES:
+        found = _find_in_scan(path, returns, standing, scan, forward=forward)
+        if found is None:
+            misses += 1
+        else:
+            _add(path, scan, *found, forward=forward)
+            grown, misses = True, 0
+        scan += step
+    return grown
+
+
+def _find_in_scan(
+    path: Path, returns: TimedReturns, standing: Standing, scan: int, *, forward: bool
+) -> tuple[np.ndarray, float, np.ndarray] | None:
+    """Members, mean time and pose of the object in a scan beyond the path's end; None where it is not."""
+    moving = _end(path, forward).as_object(returns.frame_s)
+    model_o = _model(path, returns, forward=forward)
+    margin = _REACH_M + np.abs(model_o).max(axis=0).max()
+    time_s = float(returns.scan_time_s[scan])
+    # The sweep's phase shifts the object's own time by up to half a turn: look again with that time.
+    for _ in range(2):
+        pose = moving.pose_at(np.array([time_s]))[0]
+        near = standing.loose_near(returns, scan, pose[:3] - margin, pose[:3] + margin)
+        if len(near) < _LEAST_RETURNS:
+            return None
+        time_s = float(returns.time_s[near].mean())
+    local = moving.to_object(returns.point_m[near].astype(np.float64), returns.time_s[near])
+    distance, _ = cKDTree(model_o).query(local, distance_upper_bound=_REACH_M)
+    members = near[np.isfinite(distance)]
+    last = len(path.members[-1 if forward else 0])
+    if len(members) < max(_LEAST_SHARE * last, _LEAST_RETURNS):
+        return None
+    time_s = float(returns.time_s[members].mean())
+    pose = moving.pose_at(np.array([time_s]))[0]
+    model_cloud = make_cloud(_to_scene(model_o, pose))
+    cloud = make_cloud(_to_scene(local[np.isfinite(distance)], pose))
+    pair = register([cloud, model_cloud], np.array([0]), np.array([1]), np.zeros((1, 3)))
+    if len(pair.first) == 0 or pair.inlier_share[0] < _LEAST_INLIERS or pair.residual_m[0] > _MOST_RESIDUAL_M:
+        return None
+    if np.linalg.norm(pair.motion[0, 1:]) > _MOST_SHIFT_M:
+        return None
+    # What brings the scan's returns onto the prediction is how far the prediction is off.
+    pose[:3] -= pair.motion[0, 1:]
+    pose[3] -= pair.motion[0, 0]
+    return members, time_s, pose
+
+
+def _add(
+    path: Path, scan: int, members: np.ndarray, time_s: float, pose: np.ndarray, *, forward: bool
+) -> None:
+    at = len(path.scan) if forward else 0
+    path.scan.insert(at, scan)
+    path.members.insert(at, members)
+    path.time_s = np.insert(path.time_s, at, time_s)
+    path.pose = np.insert(path.pose, at, pose, axis=0)
+
+
+def _end(path: Path, forward: bool) -> Path:
+    """The path's last, or first, scans, as one straight step: what a prediction reads its velocity from."""
+    part = slice(-_MODEL_SCANS, None) if forward else slice(0, _MODEL_SCANS)
+    time_s, pose = path.time_s[part][[0, -1]], path.pose[part][[0, -1]]
+    return Path([path.scan[part][0], path.scan[part][-1]], [], time_s, pose)
+
+
+def _model(path: Path, returns: TimedReturns, *, forward: bool) -> np.ndarray:
+    """Returns (k, 3) of the path's last, or first, scans in the object's frame."""
+    moving = path.as_object(returns.frame_s)
+    members = np.concatenate(path.members[-_MODEL_SCANS:] if forward else path.members[:_MODEL_SCANS])
+    return moving.to_object(returns.point_m[members].astype(np.float64), returns.time_s[members])
+
+
+def _to_scene(point_o: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    cosine, sine = np.cos(pose[3]), np.sin(pose[3])
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    scene: np.ndarray = point_o @ turn.T + pose[:3]
+    return scene
+
+
+def _clouds(path: Path, returns: TimedReturns) -> list[Cloud]:
+    """Each scan's returns brought to their mean time by the path's own velocity there."""
+    velocity = _velocity(path.time_s, path.pose[:, :3])
+    clouds = []
+    for members, time_s, v in zip(path.members, path.time_s, velocity, strict=True):
+        late_s = returns.time_s[members] - time_s
+        clouds.append(make_cloud(returns.point_m[members] - late_s[:, None] * v))
+    return clouds
+
+
+def _velocity(time_s: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+    """Velocity (k, 3) of the quadratic through positions (k, 3)."""
+    middle = time_s - time_s.mean()
+    degree = min(2, len(time_s) - 1)
+    matrix = np.stack([middle**power for power in range(degree + 1)], axis=1)
+    coefficients = np.linalg.lstsq(matrix, position_m, rcond=None)[0]
+    slope = sum(
+        power * middle[:, None] ** (power - 1) * coefficients[power] for power in range(1, degree + 1)
+    )
+    return np.broadcast_to(np.asarray(slope, np.float64), position_m.shape)

@@ -1,0 +1,89 @@
+"""What moved, by visibility in time: a surface that other scans saw through and that never came back.
+
+Every standing return is put into every other scan's range image, at the moment when that scan looked
+there. Walking outwards in time from the return's own scan, a confirmation that comes after a see-through
+is late: foliage and edges are, a thing that drove away is not.
+"""
+
+import numpy as np
+
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
+from nvsf_core.kernels.visibility import look_back
+
+UNKNOWN, STATIC, SEED = 0, 1, 2
+"""What a return is: nothing is known, it stayed, or something was there that left."""
+_CELLS = 2000
+_MOMENTS = 256
+_MARGIN_M = 0.3
+_MARGIN_PER_RANGE = 0.005
+_LEAST_THROUGH = 3
+_LATE_SHARE = 0.15
+_CONFIRMED_SHARE = 0.5
+_MOST_IMAGE_BYTES = 1 << 30
+
+
+def judge_returns(returns: TimedReturns, standing: np.ndarray) -> np.ndarray:
+    """Say of each standing return whether it stayed or left.
+
+    Args:
+        returns: The training returns.
+        standing: (m,) int64 indices of the returns to judge.
+
+    Returns:
+        (m,) int8 of UNKNOWN, STATIC, SEED. Everything is UNKNOWN where fewer than two lasers are known.
+    """
+    lasers = np.unique(returns.laser[returns.laser >= 0])
+    label = np.zeros(len(standing), np.int8)
+    if len(lasers) < 2 or len(standing) == 0:
+        return label
+    images = _range_images(returns, lasers)
+    counts = look_back(
+        returns.point_m[standing],
+        returns.scan_of(standing).astype(np.int32),
+        images,
+        _to_sensor(returns),
+        returns.table.elevation_rad[lasers].astype(np.float32),
+        returns.table.vertical_offset_m[lasers].astype(np.float32),
+        float(returns.elevation_correction_rad),
+        _MARGIN_M,
+        _MARGIN_PER_RANGE,
+    )
+    through, late, confirmed = counts[:, 0], counts[:, 1], counts[:, 2]
+    came_back = late > _LATE_SHARE * through
+    stayed = (through == 0) & (confirmed >= _CONFIRMED_SHARE * (returns.scan_count - 1))
+    label[came_back | stayed] = STATIC
+    label[(through >= _LEAST_THROUGH) & ~came_back] = SEED
+    return label
+
+
+def _range_images(returns: TimedReturns, lasers: np.ndarray) -> np.ndarray:
+    """Range images (n, lasers, cells) float32 from the sensor's centre, nearest return, 0 where none."""
+    firings = (returns.laser >= 0).sum() / (len(lasers) * returns.scan_count)
+    # Cells finer than the firings stay empty, and empty cells say nothing.
+    cells = int(
+        np.clip(firings, 16, min(_CELLS, _MOST_IMAGE_BYTES // (4 * len(lasers) * returns.scan_count)))
+    )
+    images = np.zeros((returns.scan_count, len(lasers), cells), np.float32)
+    row_of_laser = np.full(returns.table.laser_count, -1)
+    row_of_laser[lasers] = np.arange(len(lasers))
+    for scan in range(returns.scan_count):
+        part = returns.part(scan)
+        known = returns.laser[part] >= 0
+        x, y, z = returns.recorded_m[part][known].T
+        range_m = np.sqrt(x * x + y * y + z * z)
+        column = np.minimum(((0.5 - np.arctan2(y, x) / (2 * np.pi)) * cells).astype(np.int64), cells - 1)
+        farthest_first = np.argsort(-range_m, kind="stable")
+        row = row_of_laser[returns.laser[part][known]]
+        images[scan, row[farthest_first], column[farthest_first]] = range_m[farthest_first]
+    return images
+
+
+def _to_sensor(returns: TimedReturns) -> np.ndarray:
+    """Scene to sensor (n, k, 3, 4) float32 at k moments of each turn."""
+    moments = _MOMENTS if returns.period_s > 0 else 1
+    fraction = (np.arange(moments) + 0.5) / moments - 0.5
+    time_s = returns.scan_time_s[:, None] + fraction * returns.period_s
+    rotation, position_m = returns.trajectory.at(time_s.ravel())
+    inverse = invert_pose(pose_from_parts(rotation, position_m))[:, :3]
+    return inverse.reshape(returns.scan_count, moments, 3, 4).astype(np.float32)

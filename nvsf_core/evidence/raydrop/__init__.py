@@ -1,0 +1,1 @@
+"""Which rays return, as the training scans tell."""

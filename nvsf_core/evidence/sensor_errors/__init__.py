@@ -1,0 +1,1 @@
+"""How the lasers of the recording sensor differ from each other."""

@@ -1,0 +1,214 @@
+"""Voxels as surfaces: mean, plane, intensity, and how often they stopped a ray or let it through."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nvsf_core.evidence.static.voxels import VoxelIndex, index_points
+from nvsf_core.kernels.voxel_march import count_passes, find_candidates
+
+MIN_PLANE_RETURNS = 5
+PLANE_EIGENVALUE_RATIO = 4.0
+_MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
+STOP_TRANSMITTANCE = 0.005
+_NOISE_M = 0.005
+"""Returns of one surface scatter at least so far."""
+_DOUBT = 0.3
+"""So many returns, spread evenly over the voxel, are added to the covariance of those that there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surfels:
+    """One surface element a voxel; all arrays are numbered as the index numbers its voxels."""
+
+    index: VoxelIndex
+    mean_m: np.ndarray
+    """(v, 3) float32: mean of the voxel's returns, scene-local."""
+    normal: np.ndarray
+    """(v, 3) float32: unit normal of the voxel's plane, 0 where there is none."""
+    precision: np.ndarray
+    """(v, 6) float32, 1/m^2: inverse covariance of the voxel's returns as xx, xy, xz, yy, yz, zz; (0, 6) of
+    surfels without shapes."""
+    thickness_m: np.ndarray
+    """(v,) float32: standard deviation across the plane."""
+    intensity: np.ndarray
+    """(v,) float32: mean intensity of the voxel's returns."""
+    hits: np.ndarray
+    """(v,) int32: rays that ended in the voxel."""
+    passes: np.ndarray
+    """(v,) int32: rays that went through it; through its shape, where it has one."""
+
+    ARRAYS: ClassVar[tuple[str, ...]] = (
+        "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "precision", "thickness_m",
+        "intensity", "hits", "passes",
+    )  # fmt: skip
+    """Names of the arrays that surfels are stored as."""
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Named arrays that `from_arrays` reads back."""
+        grid = {
+            "grid_origin_m": self.index.origin_m, "voxel_m": np.array([self.index.voxel_m]),
+            "bricks": self.index.bricks, "cells": self.index.cells,
+        }  # fmt: skip
+        return grid | {name: getattr(self, name) for name in self.ARRAYS if name not in grid}
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, np.ndarray]) -> "Surfels":
+        """Read back what `to_arrays` gave; other names are left alone."""
+        a = arrays
+        return Surfels(
+            index=VoxelIndex(a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"]),
+            mean_m=a["mean_m"], normal=a["normal"], precision=a["precision"], thickness_m=a["thickness_m"],
+            intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
+        )  # fmt: skip
+
+    @property
+    def opacity(self) -> np.ndarray:
+        """(v,) float32: share of rays that ended here, between 0 and 1 by its prior counts."""
+        return ((self.hits + 0.1) / (self.hits + self.passes + 0.2)).astype(np.float32)
+
+    @property
+    def missed_share(self) -> float:
+        """What is left of a voxel's opacity for a ray that misses its shape, or without one its plane."""
+        return _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
+
+    @property
+    def is_planar(self) -> np.ndarray:
+        """(v,) bool."""
+        return np.asarray(np.any(self.normal != 0, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Surfaces that rays may end on, in order along each ray; see `find_candidates`."""
+
+    range_m: np.ndarray
+    """(r, k) float32."""
+    voxel: np.ndarray
+    """(r, k) int32, -1 where there is none."""
+    opacity: np.ndarray
+    """(r, k) float32, 0 where there is none."""
+    cosine: np.ndarray
+    """(r, k) float32: |cos| of the angle between ray and normal."""
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(r, k) float32 w_i = a_i * prod_{j<i} (1 - a_j) with opacities a."""
+        light = np.cumprod(1.0 - self.opacity, axis=1)
+        before = np.concatenate([np.ones_like(light[:, :1]), light[:, :-1]], axis=1)
+        return np.asarray(self.opacity * before)
+
+
+def build_surfels(
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    intensity: np.ndarray,
+    *,
+    voxel_m: float,
+    threads: int,
+    is_surface: np.ndarray | None = None,
+    shaped: bool = False,
+) -> Surfels:
+    """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
+
+    A ray sees through every voxel that it crosses up to one voxel before its return. With shapes it sees
+    through the returns of a voxel that it leaves half a voxel before its own return, and passes as closely as
+    one of them would: the road, over which flat rays pass through its voxels, and a wall beside a gap stay
+    opaque. A renderer that learns nothing needs shapes; a field learns less from them (decision 0013).
+
+    Returns that are not `is_surface` (n,) bool, such as those of moving objects, make no surface, but still
+    see through.
+    """
+    kept = slice(None) if is_surface is None else is_surface
+    points = origin_m[kept] + direction[kept] * range_m[kept, None]
+    index, voxel = index_points(points, voxel_m)
+    count = index.count
+    hits = np.bincount(voxel, minlength=count)
+    mean, covariance = _moments(points, voxel, hits)
+    normal, thickness = _planes(covariance, hits)
+    mean_m = mean.astype(np.float32)
+    precision = _precision(covariance, hits, voxel_m) if shaped else np.zeros((0, 6), np.float32)
+    stops_m = np.maximum(range_m - (0.5 if shaped else 1.0) * voxel_m, 0)
+    passes = count_passes(
+        np.ascontiguousarray(origin_m, np.float32),
+        np.ascontiguousarray(direction, np.float32),
+        stops_m.astype(np.float32),
+        index.origin_m,
+        voxel_m,
+        index.bricks,
+        index.cells,
+        mean_m,
+        precision,
+        threads,
+    )
+    return Surfels(
+        index=index,
+        mean_m=mean_m,
+        normal=normal,
+        precision=precision,
+        thickness_m=thickness,
+        intensity=(np.bincount(voxel, weights=intensity[kept], minlength=count) / hits).astype(np.float32),
+        hits=hits.astype(np.int32),
+        passes=passes,
+    )
+
+
+def candidates_of(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, *, most: int, near_m: float, far_m: float
+) -> Candidates:
+    """Surfaces that rays (n, 3), scene-local, may end on between near and far."""
+    index = surfels.index
+    range_m, voxel, opacity, cosine, _ = find_candidates(
+        np.ascontiguousarray(origin_m, np.float32),
+        np.ascontiguousarray(direction, np.float32),
+        near_m,
+        far_m,
+        index.origin_m,
+        index.voxel_m,
+        index.bricks,
+        index.cells,
+        surfels.mean_m,
+        surfels.normal,
+        surfels.precision,
+        surfels.opacity,
+        surfels.missed_share,
+        STOP_TRANSMITTANCE,
+        most,
+    )
+    return Candidates(range_m, voxel, opacity, cosine)
+
+
+def _moments(points: np.ndarray, voxel: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (v, 3) and covariance (v, 3, 3) of each voxel's points, in float64 about the voxel's mean."""
+    count = len(hits)
+    mean = (
+        np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1)
+        / hits[:, None]
+    )
+    centred = points - mean[voxel]
+    covariance = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / hits
+            covariance[:, a, b] = covariance[:, b, a] = moment
+    return mean, covariance
+
+
+def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (v, 3) float32, 0 where the returns are too few or too round, and thickness (v,) metres."""
+    values, vectors = np.linalg.eigh(covariance)
+    planar = (hits >= MIN_PLANE_RETURNS) & (values[:, 1] > PLANE_EIGENVALUE_RATIO * values[:, 0])
+    normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
+    return normal, np.sqrt(np.maximum(values[:, 0], 0.0)).astype(np.float32)
+
+
+def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.ndarray:
+    """Inverse covariances (v, 6) float32 of returns, 1/m^2, of which few are doubted."""
+    # A coordinate that is even over a voxel has the variance voxel_m^2 / 12.
+    even, noise = _DOUBT * voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
+    told = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
+    precision = np.linalg.inv(told + noise)
+    rows, columns = np.triu_indices(3)
+    return precision[:, rows, columns].astype(np.float32)

@@ -1,0 +1,59 @@
+"""Unknown space beside what is proven: voxels of which no ray tells anything, where a surface may go on."""
+
+import numpy as np
+
+from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.static.voxels import index_points
+from nvsf_core.kernels.voxel_march import count_passes
+
+_FACES = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+_NO_SHAPES = np.zeros((0, 6), np.float32)
+
+
+def unknown_beside(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, *, threads: int
+) -> Surfels | None:
+    """Voxels that share a face with a proven one, hold no return, and that no ray crossed before its own.
+
+    Args:
+        surfels: What is proven.
+        origin_m: (n, 3) scene-local, of all rays: what ends on something that moves sees through, too.
+        direction: (n, 3) unit.
+        range_m: (n,) to the returns.
+        threads: Of the walk.
+
+    Returns:
+        Surfels with neither hits nor passes, which makes their opacity one half; no planes, but round about
+        their voxels' middles; as bright as a voxel beside them. None where there are none.
+    """
+    voxel_m = surfels.index.voxel_m
+    middle_m, beside = _empty_beside(surfels)
+    if len(beside) == 0:
+        return None
+    index, voxel = index_points(middle_m, voxel_m)
+    passes = count_passes(
+        np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
+        range_m.astype(np.float32), index.origin_m, voxel_m, index.bricks, index.cells,
+        np.zeros((index.count, 3), np.float32), _NO_SHAPES, threads,
+    )  # fmt: skip
+    is_unknown = passes[voxel] == 0
+    if not is_unknown.any():
+        return None
+    middle_m, beside = middle_m[is_unknown], beside[is_unknown]
+    index, voxel = index_points(middle_m, voxel_m)
+    each = np.empty(index.count, np.int64)
+    each[voxel] = np.arange(len(voxel))
+    none, flat = np.zeros(index.count, np.int32), np.zeros(index.count, np.float32)
+    return Surfels(
+        index=index, mean_m=middle_m[each].astype(np.float32), normal=np.zeros((index.count, 3), np.float32),
+        precision=_NO_SHAPES, thickness_m=flat, intensity=surfels.intensity[beside[each]], hits=none,
+        passes=none,
+    )  # fmt: skip
+
+
+def _empty_beside(surfels: Surfels) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (n, 3) float64 of empty voxels across all faces of proven ones, and across whose (n,)."""
+    index = surfels.index
+    place = (index.places()[:, None] + _FACES).reshape(-1, 3)
+    empty = np.flatnonzero(index.find(place) < 0)
+    return index.origin_m + (place[empty] + 0.5) * index.voxel_m, empty // len(_FACES)

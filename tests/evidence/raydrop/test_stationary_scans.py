@@ -1,0 +1,111 @@
+"""Laws of what is measured again and again where the sensor stands or crawls."""
+
+import numpy as np
+
+from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.raydrop.stationary_scans import AtRest, FiredRays, answer_at_rest, scans_at_rest
+from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.sensors.sweep import Trajectory
+
+FRAME_S, FRAMES, HELD_OUT, FIRINGS = 0.1, 9, 4, 100
+TRAINING = np.array([frame for frame in range(FRAMES) if frame != HELD_OUT])
+FRACTION = ((np.arange(FIRINGS) + 0.5) / FIRINGS - 0.5).astype(np.float32)
+
+
+def driving(speed_m_s: float) -> Trajectory:
+    time_s = np.arange(FRAMES) * FRAME_S
+    place = np.stack([speed_m_s * time_s, np.zeros(FRAMES), np.zeros(FRAMES)], axis=1)
+    return Trajectory(time_s, pose_from_parts(np.eye(3)[None].repeat(FRAMES, 0), place), np.zeros(3))
+
+
+def measured(range_m: np.ndarray) -> tuple[AtRest, DropPrior]:
+    """One laser; every firing of training scan k measured range_m[k], 0 = no return."""
+    count = len(TRAINING)
+    ranges = np.broadcast_to(range_m[:, None, None], (count, 1, FIRINGS)).astype(np.float32)
+    prior = DropPrior(TRAINING * FRAME_S, np.tile(FRACTION, (count, 1)), ranges > 0)
+    return AtRest(np.arange(count, dtype=np.int32), ranges.copy(), np.full_like(ranges, 0.5)), prior
+
+
+def surfaces(range_m: float, hit: float = 1.0) -> FiredRays:
+    """What surfaces answer to every firing of the one laser."""
+    ones = np.ones(FIRINGS, np.float32)
+    return FiredRays(np.zeros(FIRINGS, np.int64), FRACTION, range_m * ones, hit * ones, 0.2 * ones)
+
+
+def answer(range_m: np.ndarray, rays: FiredRays, *, speed_m_s: float = 0.0, leave_out: int | None = None):
+    trajectory = driving(speed_m_s)
+    at_rest, prior = measured(range_m)
+    return answer_at_rest(at_rest, prior, rays, HELD_OUT * FRAME_S, trajectory, FRAME_S, leave_out=leave_out)
+
+
+def test_only_scans_that_were_taken_where_another_frame_was_are_kept() -> None:
+    time_s = TRAINING * FRAME_S
+    assert len(scans_at_rest(time_s, driving(9.0))) == 0
+    assert len(scans_at_rest(time_s, driving(0.3))) == len(TRAINING)
+    stops = driving(9.0)
+    poses = stops.lidar_to_world.copy()
+    poses[5:, 0, 3] = poses[5, 0, 3]
+    halted = scans_at_rest(time_s, Trajectory(stops.times_s, poses, np.zeros(3)))
+    assert TRAINING[halted].tolist() == [5, 6, 7, 8]
+
+
+def test_a_standing_sensor_answers_what_it_measured_and_not_what_surfaces_say() -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.015, len(TRAINING))
+    range_m, hit, intensity = answer(20.0 + noise, surfaces(24.0, hit=0.3))
+    np.testing.assert_allclose(range_m, 20.0, atol=0.02)
+    assert hit.min() > 0.7
+    np.testing.assert_allclose(intensity, 0.5)
+
+
+def test_a_crawling_sensor_follows_the_ranges_trend() -> None:
+    speed = 0.3
+    nearer = 20.0 - speed * FRAME_S * (TRAINING - HELD_OUT)
+    # Held out at the end: every scan is before it, and a mean would lag behind.
+    range_m, _, _ = answer(nearer, surfaces(20.0), speed_m_s=speed)
+    np.testing.assert_allclose(range_m, 20.0, atol=1e-3)
+    late = np.where(TRAINING < HELD_OUT, nearer, 0.0)
+    range_m, _, _ = answer(late, surfaces(np.inf), speed_m_s=speed)
+    assert np.abs(range_m - 20.0).max() < 0.5 * np.abs(late[late > 0] - 20.0).mean()
+
+
+def test_what_drives_by_is_where_the_scans_beside_saw_it() -> None:
+    scans = np.where(np.abs(TRAINING - HELD_OUT) == 1, 8.0, 20.0)
+    range_m, hit, _ = answer(scans, surfaces(20.0))
+    np.testing.assert_allclose(range_m, 8.0, atol=1e-3)
+    assert hit.min() == 1.0
+
+
+def test_a_place_of_a_moving_thing_that_only_surfaces_know_is_kept() -> None:
+    scans = 20.0 + 0.8 * (TRAINING - HELD_OUT)
+    range_m, _, _ = answer(scans, surfaces(20.0))
+    np.testing.assert_allclose(range_m, 20.0)
+
+
+def test_beams_that_mostly_do_not_return_are_not_expected_to() -> None:
+    scans = np.where(TRAINING % 4 == 3, 20.0, 0.0)
+    _, hit, _ = answer(scans, surfaces(20.0, hit=0.25))
+    assert hit.max() < 0.5
+
+
+def test_scans_of_another_place_are_not_asked() -> None:
+    rays = surfaces(24.0)
+    answers = answer(np.full(len(TRAINING), 20.0), rays, speed_m_s=9.0)
+    for given, kept in zip(answers, (rays.range_m, rays.hit, rays.intensity), strict=True):
+        assert np.array_equal(given, kept)
+
+
+def test_a_scan_that_is_left_out_is_not_asked() -> None:
+    scans = np.zeros(len(TRAINING))
+    scans[2] = 20.0
+    range_m, _, _ = answer(scans, surfaces(np.inf, hit=0.0))
+    np.testing.assert_allclose(range_m, 20.0)
+    range_m, hit, _ = answer(scans, surfaces(np.inf, hit=0.0), leave_out=2)
+    assert np.isinf(range_m).all() and hit.max() == 0.0
+
+
+def test_it_comes_back_from_the_store_as_it_went_in() -> None:
+    kept, _ = measured(np.full(len(TRAINING), 20.0))
+    found = AtRest.from_arrays(kept.to_arrays())
+    assert found is not None and AtRest.from_arrays({}) is None
+    for name in AtRest.__slots__:
+        assert np.array_equal(getattr(found, name), getattr(kept, name)), name

@@ -1,0 +1,172 @@
+"""Laws of the voxel evidence, on a wall whose truth is known."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.errors import DataError
+from nvsf_core.evidence.static.surfels import build_surfels, candidates_of
+from nvsf_core.evidence.static.voxels import index_points
+from nvsf_core.kernels.voxel_march import count_passes
+from nvsf_core.rendering.reproject import reproject_rays
+
+WALL_X_M = 10.03
+
+
+def rays_to_wall(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays from near the origin to the plane x = 10.03, with the exact range."""
+    rng = np.random.default_rng(seed)
+    origin = rng.uniform(-0.2, 0.2, (n, 3))
+    target = np.stack([np.full(n, WALL_X_M), rng.uniform(-2, 2, n), rng.uniform(-1, 1, n)], axis=1)
+    ray = target - origin
+    range_m = np.linalg.norm(ray, axis=1)
+    return origin.astype(np.float32), (ray / range_m[:, None]).astype(np.float32), range_m.astype(np.float32)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["without shapes", "with shapes"])
+def wall(request):
+    rays = rays_to_wall(20_000, 0)
+    return build_surfels(*rays, np.full(20_000, 0.4), voxel_m=0.2, threads=2, shaped=request.param)
+
+
+def test_every_point_lies_in_the_voxel_that_the_index_names() -> None:
+    points = np.random.default_rng(1).uniform(-30, 30, (5000, 3))
+    index, voxel = index_points(points, 0.5)
+    ijk = np.floor((points - index.origin_m) / 0.5).astype(int)
+    brick = index.bricks[tuple((ijk // 8).T)]
+    within = ijk % 8
+    assert (brick >= 0).all()
+    assert (index.cells[brick, within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]] == voxel).all()
+    assert index.count == len(np.unique(ijk, axis=0))
+
+
+def test_no_points_are_an_error_that_says_what_to_look_at() -> None:
+    with pytest.raises(DataError, match="found none"):
+        index_points(np.zeros((0, 3)), 0.2)
+
+
+def test_a_wall_becomes_planes_that_face_the_sensor(wall) -> None:
+    planar = wall.is_planar
+    assert planar.mean() > 0.95
+    assert np.abs(wall.normal[planar, 0]).min() > 0.99
+    assert np.allclose(wall.mean_m[:, 0], WALL_X_M, atol=1e-3)
+    assert wall.hits.sum() == 20_000
+
+
+def test_rays_beyond_a_surface_count_as_seen_through() -> None:
+    origin = np.zeros((4, 3), np.float32)
+    direction = np.tile(np.array([1, 0, 0], np.float32), (4, 1))
+    surfels = build_surfels(
+        origin, direction, np.array([5.1, 9.9, 9.9, 9.9], np.float32), np.zeros(4), voxel_m=0.2, threads=1
+    )
+    near = int(np.argmin(np.abs(surfels.mean_m[:, 0] - 5.1)))
+    far = int(np.argmin(np.abs(surfels.mean_m[:, 0] - 9.9)))
+    assert surfels.passes[near] == 3
+    assert surfels.passes[far] == 0
+
+
+def test_see_throughs_equal_a_walk_in_small_steps(wall) -> None:
+    origin, direction, range_m = rays_to_wall(300, 5)
+    index = wall.index
+    rows, columns = np.triu_indices(3)
+    precision = np.zeros((index.count, 3, 3))
+    if len(wall.precision):
+        precision[:, rows, columns] = precision[:, columns, rows] = wall.precision
+    counted = np.zeros(index.count, int)
+    for o, d, r in zip(origin.astype(float), direction.astype(float), range_m, strict=True):
+        points = o + d * np.arange(0, r + 1.0, 0.002)[:, None]
+        ijk = np.floor((points - index.origin_m) / index.voxel_m).astype(int)
+        inside = ((ijk >= 0) & (ijk < np.array(index.bricks.shape) * 8)).all(axis=1)
+        ijk, points = ijk[inside], points[inside]
+        brick = index.bricks[tuple((ijk // 8).T)]
+        within = ijk % 8
+        cell = np.where(
+            brick >= 0, index.cells[brick, within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]], -1
+        )
+        for crossed in np.unique(cell[cell >= 0]):
+            # Beyond the voxel, too: the line's closest place may lie just outside.
+            off = o + d * (points[cell == crossed] @ d - o @ d).mean() - wall.mean_m[crossed]
+            near = off + d * np.arange(-1.0, 1.0, 0.001)[:, None]
+            counted[crossed] += np.einsum("ni,ij,nj->n", near, precision[crossed], near).min() <= 6.25
+    walked = count_passes(
+        origin, direction, range_m + 1.0, index.origin_m, index.voxel_m, index.bricks, index.cells,
+        wall.mean_m, wall.precision, 2,
+    )  # fmt: skip
+    assert counted.sum() > 200
+    # The stepped walk may miss a corner that it cuts by less than its step.
+    assert np.abs(walked - counted).sum() <= 0.02 * counted.sum()
+
+
+def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross() -> None:
+    rng = np.random.default_rng(3)
+    place = np.stack([rng.uniform(8, 40, 60_000), rng.uniform(-3, 3, 60_000), np.zeros(60_000)], axis=1)
+    origin = np.tile([0.0, 0.0, 1.73], (60_000, 1))
+    range_m = np.linalg.norm(place - origin, axis=1)
+    rays = (origin.astype(np.float32), ((place - origin) / range_m[:, None]).astype(np.float32))
+    noisy_m = (range_m + rng.normal(0.0, 0.01, 60_000)).astype(np.float32)
+    road = build_surfels(*rays, noisy_m, np.zeros(60_000), voxel_m=0.2, threads=1, shaped=True)
+    index = road.index
+    crossed = count_passes(
+        *rays, noisy_m, index.origin_m, index.voxel_m, index.bricks, index.cells, road.mean_m,
+        np.zeros((0, 6), np.float32), 1,
+    )  # fmt: skip
+    # At 3 to 12 degrees a ray crosses up to several voxels of the road above it, before the one it ends in.
+    assert crossed.sum() > 60_000
+    assert road.passes.sum() < 0.5 * crossed.sum()
+
+
+def test_a_ray_that_passes_a_pole_by_meets_what_is_behind_it() -> None:
+    rng = np.random.default_rng(4)
+    n = 2000
+    pole = np.stack([np.full(n, 5.1), np.full(n, 0.02), rng.uniform(-0.5, 0.5, n)], axis=1)
+    pole[:, :2] += rng.normal(0.0, 0.01, (n, 2))
+    origin, direction, range_m = rays_to_wall(20_000, 0)
+    off = np.abs(direction[:, 1] / direction[:, 0] * 5.1 + origin[:, 1] - 0.02)
+    beside = off > 0.06
+    along = np.linalg.norm(pole, axis=1)
+    both = build_surfels(
+        np.concatenate([np.zeros((n, 3), np.float32), origin[beside]]),
+        np.concatenate([(pole / along[:, None]).astype(np.float32), direction[beside]]),
+        np.concatenate([along.astype(np.float32), range_m[beside]]), np.zeros(n + int(beside.sum())),
+        voxel_m=0.2, threads=1, shaped=True,
+    )  # fmt: skip
+    asked = np.flatnonzero(beside & (off < 0.1))
+    assert len(asked) > 100
+    found = reproject_rays(
+        both, origin[asked], direction[asked], np.ones(len(asked), np.float32), most=24, far_m=120.0
+    )
+    assert (np.abs(found.range_m - range_m[asked]) < 0.05).mean() > 0.9
+    height_m = direction[:, 2] / direction[:, 0] * 5.1 + origin[:, 2]
+    through = np.flatnonzero((off < 0.01) & (np.abs(height_m) < 0.4))
+    assert len(through) > 30
+    found = reproject_rays(
+        both, origin[through], direction[through], np.ones(len(through), np.float32), most=24, far_m=120.0
+    )
+    assert (found.range_m < 5.5).mean() > 0.95
+
+
+def test_the_reprojected_range_is_the_walls(wall) -> None:
+    origin, direction, range_m = rays_to_wall(500, 7)
+    answers = reproject_rays(wall, origin, direction, np.ones(500, np.float32), most=24, far_m=120.0)
+    assert np.median(np.abs(answers.range_m - range_m)) < 1e-3
+    assert (np.abs(answers.range_m - range_m) < 0.05).mean() > 0.99
+    assert np.allclose(answers.intensity, 0.4, atol=1e-4)
+
+
+def test_a_ray_that_meets_nothing_answers_nothing(wall) -> None:
+    backwards = np.array([[-1.0, 0.0, 0.0]], np.float32)
+    answers = reproject_rays(
+        wall, np.zeros((1, 3), np.float32), backwards, np.ones(1, np.float32), most=4, far_m=120.0
+    )
+    assert np.isinf(answers.range_m[0])
+    assert answers.hit[0] == 0.0
+
+
+def test_candidates_come_in_order_and_weights_never_exceed_one(wall) -> None:
+    origin, direction, _ = rays_to_wall(200, 9)
+    found = candidates_of(wall, origin, direction, most=8, near_m=0.5, far_m=100.0)
+    there = found.voxel >= 0
+    ascending = np.diff(np.where(there, found.range_m, 1e9), axis=1)
+    assert (ascending[there[:, 1:]] >= -1e-5).all()
+    weights = found.weights
+    assert (weights.sum(axis=1) <= 1 + 1e-6).all()
+    assert (weights[~there] == 0).all()
