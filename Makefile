@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@echo "compiling the kernels: a minute, once"
-	$(BIN)/python -m nvsf_core.stages.compile_kernels
+	$(BIN)/python -m nvsf_core.stages.runner.compile_kernels
 	@touch $@
 
 # Initialised once and by one process: two that meet an empty DAGSTER_HOME race for its tables.

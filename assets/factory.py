@@ -11,7 +11,7 @@ import dagster as dg
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, Check, Outcome, Stage, run_named_stage
-from nvsf_core.stages.stage import NOT_RUN, Law, UnsoundOutputError
+from nvsf_core.stages.runner.stage import NOT_RUN, Law, UnsoundOutputError
 from nvsf_core.stores.pictures import read_picture
 
 CHECK_NAME = "output_is_sound"

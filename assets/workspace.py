@@ -9,7 +9,7 @@ import dagster as dg
 from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
 from nvsf_core.recipe import preset, seed_from_text
 from nvsf_core.stages import RunConfig, SceneRun, find_scene, plan_run
-from nvsf_core.stages.flow import DEFAULT_RECIPE
+from nvsf_core.stages.runner.run import DEFAULT_RECIPE
 from nvsf_core.stores.scene_store import require_home
 
 

@@ -27,8 +27,11 @@ from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.stages import STAGES
-from nvsf_core.stages.fitting import Trained
-from nvsf_core.stages.flow import (
+from nvsf_core.stages.paper_model import device, frame_at, frame_count, read_frames
+from nvsf_core.stages.paper_training import train_on_frames
+from nvsf_core.stages.recording import Recording, read_recording
+from nvsf_core.stages.runner.checkpoints import Trained
+from nvsf_core.stages.runner.run import (
     SceneRun,
     find_scene,
     plan_run,
@@ -36,11 +39,8 @@ from nvsf_core.stages.flow import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.moving_boxes import read_moving_boxes
-from nvsf_core.stages.paper_model import device, frame_at, frame_count, read_frames
-from nvsf_core.stages.paper_training import train_on_frames
-from nvsf_core.stages.recording import Recording, read_recording
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.scoring.moving_boxes import read_moving_boxes
 from nvsf_core.stores.arrays import read_arrays
 
 PLAN: tuple[tuple[str, tuple[PaperRecipe, ...]], ...] = (

@@ -12,9 +12,9 @@ from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, Scan, lidar4d, project_scan
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.stages.flow import SceneRun
-from nvsf_core.stages.moving_boxes import MovingBoxes
 from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.runner.run import SceneRun
+from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.training.paper_frames import PaperFrames
 
 COLUMN_STEP, IMAGE_STEP = 4, 4

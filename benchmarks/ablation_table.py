@@ -7,7 +7,7 @@ from typing import TypedDict
 
 from benchmarks.commit import commit
 from nvsf_core.metrics.table import BASELINES
-from nvsf_core.stages.machine import machine
+from nvsf_core.stages.runner.host import machine
 
 _ROOT = Path(__file__).resolve().parent.parent
 RESULTS = _ROOT / "benchmarks" / "results" / "ablation.json"

@@ -15,7 +15,7 @@ from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
-from nvsf_core.stages.view_lidar import answers_along
+from nvsf_core.stages.views.lidar import answers_along
 
 SHARE = 4
 """One of so many blocks of columns, and of recorded rays, is scored."""

@@ -28,8 +28,17 @@ from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.field import train_model
-from nvsf_core.stages.fitting import Trained
-from nvsf_core.stages.flow import (
+from nvsf_core.stages.paper_model import load_paper_model
+from nvsf_core.stages.recording import Recording, read_recording
+from nvsf_core.stages.reprojection import reprojection
+from nvsf_core.stages.residual_camera import LEARNED
+from nvsf_core.stages.residual_lidar import SHOWS_FIELD
+from nvsf_core.stages.residual_model import load_residual_model
+from nvsf_core.stages.runner.checkpoints import Trained
+from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.run import (
     SceneRun,
     field_made_from,
     find_scene,
@@ -37,16 +46,7 @@ from nvsf_core.stages.flow import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.lease import device_lease
-from nvsf_core.stages.machine import machine
-from nvsf_core.stages.paper_model import load_paper_model
-from nvsf_core.stages.recording import Recording, read_recording
-from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.residual_camera import LEARNED
-from nvsf_core.stages.residual_lidar import SHOWS_FIELD
-from nvsf_core.stages.residual_model import load_residual_model
-from nvsf_core.stages.stage import Observer, Progress, RunConfig, Task
-from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stages.runner.stage import Observer, Progress, RunConfig, Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.stores.scene_store import SceneStore
 

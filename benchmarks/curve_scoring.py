@@ -22,9 +22,9 @@ from nvsf_core.rendering.warping import shrunk
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages.recording import Recording
-from nvsf_core.stages.view_camera import copied_images
-from nvsf_core.stages.view_lidar import copied_scans, warm_up
-from nvsf_core.stages.view_planning import View, held_out_view, reference_poses
+from nvsf_core.stages.views.camera import copied_images
+from nvsf_core.stages.views.lidar import copied_scans, warm_up
+from nvsf_core.stages.views.plan import View, held_out_view, reference_poses
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.training.pixels import CameraImages

@@ -20,7 +20,7 @@ from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size
 from nvsf_core.drives.catalogue import catalogue_from_environment, has_data
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, preset
-from nvsf_core.stages.flow import DEMO_SCENE, say_on_stderr
+from nvsf_core.stages.runner.run import DEMO_SCENE, say_on_stderr
 
 SCENE = "k360_street"
 """The default where the catalogue has it with data; else the demo."""

@@ -17,7 +17,7 @@ from benchmarks.results_table import RECIPES, ROOT, measured_rows, write
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.stages.flow import DEFAULT_RECIPE, run_scene
+from nvsf_core.stages.runner.run import DEFAULT_RECIPE, run_scene
 
 _SEED = 0
 """The only one that curves train of the paper's family."""

@@ -27,17 +27,17 @@ from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
-from nvsf_core.stages.demo_truth import read_demo_truth
 from nvsf_core.stages.evidence import read_sweeps
-from nvsf_core.stages.flow import (
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.run import (
     find_scene,
     plan_run,
     run_named_stage,
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.machine import machine
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.scoring.demo_truth import read_demo_truth
 from nvsf_core.training.flow_step import train_flow
 
 RESULTS = Path(__file__).parent / "results" / "flow.json"

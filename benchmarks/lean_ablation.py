@@ -32,12 +32,12 @@ from nvsf_core.recipe import ResidualRecipe, preset
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages.capacity import needed_field
-from nvsf_core.stages.flow import SceneRun, find_scene, run_named_stage, say_on_stderr
 from nvsf_core.stages.lidar_training_rays import training_rays
-from nvsf_core.stages.machine import machine
 from nvsf_core.stages.recording import LidarRecording, read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.stage import RunConfig
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.run import SceneRun, find_scene, run_named_stage, say_on_stderr
+from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.training.lidar_rays import LidarRays
 from nvsf_core.training.loop import TrainingState, make_optimiser, train

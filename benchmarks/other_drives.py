@@ -17,7 +17,7 @@ from benchmarks.targets import OTHER
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.stages.flow import say_on_stderr
+from nvsf_core.stages.runner.run import say_on_stderr
 
 _SIZE = replace(DemoSize.full(), cameras=("image_00",), fisheye_side=0)
 _TEST_FRAMES = [5, 13, 21, 29]

@@ -16,8 +16,8 @@ from benchmarks.ablation import prepared_recording
 from benchmarks.commit import commit
 from benchmarks.markers import write_between
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.stages.machine import machine
 from nvsf_core.stages.paper_model import device, read_frames
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.training.paper_trainee import PaperTrainee
 from nvsf_core.training.step import paper_step
 

@@ -17,7 +17,7 @@ from benchmarks.targets import OTHER
 from benchmarks.voxel_walk_table import walk_table
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
-from nvsf_core.stages.machine import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.tables import read_rows
 
 ROOT = Path(__file__).parents[1]

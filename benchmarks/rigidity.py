@@ -31,7 +31,7 @@ from nvsf_core.evidence.static.planes import PLANE_POINTS
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.evidence import read_evidence, read_sweeps, training_returns
-from nvsf_core.stages.machine import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 RESULTS = Path(__file__).resolve().parent / "results" / "rigidity.json"

@@ -16,7 +16,7 @@ from typing import TypedDict
 
 from benchmarks.commit import commit
 from benchmarks.stability_cases.case import NOT_APPLICABLE, Case, Reading
-from nvsf_core.stages.machine import machine
+from nvsf_core.stages.runner.host import machine
 
 _ROOT = Path(__file__).resolve().parent.parent
 RESULTS = _ROOT / "benchmarks" / "results" / "stability.json"

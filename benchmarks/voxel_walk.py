@@ -21,7 +21,7 @@ from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.stages.evidence import Sweeps, read_evidence, read_sweeps
-from nvsf_core.stages.machine import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 _REPEATS = 5

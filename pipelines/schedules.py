@@ -8,7 +8,7 @@ import dagster as dg
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import is_seed_folder, preset
-from nvsf_core.stages.stage_record import RECORD_NAME, read_record
+from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import published
 from pipelines.jobs import regenerate_synthetic
 

@@ -23,7 +23,7 @@ from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.metrics.table import summary_table
 from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
-from nvsf_core.stages.flow import DEMO_SCENE, write_demo_where_absent
+from nvsf_core.stages.runner.run import DEMO_SCENE, write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES

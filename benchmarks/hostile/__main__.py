@@ -23,7 +23,7 @@ from benchmarks.hostile.limits import GIGABYTES, SECONDS, run_limited
 from benchmarks.hostile.subjects import Templates
 from benchmarks.hostile.table import FAULTS, counts, silent
 from benchmarks.markers import write_between
-from nvsf_core.stages.machine import machine
+from nvsf_core.stages.runner.host import machine
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = "benchmarks/results/hostile.json"

@@ -19,7 +19,7 @@ from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage, run_sc
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.residual_model import load_residual_model
-from nvsf_core.stages.stage_record import damage_of, read_record
+from nvsf_core.stages.runner.record import damage_of, read_record
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.documents import read_document

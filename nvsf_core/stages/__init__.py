@@ -6,8 +6,8 @@ Importing this package is cheap; the stages themselves are imported when `STAGES
 from importlib import import_module
 from typing import Any
 
-from nvsf_core.stages.flow import SceneRun, find_scene, plan_run, run_named_stage, run_scene
-from nvsf_core.stages.stage import Check, Outcome, RunConfig, Stage
+from nvsf_core.stages.runner.run import SceneRun, find_scene, plan_run, run_named_stage, run_scene
+from nvsf_core.stages.runner.stage import Check, Outcome, RunConfig, Stage
 
 __all__ = [
     "STAGES",

@@ -11,7 +11,7 @@ from nvsf_core.simulation.sweep_simulation import highest_rad, image_renderer
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording, Recording
 from nvsf_core.stages.reprojection import depth_points
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.stage import Task
 
 _MOST_VIEWS = 24
 """Views of a camera that are looked at; evenly spread over a longer drive."""

@@ -24,8 +24,8 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan
-from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
-from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.stage import Check, Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 

@@ -20,7 +20,7 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 from nvsf_core.stages.flow_choice import choose_flow
 from nvsf_core.stages.profile import scene_profile
-from nvsf_core.stages.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Scalar, Stage, StageOutput, Task
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore

@@ -8,7 +8,7 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.stages.profile import motion_in_words
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_model import make_fields
-from nvsf_core.stages.stage import Scalar
+from nvsf_core.stages.runner.stage import Scalar
 from nvsf_core.stages.training_cost import FITTED_ON, expected_memory_mb, expected_seconds
 
 _SAMPLED_RAYS = 4096

@@ -11,7 +11,7 @@ import numpy as np
 
 from nvsf_core.drives.kitti360.validation import Drive, read_drive
 from nvsf_core.reporting.previews import path_preview
-from nvsf_core.stages.stage import Check, Progress, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Progress, Scalar, Stage, StageOutput, Task
 from nvsf_core.stores.tables import write_rows
 
 FRAME_COLUMNS = (

@@ -10,19 +10,19 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.above_lasers import looks_above, seen_above
+from nvsf_core.stages.checks.images import LAWS as IMAGE_LAWS
+from nvsf_core.stages.checks.images import check_images
+from nvsf_core.stages.checks.views import LAWS as VIEW_LAWS
+from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
-from nvsf_core.stages.image_check import LAWS as IMAGE_LAWS
-from nvsf_core.stages.image_check import check_images
 from nvsf_core.stages.mesh_baseline import mesh_baseline
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.stage_record import read_record
-from nvsf_core.stages.view_camera import copied_images, image_arrays
-from nvsf_core.stages.view_check import LAWS as VIEW_LAWS
-from nvsf_core.stages.view_check import check_views
-from nvsf_core.stages.view_files import describe_view, export_files, write_method
-from nvsf_core.stages.view_lidar import (
+from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.views.camera import copied_images, image_arrays
+from nvsf_core.stages.views.files import describe_view, export_files, write_method
+from nvsf_core.stages.views.lidar import (
     along_recorded_rays,
     copied_scans,
     copied_sweeps,
@@ -30,7 +30,7 @@ from nvsf_core.stages.view_lidar import (
     sweep_arrays,
     warm_up,
 )
-from nvsf_core.stages.view_planning import View, asked_view, held_out_view, reference_poses, to_world
+from nvsf_core.stages.views.plan import View, asked_view, held_out_view, reference_poses, to_world
 
 MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
 NO_LIDAR = "not rendered: this drive has no LiDAR"

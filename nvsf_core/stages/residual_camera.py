@@ -29,11 +29,11 @@ from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.stages.aligned_drive import AlignedDrive, align_drive, aligned_by, facts_of
-from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
-from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.stages.runner.checkpoints import fit
+from nvsf_core.stages.runner.stage import Scalar, Task
 from nvsf_core.training.camera_step import camera_step, depth_step
 from nvsf_core.training.left_out import LeftOut
 from nvsf_core.training.loop import TrainingState, make_optimiser

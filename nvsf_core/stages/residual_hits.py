@@ -21,10 +21,10 @@ from nvsf_core.simulation.scene_model import TurnCorrector
 from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.lidar_training_rays import learned_scans
 from nvsf_core.stages.recording import LidarRecording
-from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.stages.runner.checkpoints import fit
+from nvsf_core.stages.runner.stage import Scalar, Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 

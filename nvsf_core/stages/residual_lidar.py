@@ -20,7 +20,7 @@ from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
-from nvsf_core.stages.stage import Scalar
+from nvsf_core.stages.runner.stage import Scalar
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on left-out scans."""

@@ -32,9 +32,9 @@ from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, TurnCorrector
 from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.fitting import fit
 from nvsf_core.stages.recording import LidarRecording
-from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.stages.runner.checkpoints import fit
+from nvsf_core.stages.runner.stage import Scalar, Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 

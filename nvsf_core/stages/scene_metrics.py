@@ -14,19 +14,19 @@ import torch
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
-from nvsf_core.stages.camera_metrics import measure_camera
-from nvsf_core.stages.demo_truth import measure_demo_view, read_demo_truth
-from nvsf_core.stages.lidar_metrics import (
+from nvsf_core.stages.checks.metrics import LAWS, TABLE_NAME, check_metrics
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.stage import Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.scoring.camera import measure_camera
+from nvsf_core.stages.scoring.demo_truth import measure_demo_view, read_demo_truth
+from nvsf_core.stages.scoring.lidar import (
     RecordedScans,
     measure_lidar,
     read_recorded_scans,
     recorded_range_errors,
 )
-from nvsf_core.stages.machine import machine
-from nvsf_core.stages.metric_ledger import Ledger, method_columns
-from nvsf_core.stages.metrics_check import LAWS, TABLE_NAME, check_metrics
-from nvsf_core.stages.moving_boxes import NO_BOXES, read_moving_boxes
-from nvsf_core.stages.stage import Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.scoring.moving_boxes import NO_BOXES, read_moving_boxes
+from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 

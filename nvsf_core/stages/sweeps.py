@@ -16,8 +16,8 @@ from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_ti
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
-from nvsf_core.stages.registration_check import LAW, ORDER_LAW, check_registration
-from nvsf_core.stages.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.checks.registration import LAW, ORDER_LAW, check_registration
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows

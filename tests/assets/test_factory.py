@@ -5,7 +5,7 @@ import pytest
 
 from assets.factory import CHECK_NAME, asset_of, picture, scalar_metadata
 from assets.workspace import Workspace
-from nvsf_core.stages.stage import Check, Stage, StageOutput
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 
 PNG = b"\x89PNG\r\n\x1a\n"
 """How a picture's file begins."""

@@ -24,7 +24,7 @@ from nvsf_core.metrics import lpips
 from nvsf_core.recipe import preset
 from nvsf_core.rendering.warping import sample
 from nvsf_core.stages import plan_run, run_scene
-from nvsf_core.stages.flow import write_demo_where_absent
+from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.checkpoints import save_tensors
 from nvsf_core.stores.scene_store import SceneStore
 from pipelines.executors import executor_from_environment

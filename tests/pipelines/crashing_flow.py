@@ -7,7 +7,7 @@ import sys
 import dagster as dg
 
 from nvsf_core.metrics.table import COLUMNS
-from nvsf_core.stages.stage import Stage, StageOutput
+from nvsf_core.stages.runner.stage import Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
 from pipelines.train_all import make_train_all_scenes
 

@@ -5,7 +5,7 @@ import pytest
 
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import COLUMNS
-from nvsf_core.stages.stage import Check, Stage, StageOutput
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
 from pipelines.train_all import make_train_all_scenes
 

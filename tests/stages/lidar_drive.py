@@ -8,7 +8,7 @@ from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import Recipe
 from nvsf_core.stages import plan_run, run_named_stage
-from nvsf_core.stages.flow import SceneRun
+from nvsf_core.stages.runner.run import SceneRun
 
 FRAMES = 9
 LASERS = tuple(range(0, 64, 4))

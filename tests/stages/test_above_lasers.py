@@ -19,8 +19,8 @@ from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.above_lasers import looks_above, seen_above
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.stage import Task
-from nvsf_core.stages.view_planning import asked_view
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.views.plan import asked_view
 
 FRAMES, AT = 9, 4
 SIZE = DemoSize(

@@ -20,7 +20,7 @@ from nvsf_core.stages.aligned_drive import align_drive, aligned_by, corrections_
 from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_camera import train_camera
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.stage import Task
 
 FRAMES = 6
 CAMERA = "image_00"

@@ -14,7 +14,7 @@ from nvsf_core.errors import DataError, StoreError
 from nvsf_core.recipe import preset
 from nvsf_core.simulation.draw import draw_scan, sharpen_hits
 from nvsf_core.stages.dataset import STAGE
-from nvsf_core.stages.stage import RunConfig, StageOutput, Task
+from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table

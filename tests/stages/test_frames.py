@@ -10,7 +10,7 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.recipe import preset
 from nvsf_core.stages.frames import STAGE
-from nvsf_core.stages.stage import Outcome, RunConfig, run_stage
+from nvsf_core.stages.runner.stage import Outcome, RunConfig, run_stage
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 

@@ -16,9 +16,9 @@ from nvsf_core.stages.field import load_model
 from nvsf_core.stages.paper_model import read_frames
 from nvsf_core.stages.paper_training import train_on_frames
 from nvsf_core.stages.recording import Recording, read_recording
-from nvsf_core.stages.stage import Task
-from nvsf_core.stages.view_lidar import along_recorded_rays, sweep_arrays
-from nvsf_core.stages.view_planning import held_out_view
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.views.lidar import along_recorded_rays, sweep_arrays
+from nvsf_core.stages.views.plan import held_out_view
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.scene_store import SceneStore

@@ -10,7 +10,6 @@ import torch
 
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
-from nvsf_core.stages.flow import SceneRun
 from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
 from nvsf_core.stages.residual_hits import (
     JudgedTurn,
@@ -21,7 +20,8 @@ from nvsf_core.stages.residual_hits import (
 )
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import train_pano
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.run import SceneRun
+from nvsf_core.stages.runner.stage import Task
 from tests.stages.lidar_drive import proven_drive
 
 SMOKE = preset("smoke")

@@ -16,7 +16,7 @@ from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import load_residual_model, make_fields
-from nvsf_core.stages.stage import Outcome
+from nvsf_core.stages.runner.stage import Outcome
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from tests.stages.lidar_drive import FRAMES, proven_drive
 

@@ -10,8 +10,8 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stages.scene_metrics import STAGE, TABLE_NAME
-from nvsf_core.stages.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_rows

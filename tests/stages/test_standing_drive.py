@@ -14,8 +14,8 @@ from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_model import load_residual_model
-from nvsf_core.stages.view_lidar import copied_scans
-from nvsf_core.stages.view_planning import held_out_view
+from nvsf_core.stages.views.lidar import copied_scans
+from nvsf_core.stages.views.plan import held_out_view
 from tests.stages.lidar_drive import FRAMES, proven_drive
 
 HELD_OUT = (2, 4, 6)

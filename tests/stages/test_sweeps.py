@@ -14,8 +14,8 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import frames, pano, sweeps
 from nvsf_core.stages.evidence import read_sweeps
-from nvsf_core.stages.flow import run_scene
-from nvsf_core.stages.stage import RunConfig, Task
+from nvsf_core.stages.runner.run import run_scene
+from nvsf_core.stages.runner.stage import RunConfig, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows

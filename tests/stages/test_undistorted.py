@@ -9,7 +9,7 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import NvsfError
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.stages.stage import RunConfig, StageOutput, Task
+from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stages.undistorted import STAGE
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore

@@ -1,4 +1,4 @@
-"""Compile all kernels ahead: ``python -m nvsf_core.stages.compile_kernels``, the end of ``make install``.
+"""Compile all kernels ahead, as the end of ``make install`` does: ``python -m`` this module.
 
 Numba compiles a kernel when it is first called and keeps the result beside its source. All of them take
 most of a minute, which the first drive of a new installation would wait for; and that a drive passes
@@ -14,9 +14,9 @@ import numpy as np
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import preset
-from nvsf_core.stages.flow import plan_run, run_named_stage
 from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.residual_hits import recorded_turns
+from nvsf_core.stages.runner.run import plan_run, run_named_stage
 
 _STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
 """They call every kernel; later stages render with the same ones."""

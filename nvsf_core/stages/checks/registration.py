@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.clouds.registration import LEAST_ACROSS, Registration, register
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.evidence.scan_fit import scan_misfits
-from nvsf_core.stages.stage import Check, Law, Task
+from nvsf_core.stages.runner.stage import Check, Law, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 MOST_SHIFT_M = 0.15

@@ -13,10 +13,10 @@ from nvsf_core.errors import StoreError
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import HDL_64E, sensor_table
 from nvsf_core.simulation.view_plan import mount_pose
-from nvsf_core.stages.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
-from nvsf_core.stages.flow import SceneRun, plan_run, run_named_stage
-from nvsf_core.stages.metric_ledger import Ledger
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.run import SceneRun, plan_run, run_named_stage
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.scoring.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
+from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 
 LASERS = np.arange(0, 64, 8)

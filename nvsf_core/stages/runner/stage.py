@@ -13,7 +13,7 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import CheckFailedError, DataError, StoreError
 from nvsf_core.names import name_fault
 from nvsf_core.recipe import Recipe, require_seed
-from nvsf_core.stages.stage_record import RECORD_NAME, damage_of, listed_files, read_record
+from nvsf_core.stages.runner.record import RECORD_NAME, damage_of, listed_files, read_record
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.scene_store import SceneStore
 

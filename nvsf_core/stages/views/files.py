@@ -9,8 +9,8 @@ import numpy as np
 from nvsf_core.drives.kitti360.writer import write_image, write_scan
 from nvsf_core.reporting.previews import image_preview, range_preview
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
-from nvsf_core.stages.stage import Check, StageOutput, Task
-from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 
 

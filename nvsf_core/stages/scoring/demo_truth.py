@@ -32,9 +32,9 @@ from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.view_plan import mount_pose
-from nvsf_core.stages.lidar_metrics import part
-from nvsf_core.stages.metric_ledger import Ledger
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.scoring.lidar import part
+from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from nvsf_core.errors import StoreError
 from nvsf_core.recipe import TrainingSpec
-from nvsf_core.stages.divergence import diverging, owner
-from nvsf_core.stages.stage import Scalar, Task
+from nvsf_core.stages.runner.divergence import diverging, owner
+from nvsf_core.stages.runner.stage import Scalar, Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.training.loop import Save, Step, TrainingState, train
 

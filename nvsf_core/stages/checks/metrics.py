@@ -8,8 +8,7 @@ import numpy as np
 
 from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
 from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
-from nvsf_core.stages.stage import Check, Law, Task
-from nvsf_core.stages.training_norms import (
+from nvsf_core.stages.checks.norms import (
     NO_NORMS,
     RATE_LIMIT,
     SPREAD_LIMIT,
@@ -17,6 +16,7 @@ from nvsf_core.stages.training_norms import (
     judge_likeness,
     read_norms,
 )
+from nvsf_core.stages.runner.stage import Check, Law, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.table import HELD_OUT, UNITS, mean_rows, summary_table
-from nvsf_core.stages.metrics_check import DEFINED
-from nvsf_core.stages.stage import Check, Scalar, StageOutput
+from nvsf_core.stages.checks.metrics import DEFINED
+from nvsf_core.stages.runner.stage import Check, Scalar, StageOutput
 
 _HEADLINES = {
     (HELD_OUT, "all"): (

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from nvsf_core.stages.heartbeat import Heartbeat
+from nvsf_core.stages.runner.heartbeat import Heartbeat
 
 
 def test_silence_is_broken_again_and_again():

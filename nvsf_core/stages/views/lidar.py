@@ -18,7 +18,7 @@ from nvsf_core.simulation.sweep_simulation import (
 )
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.recording import LidarRecording
-from nvsf_core.stages.stage import Task
+from nvsf_core.stages.runner.stage import Task
 
 
 def sweep_arrays(

@@ -12,8 +12,8 @@ from assets.factory import CHECK_NAME, asset_of
 from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
-from nvsf_core.stages.stage import Check, Law, Stage, StageOutput, UnsoundOutputError
-from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.stage import Check, Law, Stage, StageOutput, UnsoundOutputError
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table

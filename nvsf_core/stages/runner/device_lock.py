@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stages.stage import Progress
+from nvsf_core.stages.runner.stage import Progress
 
 _POLL_S = 0.2
 _SAY_EVERY_S = 5.0

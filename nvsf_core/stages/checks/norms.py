@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from nvsf_core.metrics.scan_norms import ScanNorms, scan_norms
-from nvsf_core.stages.stage import Check, Law
+from nvsf_core.stages.runner.stage import Check, Law
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows

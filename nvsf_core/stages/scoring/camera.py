@@ -16,9 +16,9 @@ from nvsf_core.metrics.foreground import image_regions, masked_image_regions
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure, absent
-from nvsf_core.stages.lidar_metrics import RecordedScans
-from nvsf_core.stages.metric_ledger import Ledger
-from nvsf_core.stages.moving_boxes import MovingBoxes
+from nvsf_core.stages.scoring.lidar import RecordedScans
+from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
+from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _NO_LIDAR = absent("this drive has no LiDAR to compare camera depth with")

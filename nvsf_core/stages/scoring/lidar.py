@@ -14,8 +14,8 @@ from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d, project_scan, raw
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.stages.metric_ledger import Ledger
-from nvsf_core.stages.moving_boxes import MovingBoxes
+from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
+from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import read_arrays, read_attrs, read_part
 
 _RECORDED = ("frame", "offsets", "points_m", "intensity", "laser", "range_m")

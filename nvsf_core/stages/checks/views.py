@@ -10,8 +10,7 @@ import numpy as np
 from nvsf_core.metrics.scan_norms import ScanNorms
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.tables import sensor_table
-from nvsf_core.stages.stage import Check, Law, Task
-from nvsf_core.stages.training_norms import (
+from nvsf_core.stages.checks.norms import (
     LEVER,
     NO_NORMS,
     RATE_LIMIT,
@@ -20,6 +19,7 @@ from nvsf_core.stages.training_norms import (
     judge_likeness,
     read_norms,
 )
+from nvsf_core.stages.runner.stage import Check, Law, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 FINITE = Law(

@@ -9,8 +9,8 @@ from nvsf_core.simulation.copying import nearest_earlier
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.recording import Recording
-from nvsf_core.stages.stage import Task
-from nvsf_core.stages.view_planning import reference_poses, to_world
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.views.plan import reference_poses, to_world
 
 
 def image_arrays(

@@ -14,10 +14,7 @@ from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import plan_sweeps, plan_view
-from nvsf_core.stages.evidence import Sweeps
-from nvsf_core.stages.recording import Recording
-from nvsf_core.stages.stage import Check, Law
-from nvsf_core.stages.training_norms import (
+from nvsf_core.stages.checks.norms import (
     LEVER,
     NO_NORMS,
     RATE_LIMIT,
@@ -25,6 +22,9 @@ from nvsf_core.stages.training_norms import (
     judge_likeness,
     norms_of,
 )
+from nvsf_core.stages.evidence import Sweeps
+from nvsf_core.stages.recording import Recording
+from nvsf_core.stages.runner.stage import Check, Law
 
 WEIGHTS = Law(
     name="weights_are_finite",

@@ -17,10 +17,10 @@ from nvsf_core.drives.catalogue import (
 )
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
-from nvsf_core.stages.heartbeat import Heartbeat
-from nvsf_core.stages.lease import device_lease
-from nvsf_core.stages.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
-from nvsf_core.stages.stage_record import read_record
+from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.heartbeat import Heartbeat
+from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
 DEMO_SCENE = "demo"

@@ -14,8 +14,8 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError, RecipeError, StoreError
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
-from nvsf_core.stages.lease import device_lease
-from nvsf_core.stages.stage import Stage, StageOutput
+from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.stage import Stage, StageOutput
 
 WITHOUT_DAGSTER = """
 import json, sys
@@ -28,7 +28,7 @@ print(json.dumps([[outcome.stage, outcome.skipped, outcome.path.is_dir()] for ou
 LEASE_HOLDER = """
 import sys, time
 from pathlib import Path
-from nvsf_core.stages.lease import device_lease
+from nvsf_core.stages.runner.device_lock import device_lease
 with device_lease(Path(sys.argv[1]), print):
     Path(sys.argv[1], "held").write_text("")
     time.sleep(60)

@@ -5,7 +5,7 @@ from importlib import import_module
 from pathlib import Path
 
 from nvsf_core import kernels
-from nvsf_core.stages.compile_kernels import compile_kernels
+from nvsf_core.stages.runner.compile_kernels import compile_kernels
 
 
 def _kept() -> dict[str, Path]:

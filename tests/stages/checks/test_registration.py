@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.errors import MissingLibraryError
-from nvsf_core.stages.registration_check import registration_check
+from nvsf_core.stages.checks.registration import registration_check
 
 _OPEN3D_LIBRARIES = ("libEGL.so.1", "libGL.so.1", "libX11.so.6")
 _SLIM_RUN = """
@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from tests.stages.test_registration_check import street
 from nvsf_core.stages import run_scene
-from nvsf_core.stages.registration_check import registration_check
+from nvsf_core.stages.checks.registration import registration_check
 print(registration_check(street(0.0)).detail)
 outcomes = run_scene("tiny", Path(sys.argv[1]), recipe="smoke", progress=lambda line: None)
 print(len(outcomes), "stages")

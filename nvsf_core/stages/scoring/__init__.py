@@ -1,0 +1,1 @@
+"""Rendered views against what was recorded, as rows of metrics."""
