@@ -11,8 +11,8 @@ from nvsf_core.metrics.foreground import lidar4d_regions
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, Scan, lidar4d, project_scan
+from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.training.paper_frames import PaperFrames

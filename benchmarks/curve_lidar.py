@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.answered_turn import AnsweredTurn
@@ -14,7 +15,6 @@ from nvsf_core.simulation.scan import put_back_own_vehicle
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.stages.views.lidar import answers_along
 
 SHARE = 4

@@ -25,11 +25,12 @@ from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size, probe, time
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.field import train_model
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.paper_model import load_paper_model
-from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_camera import LEARNED
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD

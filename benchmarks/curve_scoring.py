@@ -17,17 +17,17 @@ from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.metrics.protocols import MAX_RANGE_M, PanoImage, lidar4d, project_scan
 from nvsf_core.metrics.range import ray_range_metrics
 from nvsf_core.recipe import EvidenceSpec, PaperRecipe, Recipe, ResidualRecipe
+from nvsf_core.recording.drive import Recording
+from nvsf_core.recording.images import CameraImages
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.warping import shrunk
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.views.camera import copied_images
 from nvsf_core.stages.views.lidar import copied_scans, warm_up
 from nvsf_core.stages.views.plan import View, held_out_view, reference_poses
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore
-from nvsf_core.training.pixels import CameraImages
 
 LIDAR_METRICS = ("chamfer_m2", "f_score", "range_psnr_db", "hit_accuracy")
 """Of the protocol `lidar4d_scan`, on the chosen columns."""

@@ -27,7 +27,7 @@ from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
-from nvsf_core.stages.evidence import read_sweeps
+from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import (
     find_scene,

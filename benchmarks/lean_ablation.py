@@ -29,11 +29,12 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ResidualRecipe, preset
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages.capacity import needed_field
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.lidar_training_rays import training_rays
-from nvsf_core.stages.recording import LidarRecording, read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, run_named_stage, say_on_stderr

@@ -21,7 +21,8 @@ from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.static.ground import build_ground
 from nvsf_core.geometry.boxes import inside_any
-from nvsf_core.stages.evidence import Sweeps, read_sweeps, training_returns
+from nvsf_core.recording.sweeps import Sweeps, training_returns
+from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 

@@ -29,8 +29,9 @@ from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXE
 from nvsf_core.evidence.static.ground import build_ground
 from nvsf_core.evidence.static.planes import PLANE_POINTS
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.recording.sweeps import training_returns
 from nvsf_core.rendering.reproject import reproject_rays
-from nvsf_core.stages.evidence import read_evidence, read_sweeps, training_returns
+from nvsf_core.stages.inputs import read_evidence, read_sweeps
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 

@@ -19,8 +19,9 @@ from benchmarks.voxel_walk_table import WALK_RESULTS
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
 from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
-from nvsf_core.stages.evidence import Sweeps, read_evidence, read_sweeps
+from nvsf_core.stages.inputs import read_evidence, read_sweeps
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 

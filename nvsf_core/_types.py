@@ -1,9 +1,8 @@
-"""Shapes as types: aliases used in signatures; checked at run time in tests only."""
+"""Types that many folders share."""
 
-import numpy as np
-from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from collections.abc import Callable
 
-__all__ = ["Array", "Bool", "Float", "Int", "Tensor"]
-
-Array = np.ndarray
+Scalar = float | int | str | bool
+"""One figure of a table, its unit in the key that it stands under."""
+Say = Callable[[str], None]
+"""Takes one line a time for the person who waits."""

@@ -17,7 +17,7 @@ from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
-from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.runner.record import damage_of, read_record
 from nvsf_core.stores.arrays import read_arrays, read_attrs

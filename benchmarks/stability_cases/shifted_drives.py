@@ -23,7 +23,7 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage
-from nvsf_core.stages.evidence import read_evidence
+from nvsf_core.stages.inputs import read_evidence
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows

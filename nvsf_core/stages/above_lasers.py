@@ -5,11 +5,11 @@ import numpy as np
 from nvsf_core.evidence.images.image_surfels import DepthRays, image_surfels
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.image_depth import image_depth
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.sweep_simulation import highest_rad, image_renderer
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.recording import LidarRecording, Recording
 from nvsf_core.stages.reprojection import depth_points
 from nvsf_core.stages.runner.stage import Task
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.image_alignment import PoseCorrection, align_images
 from nvsf_core.stages.moving_things import MovingWorld
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import SAME_INSTANT_S
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.catalogue import ViewEntry
@@ -25,7 +26,7 @@ from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan
 from nvsf_core.stages.runner.record import read_record
-from nvsf_core.stages.runner.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 

@@ -1,10 +1,9 @@
 """Stage `evidence`: what the training sweeps prove about the scene."""
 
-from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.moving.detection import find_moving
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
@@ -16,89 +15,16 @@ from nvsf_core.evidence.raydrop.stationary_scans import AtRest, keep_scans, scan
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.evidence.static.unobserved import unknown_beside
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.tables import LaserTable, sensor_table
+from nvsf_core.recording.sweeps import Sweeps, training_returns
 from nvsf_core.stages.flow_choice import choose_flow
+from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.profile import scene_profile
-from nvsf_core.stages.runner.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
-from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
-from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.tables import read_rows, write_table
 
 _THREADS = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Sweeps:
-    """The stage `sweeps`, read into memory, with each scan's split."""
-
-    arrays: dict[str, np.ndarray]
-    is_training: np.ndarray
-    """(n,) bool."""
-    trajectory: Trajectory
-    """All recorded poses, held-out frames' too: a pose is what a view is asked for by."""
-    period_s: float
-    """Seconds over which a turn's rays are spread; 0 where the scene is not ego-motion compensated."""
-    table: LaserTable
-    elevation_correction_rad: float
-    """How far rays were turned up on their way into the world."""
-    scene_origin_m: np.ndarray
-
-    def returns_of(self, scan: int) -> slice:
-        """Where a scan's returns lie in the flat arrays."""
-        return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
-
-    def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
-        """(m,) float32 intensity of chosen returns as an average laser would have recorded it."""
-        laser = self.arrays["laser"][chosen]
-        gain = np.where(laser >= 0, self.table.intensity_gain[laser], 1.0)
-        return (self.arrays["intensity"][chosen] / gain).astype(np.float32)
-
-    @property
-    def count(self) -> int:
-        """Number of scans."""
-        return len(self.arrays["frame"])
-
-
-def read_sweeps(store: SceneStore) -> Sweeps | None:
-    """Read the stage `sweeps`; None for a drive without LiDAR."""
-    folder = store.require("sweeps") / "returns.zarr"
-    arrays, attrs = read_arrays(folder), read_attrs(folder)
-    if len(arrays["frame"]) == 0:
-        return None
-    rows = read_rows(store.require("frames") / "frames.parquet")
-    training = {row["frame"] for row in rows if row["split"] == "train"}
-    table = replace(
-        sensor_table(attrs["sensor"]),
-        range_bias_m=arrays["laser_range_bias_m"],
-        intensity_gain=arrays["laser_intensity_gain"],
-    )
-    return Sweeps(
-        arrays=arrays,
-        is_training=np.isin(arrays["frame"], list(training)),
-        trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
-        period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
-        table=table,
-        elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
-        scene_origin_m=np.array(attrs["scene_origin_m"]),
-    )
-
-
-def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
-    """Where the drive's LiDAR frame was, from all rows of `frames.parquet` with a pose."""
-    posed = [row for row in rows if row["pose_valid"]]
-    return Trajectory(
-        np.array([row["time_s"] for row in posed]),
-        np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
-        scene_origin_m,
-    )
-
-
-def read_evidence(store: SceneStore) -> SceneEvidence | None:
-    """Read the stage `evidence`; None for a drive without LiDAR."""
-    arrays = read_arrays(store.require("evidence") / "evidence.zarr")
-    return SceneEvidence.from_arrays(arrays) if arrays else None
 
 
 def _run(task: Task) -> StageOutput:
@@ -218,26 +144,6 @@ def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> 
     )  # fmt: skip
     laser, range_m = a["laser"][of_training], a["range_m"][of_training]
     return keep_scans(scans, prior, cells, laser, range_m, a["intensity"][of_training])
-
-
-def training_returns(sweeps: Sweeps) -> TimedReturns:
-    """The training scans' returns, own vehicle included, as motion is read from them."""
-    a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
-    kept = np.repeat(sweeps.is_training, lengths)
-    lag_s = a["sweep_fraction"][kept].astype(np.float64) * sweeps.period_s
-    return TimedReturns(
-        point_m=a["origin_m"][kept] + a["direction"][kept] * a["range_m"][kept, None],
-        recorded_m=a["points_m"][kept],
-        laser=a["laser"][kept],
-        is_own_vehicle=a["is_own_vehicle"][kept],
-        time_s=np.repeat(a["time_s"], lengths)[kept] + lag_s,
-        offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
-        scan_time_s=a["time_s"][sweeps.is_training],
-        trajectory=sweeps.trajectory,
-        period_s=sweeps.period_s,
-        table=sweeps.table,
-        elevation_correction_rad=sweeps.elevation_correction_rad,
-    )
 
 
 def _prove_motion(

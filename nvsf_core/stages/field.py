@@ -8,19 +8,21 @@ import resource
 from dataclasses import replace
 from pathlib import Path
 
+from nvsf_core._types import Scalar
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import PaperRecipe, ResidualRecipe
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.checks.field import LAWS, check_loss, check_rendering, check_weights
 from nvsf_core.stages.field_profile import field_profile
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.paper_model import load_paper_model
 from nvsf_core.stages.paper_training import train_paper
-from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.residual_training import train_residual
 from nvsf_core.stages.runner.checkpoints import Trained
 from nvsf_core.stages.runner.divergence import go_on
-from nvsf_core.stages.runner.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.checkpoints import save_tensors
 from nvsf_core.stores.tables import write_table
 

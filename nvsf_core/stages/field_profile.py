@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.recipe import Recipe, ResidualRecipe
+from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.stages.profile import motion_in_words
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_model import make_fields
-from nvsf_core.stages.runner.stage import Scalar
 from nvsf_core.stages.training_cost import FITTED_ON, expected_memory_mb, expected_seconds
 
 _SAMPLED_RAYS = 4096

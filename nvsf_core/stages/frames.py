@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.drives.kitti360.validation import Drive, read_drive
 from nvsf_core.reporting.previews import path_preview
-from nvsf_core.stages.runner.stage import Check, Progress, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Progress, Stage, StageOutput, Task
 from nvsf_core.stores.tables import write_rows
 
 FRAME_COLUMNS = (

@@ -9,8 +9,8 @@ from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.reproject import NEAR_M
-from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.training.lidar_rays import LidarRays, dropped_rays, join_rays
 
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from nvsf_core.clouds.mesh import MeshRays, mesh_rays
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.answers import RayAnswers, RenderedImage
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
 from nvsf_core.stages.mesh import read_mesh
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stores.scene_store import SceneStore
 
 

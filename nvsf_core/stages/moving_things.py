@@ -5,9 +5,10 @@ import numpy as np
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.geometry.se3 import transform_points
+from nvsf_core.recording.drive import Recording
+from nvsf_core.recording.images import CameraRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.camera_view import MovingThing, moving_pixels
-from nvsf_core.stages.evidence import Sweeps
-from nvsf_core.stages.recording import CameraRecording, Recording
 from nvsf_core.stages.reprojection import depth_scans, returns_of_scan
 
 _MARGIN_M = 0.1

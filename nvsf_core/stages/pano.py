@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.reporting.previews import range_preview
 from nvsf_core.sensors.beam_table import BeamPano
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable, sensor_table
-from nvsf_core.stages.runner.stage import Check, Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 ARRAYS_NAME = "pano.zarr"

@@ -14,9 +14,10 @@ from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.depth import lidar_depth_images
 from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.recording.images import CameraRecording
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.recording import CameraRecording, LidarRecording, Recording
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_into, load_tensors
 from nvsf_core.stores.documents import read_document

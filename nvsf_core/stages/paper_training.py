@@ -9,15 +9,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nvsf_core._types import Scalar
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.stages.paper_model import device, frame_at, needed, read_frames
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.runner.checkpoints import Trained, fit, resume, saving
 from nvsf_core.stages.runner.divergence import diverging
-from nvsf_core.stages.runner.stage import Scalar, Task
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Step, TrainingState
 from nvsf_core.training.paper_frames import Panos, PaperFrames

@@ -10,10 +10,12 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from nvsf_core._types import Scalar
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.camera_view import (
     CameraView,
@@ -30,10 +32,9 @@ from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.stages.aligned_drive import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.stages.moving_things import MovingWorld
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
 from nvsf_core.stages.runner.checkpoints import fit
-from nvsf_core.stages.runner.stage import Scalar, Task
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.camera_step import camera_step, depth_step
 from nvsf_core.training.left_out import LeftOut
 from nvsf_core.training.loop import TrainingState, make_optimiser

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from nvsf_core._types import Scalar
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.hit_blend import HitBlend, fit_blend, nats
 from nvsf_core.simulation.lidar_rays import SweepRays
@@ -22,9 +24,8 @@ from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.lidar_training_rays import learned_scans
-from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.stages.runner.checkpoints import fit
-from nvsf_core.stages.runner.stage import Scalar, Task
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 

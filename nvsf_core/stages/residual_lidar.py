@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.fields.lidar_field import LidarField
@@ -13,14 +14,13 @@ from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.answered_turn import AnsweredTurn
 from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.recording import LidarRecording
-from nvsf_core.stages.runner.stage import Scalar
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on left-out scans."""

@@ -11,13 +11,13 @@ from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.pano_correction import pano_network
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.simulation.turn_hits import hits_network
 from nvsf_core.stages.aligned_drive import corrections_from
 from nvsf_core.stages.capacity import needed_field
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.reprojection import carrying_renderer, unknown_renderer
 from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, camera_renderer
 from nvsf_core.stages.residual_hits import HITS_BLEND, turn_hits

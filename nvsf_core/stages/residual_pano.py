@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from nvsf_core._types import Scalar
 from nvsf_core.errors import RecipeError
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.fields.cell_network import CellNetwork
@@ -17,6 +18,7 @@ from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.intensity import intensity_image_metrics
 from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.recipe import PanoSpec, ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.pano_correction import (
     PARTS,
@@ -32,9 +34,8 @@ from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, TurnCorrector
 from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.stages.runner.checkpoints import fit
-from nvsf_core.stages.runner.stage import Scalar, Task
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import torch
 
+from nvsf_core._types import Scalar
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
+from nvsf_core.recording.drive import Recording
 from nvsf_core.stages.lidar_training_rays import training_rays
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, train_camera
 from nvsf_core.stages.residual_hits import HITS_BLEND, train_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import CORRECTED, train_pano
 from nvsf_core.stages.runner.checkpoints import Trained, fit
-from nvsf_core.stages.runner.stage import Scalar, Task
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.lidar_step import lidar_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
 

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from nvsf_core._types import Scalar
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.stages.checks.metrics import LAWS, TABLE_NAME, check_metrics
 from nvsf_core.stages.runner.host import machine
-from nvsf_core.stages.runner.stage import Scalar, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
 from nvsf_core.stages.scoring.demo_truth import measure_demo_view, read_demo_truth
 from nvsf_core.stages.scoring.lidar import (

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.training.pixels import CameraImages
+from nvsf_core.recording.images import CameraImages
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,8 +13,8 @@ from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, run_named_stage
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.paper_model import read_frames
-from nvsf_core.stages.recording import read_recording
 from nvsf_core.stages.runner.run import plan_run
 from nvsf_core.stages.scoring.moving_boxes import read_moving_boxes
 

@@ -13,9 +13,10 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.losses.depth import depth_loss
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.stages import run_named_stage
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.lidar_training_rays import training_rays
-from nvsf_core.stages.recording import LidarRecording, read_recording
 from nvsf_core.stages.runner.run import plan_run
 from nvsf_core.training.lidar_rays import LidarRays
 from nvsf_core.training.lidar_step import lidar_step

@@ -22,7 +22,7 @@ from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
-from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.device_lock import device_lease
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stores.arrays import read_arrays, write_arrays

@@ -11,13 +11,13 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.lidar import answer_rays
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer
-from nvsf_core.stages.evidence import Sweeps
-from nvsf_core.stages.recording import LidarRecording
 
 
 def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:

@@ -11,13 +11,14 @@ from nvsf_core.demo.lidar import exact_answers
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.recipe import preset
+from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.beam_table import firing_grid
 from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.above_lasers import looks_above, seen_above
-from nvsf_core.stages.recording import Recording, read_recording
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.plan import asked_view

@@ -14,11 +14,12 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
 from nvsf_core.recipe import preset
+from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.image_alignment import align_images
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.aligned_drive import align_drive, aligned_by, corrections_from, facts_of
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.moving_things import MovingWorld
-from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_camera import train_camera
 from nvsf_core.stages.runner.stage import Task
 

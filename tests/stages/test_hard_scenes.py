@@ -17,7 +17,7 @@ from nvsf_core.errors import DataError, DivergedError, MissingLibraryError
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import Outcome, mesh, plan_run, run_named_stage, scene_metrics
-from nvsf_core.stages.evidence import read_evidence
+from nvsf_core.stages.inputs import read_evidence
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 from nvsf_core.training import lidar_step as steps

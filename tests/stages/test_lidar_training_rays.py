@@ -15,11 +15,11 @@ from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec, ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.stages.evidence import Sweeps
 from nvsf_core.stages.lidar_training_rays import learned_scans, training_rays
-from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.training.lidar_rays import LidarRays
 
 WALL_M, PLATE_M = 12.03, 8.02

@@ -10,12 +10,13 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import AuthorsSlips, PaperLosses, PaperRecipe, Recipe, preset
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import plan_run, run_named_stage, run_scene
 from nvsf_core.stages.field import load_model
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.paper_model import read_frames
 from nvsf_core.stages.paper_training import train_on_frames
-from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.lidar import along_recorded_rays, sweep_arrays
 from nvsf_core.stages.views.plan import held_out_view

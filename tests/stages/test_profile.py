@@ -14,12 +14,13 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
 from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.field_profile import field_profile
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.profile import point_spacing_m
-from nvsf_core.stages.recording import Recording, read_recording
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.training_cost import expected_memory_mb, expected_seconds
 from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M

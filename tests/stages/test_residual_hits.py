@@ -10,7 +10,8 @@ import torch
 
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
-from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
+from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.residual_hits import (
     JudgedTurn,
     TrainedHits,

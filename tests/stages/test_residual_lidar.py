@@ -9,10 +9,11 @@ import pytest
 
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import run_named_stage
-from nvsf_core.stages.recording import LidarRecording, Recording, read_recording
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import load_residual_model, make_fields

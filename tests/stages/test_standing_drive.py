@@ -11,7 +11,7 @@ from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages import run_named_stage
-from nvsf_core.stages.recording import read_recording
+from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.views.lidar import copied_scans

@@ -13,7 +13,7 @@ from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import frames, pano, sweeps
-from nvsf_core.stages.evidence import read_sweeps
+from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.run import run_scene
 from nvsf_core.stages.runner.stage import RunConfig, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
+from nvsf_core.recording.drive import Recording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import SceneModel
@@ -22,8 +24,6 @@ from nvsf_core.stages.checks.norms import (
     judge_likeness,
     norms_of,
 )
-from nvsf_core.stages.evidence import Sweeps
-from nvsf_core.stages.recording import Recording
 from nvsf_core.stages.runner.stage import Check, Law
 
 WEIGHTS = Law(

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from torch import Tensor
 
+from nvsf_core._types import Scalar
 from nvsf_core.errors import StoreError
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.stages.runner.divergence import diverging, owner
-from nvsf_core.stages.runner.stage import Scalar, Task
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.training.loop import Save, Step, TrainingState, train
 

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from nvsf_core._types import Scalar
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import CheckFailedError, DataError, StoreError
 from nvsf_core.names import name_fault
@@ -19,7 +20,6 @@ from nvsf_core.stores.scene_store import SceneStore
 
 NOT_RUN = "not run"
 """How the detail of a check begins that had nothing to judge."""
-Scalar = float | int | str | bool
 _MOST_FILES = 500_000
 """Of one sequence: KITTI-360's longest has 15,000 frames of five sensors."""
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.table import HELD_OUT, UNITS, mean_rows, summary_table
 from nvsf_core.stages.checks.metrics import DEFINED
-from nvsf_core.stages.runner.stage import Check, Scalar, StageOutput
+from nvsf_core.stages.runner.stage import Check, StageOutput
 
 _HEADLINES = {
     (HELD_OUT, "all"): (

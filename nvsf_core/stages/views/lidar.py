@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
@@ -17,7 +18,6 @@ from nvsf_core.simulation.sweep_simulation import (
     simulate_sweep,
 )
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.recording import LidarRecording
 from nvsf_core.stages.runner.stage import Task
 
 

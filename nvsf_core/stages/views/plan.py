@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.drives.catalogue import ViewEntry
+from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
-from nvsf_core.stages.recording import Recording
 
 TEST = "test"
 """The view of the held-out frames."""

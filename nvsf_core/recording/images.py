@@ -1,4 +1,4 @@
-"""The images that are trained on."""
+"""A camera of a drive: its training images, where and when they were taken, and how it is mounted."""
 
 from dataclasses import dataclass
 
@@ -25,3 +25,17 @@ class CameraImages:
         mask = np.zeros(self.pinhole.height * self.pinhole.width, np.bool_)
         mask[self.pixel] = True
         return mask.reshape(self.pinhole.height, self.pinhole.width)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraRecording:
+    """One camera of the drive."""
+
+    training: CameraImages
+    """At least one image."""
+    training_time_s: np.ndarray
+    """(n,) of the training images."""
+    recorded_frame: np.ndarray
+    """(m,) frame numbers with an image, held-out ones included."""
+    in_lidar: np.ndarray
+    """(4, 4) camera to the drive's LiDAR frame: the mounting."""

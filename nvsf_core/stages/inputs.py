@@ -1,77 +1,62 @@
-"""What training and rendering read of a recorded drive: scans with their evidence, images, and all poses."""
+"""What earlier stages published, read back as the drive that models are trained on."""
 
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.moving.object_votes import ObjectVotes
-from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.recording.images import CameraImages, CameraRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.stages.evidence import Sweeps, read_evidence, read_sweeps, trajectory_of
+from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
-from nvsf_core.training.pixels import CameraImages
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LidarRecording:
-    """The scans, and what the training ones prove."""
-
-    sweeps: Sweeps
-    evidence: SceneEvidence
-
-    @property
-    def far_m(self) -> float:
-        """How far a simulated ray is followed."""
-        return float(self.sweeps.table.max_range_m)
-
-    @property
-    def object_votes(self) -> ObjectVotes:
-        """Tells how often the scans saw a place on a moving object return."""
-        sweeps, evidence = self.sweeps, self.evidence
-        return ObjectVotes(
-            evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
-        )
-
-    def moving(self) -> NearObjects | None:
-        """What moves, ready to be asked for about any time; None where nothing does."""
-        dynamic = self.evidence.dynamic
-        return None if dynamic is None else NearObjects(dynamic.objects, self.object_votes)
+def read_sweeps(store: SceneStore) -> Sweeps | None:
+    """Read the stage `sweeps`; None for a drive without LiDAR."""
+    folder = store.require("sweeps") / "returns.zarr"
+    arrays, attrs = read_arrays(folder), read_attrs(folder)
+    if len(arrays["frame"]) == 0:
+        return None
+    rows = read_rows(store.require("frames") / "frames.parquet")
+    training = {row["frame"] for row in rows if row["split"] == "train"}
+    table = replace(
+        sensor_table(attrs["sensor"]),
+        range_bias_m=arrays["laser_range_bias_m"],
+        intensity_gain=arrays["laser_intensity_gain"],
+    )
+    return Sweeps(
+        arrays=arrays,
+        is_training=np.isin(arrays["frame"], list(training)),
+        trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
+        period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
+        table=table,
+        elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
+        scene_origin_m=np.array(attrs["scene_origin_m"]),
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CameraRecording:
-    """One camera of the drive."""
-
-    training: CameraImages
-    """At least one image."""
-    training_time_s: np.ndarray
-    """(n,) of the training images."""
-    recorded_frame: np.ndarray
-    """(m,) frame numbers with an image, held-out ones included."""
-    in_lidar: np.ndarray
-    """(4, 4) camera to the drive's LiDAR frame: the mounting."""
+def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
+    """Where the drive's LiDAR frame was, from all rows of `frames.parquet` with a pose."""
+    posed = [row for row in rows if row["pose_valid"]]
+    return Trajectory(
+        np.array([row["time_s"] for row in posed]),
+        np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
+        scene_origin_m,
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Recording:
-    """A drive with LiDAR, cameras, or both; everything scene-local but for `scene_origin_m`."""
-
-    lidar: LidarRecording | None
-    cameras: dict[str, CameraRecording]
-    trajectory: Trajectory
-    """Of the LiDAR's frame, which a camera-only drive has by its calibration or as the pose frame."""
-    scene_origin_m: np.ndarray
-    """(3,) float64, in the world."""
-    posed_frame: np.ndarray
-    """(p,) int64 ascending: frames with a pose, recorded by whatever sensor."""
-    posed_time_s: np.ndarray
-    """(p,) float64."""
+def read_evidence(store: SceneStore) -> SceneEvidence | None:
+    """Read the stage `evidence`; None for a drive without LiDAR."""
+    arrays = read_arrays(store.require("evidence") / "evidence.zarr")
+    return SceneEvidence.from_arrays(arrays) if arrays else None
 
 
 def read_recording(store: SceneStore) -> Recording:

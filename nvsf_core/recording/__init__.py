@@ -1,0 +1,1 @@
+"""A recorded drive as models read it; no reader."""

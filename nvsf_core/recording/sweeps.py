@@ -1,0 +1,61 @@
+"""All scans of a drive in memory: every return as a ray, and which scans are trained on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import LaserTable
+
+
+@dataclass(frozen=True, slots=True)
+class Sweeps:
+    """All scans of a drive as the stage `sweeps` publishes them, with each scan's split."""
+
+    arrays: dict[str, np.ndarray]
+    is_training: np.ndarray
+    """(n,) bool."""
+    trajectory: Trajectory
+    """All recorded poses, held-out frames' too: a pose is what a view is asked for by."""
+    period_s: float
+    """Seconds over which a turn's rays are spread; 0 where the scene is not ego-motion compensated."""
+    table: LaserTable
+    elevation_correction_rad: float
+    """How far rays were turned up on their way into the world."""
+    scene_origin_m: np.ndarray
+
+    def returns_of(self, scan: int) -> slice:
+        """Where a scan's returns lie in the flat arrays."""
+        return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
+
+    def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
+        """(m,) float32 intensity of chosen returns as an average laser would have recorded it."""
+        laser = self.arrays["laser"][chosen]
+        gain = np.where(laser >= 0, self.table.intensity_gain[laser], 1.0)
+        return (self.arrays["intensity"][chosen] / gain).astype(np.float32)
+
+    @property
+    def count(self) -> int:
+        """Number of scans."""
+        return len(self.arrays["frame"])
+
+
+def training_returns(sweeps: Sweeps) -> TimedReturns:
+    """The training scans' returns, own vehicle included, as motion is read from them."""
+    a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
+    kept = np.repeat(sweeps.is_training, lengths)
+    lag_s = a["sweep_fraction"][kept].astype(np.float64) * sweeps.period_s
+    return TimedReturns(
+        point_m=a["origin_m"][kept] + a["direction"][kept] * a["range_m"][kept, None],
+        recorded_m=a["points_m"][kept],
+        laser=a["laser"][kept],
+        is_own_vehicle=a["is_own_vehicle"][kept],
+        time_s=np.repeat(a["time_s"], lengths)[kept] + lag_s,
+        offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
+        scan_time_s=a["time_s"][sweeps.is_training],
+        trajectory=sweeps.trajectory,
+        period_s=sweeps.period_s,
+        table=sweeps.table,
+        elevation_correction_rad=sweeps.elevation_correction_rad,
+    )
