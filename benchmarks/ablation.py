@@ -24,14 +24,15 @@ from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.models.family import Trained
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.stages import STAGES
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.paper_model import device, frame_at, frame_count, read_frames
+from nvsf_core.stages.paper_model import device, frame_at, frame_count, training_frames
 from nvsf_core.stages.paper_training import train_on_frames
-from nvsf_core.stages.runner.checkpoints import Trained
+from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.run import (
     SceneRun,
     find_scene,
@@ -86,7 +87,7 @@ def _prepare(name: str, recipe: PaperRecipe) -> Scene:
     """What every run of the scene needs."""
     run, recording = prepared_recording(name, recipe)
     # Every variant reads the cameras' images; those without camera rays leave them alone.
-    frames = read_frames(ENCODINGS[0], recording, run.store)
+    frames = training_frames(ENCODINGS[0], recording)
     return Scene(run=run, recording=recording, frames=frames, boxes=read_moving_boxes(run.store))
 
 
@@ -114,7 +115,9 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
             folder=Path(folder),
             progress=say_on_stderr,
         )
-        trained = train_on_frames(task, recipe, scene.recording, scene.frames, work)
+        trained = train_on_frames(
+            recipe, scene.recording, scene.frames, StageSession(task, work)
+        )
     model = _model(recipe, scene, trained)
     rows = rows_of(_scored(scene, model, recipe), scene.run.scene.name, recipe.name, seed)
     scene.run.store.drop_work_dir(f"ablation/{recipe.name}/{seed}")

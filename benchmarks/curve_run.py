@@ -24,18 +24,18 @@ from benchmarks.curve_sizes import NAME as PAPER_CPU
 from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size, probe, timed
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.models.family import Trained, family_of
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import STAGE_NAMES
-from nvsf_core.stages.field import train_model
+from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.paper_model import load_paper_model
+from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_camera import LEARNED
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
-from nvsf_core.stages.residual_model import load_residual_model
-from nvsf_core.stages.runner.checkpoints import Trained
+from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.device_lock import device_lease
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import read_record
@@ -156,7 +156,7 @@ def _run_baseline(setting: Setting, judge: Judge, name: str) -> tuple[dict[str, 
         assert record is not None
         facts["model_mb"] = record["metadata"].get("model_mb")
         seconds = dict.fromkeys(seconds, record["seconds"])
-        model = mesh_baseline(setting.store, judge.recording)
+        model = mesh_baseline(read_mesh(setting.store), judge.recording)
         if model is None:
             return facts | {"not_run": record["metadata"][MESH]}, []
     else:
@@ -233,7 +233,7 @@ def _train(setting: Setting, recording: Recording, recipe: Recipe, seed: int, ob
             scene=scene_run.scene, store=setting.store, config=scene_run.config, folder=work,
             progress=setting.progress, observe=observe, made_from=field_made_from(scene_run),
         )  # fmt: skip
-        return train_model(task, recording, work)
+        return family_of(recipe).train(recipe, recording, StageSession(task, work))
 
 
 def _scene_run(setting: Setting, recipe: Recipe, seed: int) -> SceneRun:
@@ -267,8 +267,7 @@ def _model(
 ) -> SceneModel:
     save_tensors(folder / "weights.safetensors", tensors, facts)
     (folder / "recipe.json").write_text(json.dumps(recipe.to_json()))
-    load = load_paper_model if isinstance(recipe, PaperRecipe) else load_residual_model
-    return load(folder, recording)
+    return load_trained(folder, recording)
 
 
 def _of_clock(model: SceneModel, clock: str) -> SceneModel:

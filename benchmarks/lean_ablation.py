@@ -124,9 +124,10 @@ def unlearned_errors(scene: Scene, name: str) -> dict[str, float]:
     if name != "mesh":
         return scene.judge.errors(reprojection(recording), thin_images=False)
     # Loads open3d, whose memory is not another run's.
+    from nvsf_core.stages.mesh import read_mesh
     from nvsf_core.stages.mesh_baseline import mesh_baseline
 
-    model = mesh_baseline(scene.store, recording)
+    model = mesh_baseline(read_mesh(scene.store), recording)
     if model is None:
         place = scene.store.path("mesh")
         raise DataError(f"{place}: expected a mesh, found none; its stage.json says why")

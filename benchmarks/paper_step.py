@@ -16,7 +16,7 @@ from benchmarks.ablation import prepared_recording
 from benchmarks.commit import commit
 from benchmarks.markers import write_between
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.stages.paper_model import device, read_frames
+from nvsf_core.stages.paper_model import device, training_frames
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.training.paper_trainee import PaperTrainee
 from nvsf_core.training.step import paper_step
@@ -29,8 +29,8 @@ DOCUMENT = _ROOT / "docs" / "paper_fidelity.md"
 def measure(scene: str, steps: int) -> dict[str, object]:
     """Train `steps` iterations after one that is not timed; nothing of it is kept."""
     recipe = PaperRecipe(name="paper")
-    run, recording = prepared_recording(scene, recipe)
-    frames = read_frames(recipe, recording, run.store)
+    _, recording = prepared_recording(scene, recipe)
+    frames = training_frames(recipe, recording)
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).to(device())
     groups = trainee.field.parameter_groups(recipe.optimiser)
     optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)

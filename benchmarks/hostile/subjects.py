@@ -17,8 +17,8 @@ from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.runner.record import damage_of, read_record
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.checkpoints import load_tensors
@@ -306,7 +306,7 @@ _READERS: dict[str, Callable[[Path], Any]] = {
 
 
 def _load_model(store: Any) -> object:
-    return load_residual_model(store.path("field/smoke/0"), read_recording(store))
+    return load_trained(store.path("field/smoke/0"), read_recording(store))
 
 
 def _is_seen(run: SceneRun, stage: Any) -> bool:

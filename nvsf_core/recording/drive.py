@@ -1,5 +1,6 @@
 """A recorded drive as models read it: scans with what they prove, images, and all poses."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from nvsf_core.evidence.moving.object_votes import ObjectVotes
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.images import CameraRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.sweeps import LinearPanos, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 
 
@@ -18,6 +19,8 @@ class LidarRecording:
 
     sweeps: Sweeps
     evidence: SceneEvidence
+    read_panos: Callable[[], LinearPanos] | None = None
+    """The scans as the paper's panos, read when first asked for; None where nobody projected them."""
 
     @property
     def far_m(self) -> float:

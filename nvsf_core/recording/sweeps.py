@@ -41,6 +41,18 @@ class Sweeps:
         return len(self.arrays["frame"])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearPanos:
+    """The scans as range images on the paper's linear grid, as the stage `pano` publishes them."""
+
+    frame: np.ndarray
+    """(n,) int64 ascending."""
+    range_m: np.ndarray
+    """(n, 66, 1030) float32, 0 = no return."""
+    intensity: np.ndarray
+    """(n, 66, 1030) float32."""
+
+
 def training_returns(sweeps: Sweeps) -> TimedReturns:
     """The training scans' returns, own vehicle included, as motion is read from them."""
     a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from nvsf_core._types import Say
 from nvsf_core.evidence.images.image_surfels import DepthRays, image_surfels
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.recipe import EvidenceSpec
@@ -11,7 +12,6 @@ from nvsf_core.simulation.scene_model import RayRenderer
 from nvsf_core.simulation.sweep_simulation import highest_rad, image_renderer
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.reprojection import depth_points
-from nvsf_core.stages.runner.stage import Task
 
 _MOST_VIEWS = 24
 """Views of a camera that are looked at; evenly spread over a longer drive."""
@@ -24,7 +24,7 @@ def looks_above(lidar: LidarRecording, plan: SweepPlan) -> bool:
     return not plan.is_recorded_sensor and float(plan.table.elevation_rad.max()) > highest
 
 
-def seen_above(task: Task, recording: Recording) -> RayRenderer | None:
+def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
     """Answers by what views half-way between training images show up there; None where they show nothing."""
     lidar = recording.lidar
     if lidar is None:
@@ -35,9 +35,7 @@ def seen_above(task: Task, recording: Recording) -> RayRenderer | None:
         halves = _half_way(recording.cameras[name].training_time_s)
         for number, instant_s in enumerate(halves.tolist()):
             views.append(_depths(recording, name, instant_s, highest))
-            task.progress(
-                f"[{task.scene.name}] novel_views: above the lasers, {name} {number + 1}/{len(halves)}"
-            )
+            say(f"above the lasers, {name} {number + 1}/{len(halves)}")
     shine = lidar.evidence.standing.intensity
     surfels = image_surfels(views, far_m=lidar.far_m, intensity=float(shine.mean()), threads=_THREADS)
     if surfels is None:

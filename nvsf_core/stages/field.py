@@ -1,29 +1,21 @@
-"""Stage `field`: the scene's model, trained on all training frames; resumes where it was killed.
-
-Here, and nowhere else, a family of recipes is chosen: how it is trained and how its model is loaded.
-"""
+"""Stage `field`: the scene's model, trained on all training frames; resumes where it was killed."""
 
 import json
 import resource
-from dataclasses import replace
 from pathlib import Path
 
 from nvsf_core._types import Scalar
-from nvsf_core.errors import RecipeError
-from nvsf_core.recipe import PaperRecipe, ResidualRecipe
+from nvsf_core.models.family import Trained, family_of
+from nvsf_core.recipe import recipe_from_json
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.checks.field import LAWS, check_loss, check_rendering, check_weights
-from nvsf_core.stages.field_profile import field_profile
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.paper_model import load_paper_model
-from nvsf_core.stages.paper_training import train_paper
-from nvsf_core.stages.residual_model import load_residual_model
-from nvsf_core.stages.residual_training import train_residual
-from nvsf_core.stages.runner.checkpoints import Trained
+from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.divergence import go_on
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stores.checkpoints import save_tensors
+from nvsf_core.stores.checkpoints import StoredWeights, save_tensors
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import write_table
 
 
@@ -32,39 +24,39 @@ def load_model(task: Task, recording: Recording) -> SceneModel:
 
     Raises:
         StoreError: It was never published, or its weights cannot be read.
+        RecipeError: The recipe beside them is of another version.
     """
-    return _load(task, task.store.require(STAGE.location(task.config)), recording)
+    return load_trained(task.store.require(STAGE.location(task.config)), recording)
 
 
-def _load(task: Task, folder: Path, recording: Recording) -> SceneModel:
-    if isinstance(task.config.recipe, PaperRecipe):
-        return load_paper_model(folder, recording)
-    return load_residual_model(folder, recording)
+def load_trained(folder: Path, recording: Recording, *, with_camera: bool = True) -> SceneModel:
+    """The model whose weights and recipe lie in a folder of this stage.
 
-
-def train_model(task: Task, recording: Recording, work: Path) -> Trained:
-    """Train the recipe's family of models, resuming from the checkpoints in `work`.
+    Args:
+        folder: Of this stage.
+        recording: The drive that it was trained on.
+        with_camera: Whether images are asked of it, too; preparing them takes seconds.
 
     Raises:
-        RecipeError: Nothing here trains such a recipe.
+        StoreError: The weights cannot be read.
+        RecipeError: The recipe beside them is of another version.
     """
-    recipe = task.config.recipe
-    if isinstance(recipe, PaperRecipe):
-        return train_paper(task, recipe, recording, work)
-    if isinstance(recipe, ResidualRecipe):
-        return train_residual(task, recipe, recording, work)
-    raise RecipeError(f"expected a recipe of the family residual or paper, found {type(recipe).__name__}")
+    recipe = recipe_from_json(read_document(folder / "recipe.json"))
+    weights = StoredWeights.read(folder / "weights.safetensors")
+    return family_of(recipe).load(recipe, weights, recording, with_camera=with_camera)
 
 
 def _run(task: Task) -> StageOutput:
     recording = read_recording(task.store)
     location = STAGE.location(task.config)
-    needs = field_profile(task.config.recipe, recording)
+    recipe = task.config.recipe
+    family = family_of(recipe)
+    needs = family.needs(recipe, recording)
     if needs:
         task.progress(f"[{task.scene.name}] field: {needs['needs']}")
     work = task.store.work_dir(location)
     went_on = go_on(task, work)
-    trained = train_model(task, recording, work)
+    trained = family.train(recipe, recording, StageSession(task, work))
     _write(task, trained, recording)
     task.store.drop_work_dir(location)
     output = StageOutput(
@@ -80,18 +72,10 @@ def _run(task: Task) -> StageOutput:
         checks=[check_weights(trained.tensors), check_loss(trained.curves)],
     )
     if output.checks[0].passed:
-        output.checks += _check_rendering(task, recording)
+        output.checks += check_rendering(load_trained(task.folder, recording, with_camera=False), recording)
     if went_on:
         output.checks.append(Check(name="training_never_diverged", passed=False, detail=went_on))
     return output
-
-
-def _check_rendering(task: Task, recording: Recording) -> list[Check]:
-    """What the weights in the task's folder render of a training scan."""
-    if isinstance(task.config.recipe, ResidualRecipe):
-        # Such a camera prepares all its images as it is loaded, and only the LiDAR is judged.
-        recording = replace(recording, cameras={})
-    return check_rendering(_load(task, task.folder, recording), recording)
 
 
 def _ends(trained: Trained) -> dict[str, Scalar]:

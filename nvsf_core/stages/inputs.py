@@ -10,7 +10,7 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraImages, CameraRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.sweeps import LinearPanos, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -71,7 +71,9 @@ def read_recording(store: SceneStore) -> Recording:
     posed = [row for row in rows if row["pose_valid"]]
     origin_m = np.array(read_document(frames / "drive.json")["scene_origin_m"], np.float64)
     sweeps, evidence = read_sweeps(store), read_evidence(store)
-    lidar = None if sweeps is None or evidence is None else LidarRecording(sweeps=sweeps, evidence=evidence)
+    lidar = None if sweeps is None or evidence is None else LidarRecording(
+        sweeps=sweeps, evidence=evidence, read_panos=lambda: _read_panos(store)
+    )
     cameras = _read_cameras(store, rows, origin_m)
     if lidar is None and not cameras:
         raise DataError(
@@ -86,6 +88,11 @@ def read_recording(store: SceneStore) -> Recording:
         posed_frame=np.array([row["frame"] for row in posed], np.int64),
         posed_time_s=np.array([row["time_s"] for row in posed], np.float64),
     )
+
+
+def _read_panos(store: SceneStore) -> LinearPanos:
+    a = read_arrays(store.require("pano") / "pano.zarr", "frame", "linear_range_m", "linear_intensity")
+    return LinearPanos(a["frame"], a["linear_range_m"], a["linear_intensity"])
 
 
 def _read_cameras(

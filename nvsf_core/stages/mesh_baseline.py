@@ -4,25 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from nvsf_core.clouds.mesh import MeshRays, mesh_rays
+from nvsf_core.clouds.mesh import Mesh, MeshRays, mesh_rays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.answers import RayAnswers, RenderedImage
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
-from nvsf_core.stages.mesh import read_mesh
-from nvsf_core.stores.scene_store import SceneStore
 
 
-def mesh_baseline(store: SceneStore, recording: Recording) -> SceneModel | None:
+def mesh_baseline(mesh: Mesh | None, recording: Recording) -> SceneModel | None:
     """The baseline of a scene; None where the stage `mesh` made none (its record says why).
 
     Raises:
-        StoreError: The stage `mesh` was never run.
         MissingLibraryError: The mesh was made elsewhere and open3d cannot be loaded here.
     """
-    mesh = read_mesh(store)
     if mesh is None or recording.lidar is None:
         return None
     cast = mesh_rays(mesh)

@@ -17,6 +17,7 @@ from nvsf_core.stages.checks.views import LAWS as VIEW_LAWS
 from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.mesh_baseline import mesh_baseline
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.runner.record import read_record
@@ -77,7 +78,7 @@ def _with_images(
     if lidar is None or not any(looks_above(lidar, plan) for plan in plans):
         return dict(models)
     started = time.perf_counter()
-    above = seen_above(task, recording)
+    above = seen_above(recording, lambda line: task.progress(f"[{task.scene.name}] novel_views: {line}"))
     output.metadata["above_lasers"] = "unknown: no images show it" if above is None else "answered by images"
     output.metadata["above_lasers_seconds"] = time.perf_counter() - started
     return {name: model if name == MESH else replace(model, above=above) for name, model in models.items()}
@@ -92,7 +93,7 @@ def _asks_images(recording: Recording, view: View, model: SceneModel) -> bool:
 def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel | None:
     """The baseline `mesh`, and why not in the output where there is none."""
     try:
-        mesh = mesh_baseline(task.store, recording)
+        mesh = mesh_baseline(read_mesh(task.store), recording)
     except MissingLibraryError as error:
         output.metadata[MESH] = str(error)
         return None

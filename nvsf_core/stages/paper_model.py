@@ -2,26 +2,23 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import nn
 
+from nvsf_core.errors import DataError
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.depth import lidar_depth_images
+from nvsf_core.models.family import Weights
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stores.arrays import read_arrays
-from nvsf_core.stores.checkpoints import load_into, load_tensors
-from nvsf_core.stores.documents import read_document
-from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.training.flow_clouds import flow_cloud
 from nvsf_core.training.paper_frames import Images, Panos, PaperFrames
 
@@ -67,8 +64,12 @@ def scene_bounds(recipe: PaperRecipe, recording: Recording) -> Bounds:
     return Bounds.of_points(corners, outermost_share=0.0, bound=recipe.slips.bound)
 
 
-def read_frames(recipe: PaperRecipe, recording: Recording, store: SceneStore) -> PaperFrames:
-    """Panos, flow clouds and images of the training frames."""
+def training_frames(recipe: PaperRecipe, recording: Recording) -> PaperFrames:
+    """Panos, flow clouds and images of the training frames.
+
+    Raises:
+        DataError: The recording has scans, but nobody projected them.
+    """
     bounds = scene_bounds(recipe, recording)
     number = frame_at(recording)
     cameras = tuple(
@@ -81,17 +82,19 @@ def read_frames(recipe: PaperRecipe, recording: Recording, store: SceneStore) ->
         for name, camera in recording.cameras.items()
         if recipe.sampling.camera
     )
-    panos = None if recording.lidar is None else _read_panos(recipe, recording, store, bounds)
+    panos = None if recording.lidar is None else _panos(recipe, recording, bounds)
     return PaperFrames(bounds=bounds, count=frame_count(recording), panos=panos, cameras=cameras)
 
 
-def _read_panos(recipe: PaperRecipe, recording: Recording, store: SceneStore, bounds: Bounds) -> Panos:
+def _panos(recipe: PaperRecipe, recording: Recording, bounds: Bounds) -> Panos:
     lidar = recording.lidar
     assert lidar is not None
-    a = read_arrays(store.require("pano") / "pano.zarr", "frame", "linear_range_m", "linear_intensity")
+    if lidar.read_panos is None:
+        raise DataError("expected the scans projected to linear panos, found none; run the stage `pano`")
+    recorded = lidar.read_panos()
     scans = _training_scans(lidar)
     frame = lidar.sweeps.arrays["frame"][scans]
-    row = np.searchsorted(a["frame"], frame)
+    row = np.searchsorted(recorded.frame, frame)
     rotation, position = lidar.sweeps.trajectory.at(lidar.sweeps.arrays["time_s"][scans])
     pose = np.tile(np.eye(4), (len(scans), 1, 1))
     pose[:, :3, :3], pose[:, :3, 3] = rotation, position
@@ -106,8 +109,8 @@ def _read_panos(recipe: PaperRecipe, recording: Recording, store: SceneStore, bo
     return Panos(
         frame=(frame - recording.posed_frame[0]).astype(np.float64),
         pose=pose,
-        range_m=torch.from_numpy(a["linear_range_m"][row]),
-        intensity=torch.from_numpy(a["linear_intensity"][row]),
+        range_m=torch.from_numpy(recorded.range_m[row]),
+        intensity=torch.from_numpy(recorded.intensity[row]),
         clouds=tuple(cloud.astype(np.float32) for cloud in clouds),
     )
 
@@ -142,36 +145,35 @@ def _points(lidar: LidarRecording, scan: int) -> np.ndarray:
     return points
 
 
-def load_paper_model(folder: Path, recording: Recording) -> SceneModel:
-    """The field as the stage `field` published it in `folder`, ready to render.
+def load(
+    recipe: PaperRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
+) -> SceneModel:
+    """The trained field, ready to render.
 
     Raises:
-        StoreError: The weights cannot be read.
-        RecipeError: The recipe beside them is of another version.
+        StoreError: The weights are not the recipe's.
     """
-    recipe = needed(PaperRecipe.from_json(read_document(folder / "recipe.json")), recording)
+    recipe, facts = needed(recipe, recording), weights.facts
     torch.set_num_threads(recipe.optimiser.threads)
-    weights = folder / "weights.safetensors"
-    tensors, facts = load_tensors(weights)
     bounds = Bounds(centre_m=tuple(facts["centre_m"]), half_m=facts["half_m"], bound=facts["bound"])
     field = SceneField(recipe, frame_count(recording), torch.Generator())
-    load_into(field, tensors, "field.", weights)
-    unet = _load_unet(recipe, tensors, weights)
+    weights.load_into(field, "field.")
+    unet = _load_unet(recipe, weights)
     model = PaperModel(
         recipe=recipe, field=field.to(device()), bounds=bounds, frame_at=frame_at(recording), unet=unet
     )
     has_lidar, has_camera = recording.lidar is not None, recipe.sampling.camera and bool(recording.cameras)
     return SceneModel(
         lidar=model.answer_rays if has_lidar else None,
-        camera=model.render_image if has_camera else None,
+        camera=model.render_image if has_camera and with_camera else None,
         pano=model.render_pano if has_lidar else None,
         as_recorded=True,
     )
 
 
-def _load_unet(recipe: PaperRecipe, tensors: dict[str, Tensor], weights: Path) -> nn.Module | None:
-    if not any(name.startswith("unet.") for name in tensors):
+def _load_unet(recipe: PaperRecipe, weights: Weights) -> nn.Module | None:
+    if not weights.has("unet."):
         return None
     unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
-    load_into(unet, tensors, "unet.", weights)
+    weights.load_into(unet, "unet.")
     return unet.to(device()).eval()

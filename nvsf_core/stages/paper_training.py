@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,40 +11,39 @@ from torch import Tensor
 from nvsf_core._types import Scalar
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.losses.total import LossBreakdown
+from nvsf_core.models.family import Trained
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.paper_render import PaperModel
-from nvsf_core.stages.paper_model import device, frame_at, needed, read_frames
-from nvsf_core.stages.runner.checkpoints import Trained, fit, resume, saving
-from nvsf_core.stages.runner.divergence import diverging
-from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.paper_model import device, frame_at, needed, training_frames
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Step, TrainingState
 from nvsf_core.training.paper_frames import Panos, PaperFrames
 from nvsf_core.training.paper_trainee import PaperTrainee
 from nvsf_core.training.refine import refine, refinement_state
+from nvsf_core.training.session import TrainingSession, fit
 from nvsf_core.training.step import paper_step
 
 
-def train_paper(task: Task, recipe: PaperRecipe, recording: Recording, work: Path) -> Trained:
-    """Read the training frames and train on them, resuming from the checkpoints in `work`."""
+def train(recipe: PaperRecipe, recording: Recording, session: TrainingSession) -> Trained:
+    """Gather the training frames and train on them, resuming from the session's checkpoints."""
     started = time.perf_counter()
     recipe = needed(recipe, recording)
-    frames = read_frames(recipe, recording, task.store)
+    frames = training_frames(recipe, recording)
     prepared_s = time.perf_counter() - started
-    trained = train_on_frames(task, recipe, recording, frames, work)
+    trained = train_on_frames(recipe, recording, frames, session)
     return replace(trained, seconds=trained.seconds + prepared_s)
 
 
 def train_on_frames(
-    task: Task, recipe: PaperRecipe, recording: Recording, frames: PaperFrames, work: Path
+    recipe: PaperRecipe, recording: Recording, frames: PaperFrames, session: TrainingSession
 ) -> Trained:
     """Train on frames that are in memory; many runs may share them."""
     torch.set_num_threads(recipe.optimiser.threads)
-    seed = task.config.seed
+    seed = session.seed
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(device())
     state = _state(trainee, recipe, seed)
-    state = fit(task, work, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
+    state = fit(session, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
     assert state.average is not None
     if state.step % len(frames.frames) == 0:
         # The last epoch has no next step that would take its average.
@@ -54,7 +52,7 @@ def train_on_frames(
     tensors: dict[str, Tensor] = {}
     with state.average.in_place():
         if recipe.refinement.channels and frames.panos is not None:
-            refined = _refine(task, recipe, recording, frames, trainee, work)
+            refined = _refine(recipe, recording, frames, trainee, session)
             curves["refinement"], seconds = refined.curve, seconds + refined.seconds
             tensors = {f"unet.{name}": value for name, value in refined.model.state_dict().items()}
         tensors |= {f"field.{name}": value.clone() for name, value in trainee.field.state_dict().items()}
@@ -103,12 +101,11 @@ def _step(state: TrainingState, trainee: PaperTrainee, frames: PaperFrames, seed
 
 
 def _refine(
-    task: Task,
     recipe: PaperRecipe,
     recording: Recording,
     frames: PaperFrames,
     trainee: PaperTrainee,
-    work: Path,
+    session: TrainingSession,
 ) -> TrainingState:
     """Render training panos with the averaged weights, and train the U-Net on them."""
     panos, spec, started = frames.panos, recipe.refinement, time.perf_counter()
@@ -120,19 +117,15 @@ def _refine(
     renders = []
     for k in chosen.tolist():
         renders.append(model.raw_pano(panos.pose[k], float(panos.frame[k]), spec.column_step))
-        done = f"pano {len(renders)} of {len(chosen)} rendered for the U-Net"
-        task.progress(f"[{task.scene.name}] field, refinement: {done}")
-    generator = torch.Generator().manual_seed(task.config.seed)
+        session.say("refinement", f"pano {len(renders)} of {len(chosen)} rendered for the U-Net")
+    generator = torch.Generator().manual_seed(session.seed)
     is_return = panos.range_m[chosen][:, :, :: spec.column_step] > 0
     unet = RaydropUnet(spec.channels, generator).to(device())
     unet.expect(float(is_return.float().mean()))
     state = refinement_state(unet, spec, generator)
-    path = work / "refinement.safetensors"
-    resume(task, state, path)
-    with diverging(task, work, "refinement"):
+    with session.resumed("refinement", state) as part:
         refine(
-            state, spec, torch.stack(renders), is_return, saving(task, path),
-            lambda line: task.progress(f"[{task.scene.name}] field, refinement: {line}"),
+            state, spec, torch.stack(renders), is_return, part.save, part.say,
             checkpoint_s=recipe.optimiser.checkpoint_s,
         )  # fmt: skip
     state.seconds = time.perf_counter() - started

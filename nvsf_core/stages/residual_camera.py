@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -33,11 +32,10 @@ from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.stages.aligned_drive import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.reprojection import depth_points, warping_renderer
-from nvsf_core.stages.runner.checkpoints import fit
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.camera_step import camera_step, depth_step
 from nvsf_core.training.left_out import LeftOut
 from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.session import TrainingSession, fit
 
 LEARNED = "learned_cameras"
 """Name of the fact: cameras whose networks beat `reproject` on left-out images."""
@@ -62,7 +60,7 @@ class TrainedCamera:
 
 
 def train_camera(
-    task: Task, work: Path, networks: CameraEnsemble, recipe: ResidualRecipe, recording: Recording
+    session: TrainingSession, networks: CameraEnsemble, recipe: ResidualRecipe, recording: Recording
 ) -> TrainedCamera:
     """Train all networks on every image that is not a judge, then ask the judges."""
     started = time.perf_counter()
@@ -78,17 +76,17 @@ def train_camera(
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedCamera({}, time.perf_counter() - started, few, [], {})
-    task.progress(f"[{task.scene.name}] field, camera: {len(examples)} images to learn from")
-    depth = _fresh(task, nn.ModuleList(one.depth for one in networks), recipe.depth_training, 1)
+    session.say("camera", f"{len(examples)} images to learn from")
+    depth = _fresh(session, nn.ModuleList(one.depth for one in networks), recipe.depth_training, 1)
     preparation = time.perf_counter() - started
     fit(
-        task, work, "depth", depth, recipe.depth_training,
+        session, "depth", depth, recipe.depth_training,
         lambda _, generator: (depth_step(one.depth, examples, recipe, generator) for one in networks),
     )  # fmt: skip
     # Depths that planes alone are compared by start the networks well; both then learn for the image.
-    both = _fresh(task, networks, recipe.camera_training, 2)
+    both = _fresh(session, networks, recipe.camera_training, 2)
     fit(
-        task, work, "camera", both, recipe.camera_training,
+        session, "camera", both, recipe.camera_training,
         lambda _, generator: (camera_step(one, examples, recipe, generator) for one in networks),
     )  # fmt: skip
     judging = time.perf_counter()
@@ -236,7 +234,7 @@ def _images(recording: Recording, camera: str) -> int:
     return len(recording.cameras[camera].training.rgb)
 
 
-def _fresh(task: Task, model: nn.Module, spec: TrainingSpec, number: int) -> TrainingState:
+def _fresh(session: TrainingSession, model: nn.Module, spec: TrainingSpec, number: int) -> TrainingState:
     """A network before its first step; each of a scene draws windows of its own."""
-    generator = torch.Generator().manual_seed(task.config.seed * 3 + number)
+    generator = torch.Generator().manual_seed(session.seed * 3 + number)
     return TrainingState(model, make_optimiser(model, spec), generator)

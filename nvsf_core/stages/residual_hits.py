@@ -3,7 +3,6 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -24,10 +23,9 @@ from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.lidar_training_rays import learned_scans
-from nvsf_core.stages.runner.checkpoints import fit
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.session import TrainingSession, fit
 
 HITS_BLEND = "hits_blend"
 """Name of the fact: how network and ray head are blended; None where the ray head alone says what returns."""
@@ -67,7 +65,7 @@ class JudgedTurn:
 
 
 def train_hits(
-    task: Task, work: Path, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
+    session: TrainingSession, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
     lidar: LidarRecording,
 ) -> TrainedHits:  # fmt: skip
     """Train on scans that the field learned from, by the others' votes and turns; then ask the judges.
@@ -86,12 +84,12 @@ def train_hits(
     examples = []
     for index in chosen.tolist():
         examples.append(_example(field, recipe, lidar, turns, learned[index]))
-        task.progress(f"[{task.scene.name}] field, hits: expected {len(examples)} of {len(chosen)}")
+        session.say("hits", f"expected {len(examples)} of {len(chosen)}")
     preparation = time.perf_counter() - started
-    generator = torch.Generator().manual_seed(task.config.seed * 5 + 4)
+    generator = torch.Generator().manual_seed(session.seed * 5 + 4)
     state = TrainingState(network, make_optimiser(network, spec.training), generator)
     fit(
-        task, work, "hits", state, spec.training,
+        session, "hits", state, spec.training,
         lambda _, drawn: [cell_step(network, examples, spec.training, recipe.losses, drawn)],
     )  # fmt: skip
     judging = time.perf_counter()

@@ -1,7 +1,6 @@
 """The residual recipes: small fields that correct what the LiDAR proves, or replace what it lacks."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -10,6 +9,7 @@ from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.models.family import Weights
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.pano_correction import pano_network
@@ -23,8 +23,6 @@ from nvsf_core.stages.residual_camera import ALIGNED, LEARNED, camera_renderer
 from nvsf_core.stages.residual_hits import HITS_BLEND, turn_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.residual_pano import CORRECTED, pano_renderer
-from nvsf_core.stores.checkpoints import load_into, load_tensors
-from nvsf_core.stores.documents import read_document
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,19 +65,18 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
     return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
 
 
-def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
-    """The fields as the stage `field` published them in `folder`, ready to render.
+def load(
+    recipe: ResidualRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
+) -> SceneModel:
+    """Trained fields, ready to render; without cameras nothing of images is prepared.
 
     What did not beat `reproject` when it was judged is shown by that.
 
     Raises:
-        StoreError: The weights cannot be read.
-        RecipeError: The recipe beside them is of another version.
+        StoreError: The weights are not the recipe's.
     """
-    recipe = ResidualRecipe.from_json(read_document(folder / "recipe.json"))
     torch.set_num_threads(recipe.lidar_training.threads)
-    weights = folder / "weights.safetensors"
-    tensors, facts = load_tensors(weights)
+    facts = weights.facts
     fields = make_fields(recipe, recording, 0)
     lidar = camera = correct = pano = unknown = None
     if recording.lidar is not None:
@@ -88,7 +85,7 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
         # Its pano is the projection of its scan, as the baseline's.
         lidar = carrying_renderer(recording.lidar)
     elif fields.lidar is not None and recording.lidar is not None:
-        load_into(fields.lidar, tensors, "lidar.", weights)
+        weights.load_into(fields.lidar, "lidar.")
         lidar = field_renderer(
             fields.lidar,
             recording.lidar.evidence.standing,
@@ -97,17 +94,17 @@ def load_residual_model(folder: Path, recording: Recording) -> SceneModel:
             far_m=recording.lidar.far_m,
         )
         if recipe.hits is not None and fields.hits is not None and facts.get(HITS_BLEND):
-            load_into(fields.hits, tensors, "hits.", weights)
+            weights.load_into(fields.hits, "hits.")
             correct = turn_hits(fields.hits, recording.lidar, facts[HITS_BLEND])
         if recipe.pano is not None:
             if fields.pano is not None:
-                load_into(fields.pano, tensors, "pano.", weights)
+                weights.load_into(fields.pano, "pano.")
             votes, corrected = recipe.evidence.votes, facts.get(CORRECTED, ())
             pano = pano_renderer(
                 recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct, unknown
             )
-    if fields.camera is not None:
-        load_into(fields.camera, tensors, "camera.", weights)
+    if fields.camera is not None and with_camera:
+        weights.load_into(fields.camera, "camera.")
         corrections = corrections_from(facts.get(ALIGNED, {}))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
     return SceneModel(

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -34,10 +33,9 @@ from nvsf_core.simulation.scan import HIT_THRESHOLD
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, TurnCorrector
 from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.runner.checkpoints import fit
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.cell_step import CellExample, cell_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.session import TrainingSession, fit
 
 CORRECTED = "pano_corrected"
 """Name of the fact: parts of the pano that the network shows better than the phases do."""
@@ -85,8 +83,7 @@ class TrainedPano:
 
 
 def train_pano(
-    task: Task,
-    work: Path,
+    session: TrainingSession,
     network: CellNetwork,
     field: LidarField,
     recipe: ResidualRecipe,
@@ -108,14 +105,14 @@ def train_pano(
     left_out = []
     for scan in scans.tolist():
         left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
-        task.progress(f"[{task.scene.name}] field, pano: expected {len(left_out)} of {len(scans)}")
+        session.say("pano", f"expected {len(left_out)} of {len(scans)}")
     judged = judges(len(left_out), spec)
     examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
-    generator = torch.Generator().manual_seed(task.config.seed * 5 + 3)
+    generator = torch.Generator().manual_seed(session.seed * 5 + 3)
     state = TrainingState(network, make_optimiser(network, training), generator)
     preparation = time.perf_counter() - started
     fit(
-        task, work, "pano", state, training,
+        session, "pano", state, training,
         lambda _, drawn: [cell_step(network, examples, training, recipe.losses, drawn)],
     )  # fmt: skip
     judging = time.perf_counter()

@@ -2,11 +2,11 @@
 
 import time
 from dataclasses import asdict
-from pathlib import Path
 
 import torch
 
 from nvsf_core._types import Scalar
+from nvsf_core.models.family import Trained
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.stages.lidar_training_rays import training_rays
@@ -15,17 +15,16 @@ from nvsf_core.stages.residual_hits import HITS_BLEND, train_hits
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import CORRECTED, train_pano
-from nvsf_core.stages.runner.checkpoints import Trained, fit
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.training.lidar_step import lidar_step
 from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.session import TrainingSession, fit
 
 
-def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, work: Path) -> Trained:
-    """Train, resuming from the checkpoints in `work`."""
+def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession) -> Trained:
+    """Train, resuming from the session's checkpoints."""
     started = time.perf_counter()
     torch.set_num_threads(recipe.lidar_training.threads)
-    fields = make_fields(recipe, recording, task.config.seed)
+    fields = make_fields(recipe, recording, session.seed)
     states: dict[str, TrainingState] = {}
     metadata: dict[str, Scalar] = {}
     facts: dict[str, object] = {}
@@ -36,31 +35,31 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
         metadata["training_rays"] = len(rays)
         seconds = time.perf_counter() - started
         states["lidar"] = fit(
-            task, work, "lidar", _state(task, field, recipe.lidar_training), recipe.lidar_training,
+            session, "lidar", _state(session, field, recipe.lidar_training), recipe.lidar_training,
             lambda _, generator: [lidar_step(field, evidence.standing, rays, recipe, far_m, generator)],
         )  # fmt: skip
         judging = time.perf_counter()
         facts[SHOWS_FIELD], verdict = judge(field, recipe, recording.lidar)
         seconds += time.perf_counter() - judging
         metadata |= verdict
-        task.progress(f"[{task.scene.name}] field, lidar: shows {verdict['lidar_shows']}")
+        session.say("lidar", f"shows {verdict['lidar_shows']}")
     correct = None
     if facts.get(SHOWS_FIELD) and fields.hits and fields.lidar and recording.lidar:
-        hits = train_hits(task, work, fields.hits, fields.lidar, recipe, recording.lidar)
+        hits = train_hits(session, fields.hits, fields.lidar, recipe, recording.lidar)
         states |= hits.states
         seconds += hits.preparation_seconds
         metadata |= hits.metadata
         correct = hits.correct
         facts[HITS_BLEND] = None if correct is None else asdict(correct.blend)
-        task.progress(f"[{task.scene.name}] field, hits: shows {hits.metadata['hits_shown']}")
+        session.say("hits", f"shows {hits.metadata['hits_shown']}")
     if facts.get(SHOWS_FIELD) and fields.pano and fields.lidar and recording.lidar:
-        expected = train_pano(task, work, fields.pano, fields.lidar, recipe, recording.lidar, correct)
+        expected = train_pano(session, fields.pano, fields.lidar, recipe, recording.lidar, correct)
         states |= expected.states
         seconds += expected.preparation_seconds
         metadata |= expected.metadata
         facts[CORRECTED] = expected.corrected
     if fields.camera is not None:
-        trained = train_camera(task, work, fields.camera, recipe, recording)
+        trained = train_camera(session, fields.camera, recipe, recording)
         states |= trained.states
         seconds += trained.preparation_seconds
         metadata |= trained.metadata
@@ -77,7 +76,7 @@ def train_residual(task: Task, recipe: ResidualRecipe, recording: Recording, wor
     )
 
 
-def _state(task: Task, model: torch.nn.Module, spec: TrainingSpec) -> TrainingState:
+def _state(session: TrainingSession, model: torch.nn.Module, spec: TrainingSpec) -> TrainingState:
     """A field before its first step."""
-    generator = torch.Generator().manual_seed(task.config.seed * 2)
+    generator = torch.Generator().manual_seed(session.seed * 2)
     return TrainingState(model, make_optimiser(model, spec), generator)

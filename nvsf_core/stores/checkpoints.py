@@ -3,8 +3,9 @@
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from safetensors import safe_open
 from safetensors.torch import save_file
@@ -45,27 +46,47 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     return tensors, Contents(path, meta)
 
 
-def load_into(model: nn.Module, tensors: Mapping[str, Tensor], prefix: str, source: Path) -> None:
-    """Give a network its weights: the tensors whose names begin with a prefix, which is taken off.
+@dataclass(frozen=True, slots=True)
+class StoredWeights:
+    """Weights and facts of a trained model, and the file that they are from."""
 
-    Args:
-        model: Of the size that the weights were trained at.
-        tensors: From `load_tensors`.
-        prefix: `lidar.` or the like.
-        source: The file that they are from.
+    tensors: dict[str, Tensor]
+    facts: dict[str, Any]
+    source: Path
 
-    Raises:
-        StoreError: Names or shapes are not the network's, or a weight is not finite.
-    """
-    named = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-    broken = [name for name, value in named.items() if not bool(value.isfinite().all())]
-    if broken:
-        raise foreign(source, f"expected finite weights, found NaN or infinity in {broken[0]!r}")
-    try:
-        model.load_state_dict(named)
-    except RuntimeError as error:  # torch's word for other names or shapes
-        raise foreign(
-            source,
-            f"expected the weights of a {type(model).__name__} under {prefix!r}, found others "
-            f"({error!s:.300})",
-        ) from error
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read what `save_tensors` wrote.
+
+        Raises:
+            StoreError: The file is absent or no safetensors file.
+        """
+        return cls(*load_tensors(path), path)
+
+    def has(self, prefix: str, /) -> bool:
+        """Whether any weight's name begins so."""
+        return any(name.startswith(prefix) for name in self.tensors)
+
+    def load_into(self, model: nn.Module, prefix: str, /) -> None:
+        """Give a network the weights whose names begin with a prefix, which is taken off.
+
+        Args:
+            model: Of the size that the weights were trained at.
+            prefix: `lidar.` or the like.
+
+        Raises:
+            StoreError: Names or shapes are not the network's, or a weight is not finite.
+        """
+        found = {name: value for name, value in self.tensors.items() if name.startswith(prefix)}
+        named = {name.removeprefix(prefix): value for name, value in found.items()}
+        broken = [name for name, value in named.items() if not bool(value.isfinite().all())]
+        if broken:
+            raise foreign(self.source, f"expected finite weights, found NaN or infinity in {broken[0]!r}")
+        try:
+            model.load_state_dict(named)
+        except RuntimeError as error:  # torch's word for other names or shapes
+            raise foreign(
+                self.source,
+                f"expected the weights of a {type(model).__name__} under {prefix!r}, found others "
+                f"({error!s:.300})",
+            ) from error

@@ -14,7 +14,7 @@ from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, run_named_stage
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.paper_model import read_frames
+from nvsf_core.stages.paper_model import training_frames
 from nvsf_core.stages.runner.run import plan_run
 from nvsf_core.stages.scoring.moving_boxes import read_moving_boxes
 
@@ -26,7 +26,7 @@ def scene(tiny_catalogue: Path, tmp_path_factory: pytest.TempPathFactory) -> Sce
     for stage in STAGE_NAMES[: STAGE_NAMES.index("field")]:
         run_named_stage(stage, run, lambda _: None)
     recording = read_recording(run.store)
-    frames = read_frames(preset("paper_cpu"), recording, run.store)
+    frames = training_frames(preset("paper_cpu"), recording)
     return Scene(run=run, recording=recording, frames=frames, boxes=read_moving_boxes(run.store))
 
 

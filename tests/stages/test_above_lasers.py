@@ -20,7 +20,6 @@ from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.above_lasers import looks_above, seen_above
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.plan import asked_view
 
 FRAMES, AT = 9, 4
@@ -54,15 +53,9 @@ def drive(run: SceneRun) -> Recording:
 @pytest.fixture(scope="module")
 def both(run: SceneRun, drive: Recording) -> tuple[SimulatedSweep, SimulatedSweep]:
     """A sweep as `reproject` has it, and with what images show."""
-    above = seen_above(_task(run), drive)
+    above = seen_above(drive, lambda _: None)
     assert above is not None
     return _sweep(drive, None), _sweep(drive, above)
-
-
-def _task(run: SceneRun) -> Task:
-    return Task(
-        scene=run.scene, config=run.config, store=run.store, folder=run.store.root, progress=lambda _: None
-    )
 
 
 def _plan(drive: Recording, entry: ViewEntry) -> SweepPlan:
@@ -134,5 +127,5 @@ def test_the_recording_sensor_asks_no_image(drive: Recording) -> None:
 
 
 def test_without_images_nobody_knows(run: SceneRun, drive: Recording) -> None:
-    assert seen_above(_task(run), replace(drive, cameras={})) is None
-    assert seen_above(_task(run), replace(drive, lidar=None)) is None
+    assert seen_above(replace(drive, cameras={}), lambda _: None) is None
+    assert seen_above(replace(drive, lidar=None), lambda _: None) is None

@@ -21,6 +21,7 @@ from nvsf_core.stages.aligned_drive import align_drive, aligned_by, corrections_
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.moving_things import MovingWorld
 from nvsf_core.stages.residual_camera import train_camera
+from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.stage import Task
 
 FRAMES = 6
@@ -155,7 +156,7 @@ def test_the_seconds_of_training_the_camera_are_all_that_it_took(
                 progress=lambda _: None)  # fmt: skip
     networks = CameraEnsemble(camera, torch.Generator().manual_seed(0))
     started = time.perf_counter()
-    trained = train_camera(task, tmp_path, networks, recipe, drive)
+    trained = train_camera(StageSession(task, tmp_path), networks, recipe, drive)
     took_s = time.perf_counter() - started
     assert f"{CAMERA}_judged_aligned_gain_db" in trained.metadata
     counted_s = trained.preparation_seconds + sum(state.seconds for state in trained.states.values())

@@ -15,8 +15,9 @@ from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import plan_run, run_named_stage, run_scene
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.paper_model import read_frames
+from nvsf_core.stages.paper_model import training_frames
 from nvsf_core.stages.paper_training import train_on_frames
+from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.lidar import along_recorded_rays, sweep_arrays
 from nvsf_core.stages.views.plan import held_out_view
@@ -136,7 +137,7 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
 
 def losses_of(recipe: PaperRecipe, recording: Recording, store: SceneStore, steps: int) -> list[float]:
     """Total loss of each of the first steps, with a generator that starts alike for every recipe."""
-    frames = read_frames(recipe, recording, store)
+    frames = training_frames(recipe, recording)
     # The tiny drive's lasers are too far apart for neighbouring pixels: a wavy wall takes the panos' place.
     columns = torch.arange(1030.0)
     wall_m = 8.0 + 3.0 * torch.sin(columns / 40.0) + 0.02 * torch.sin(columns * 1.7)
@@ -197,7 +198,7 @@ def test_every_camera_of_a_drive_is_trained_on(tmp_path):
     for stage in UPSTREAM:
         run_named_stage(stage, run, lambda line: None)
     recording = read_recording(run.store)
-    frames = read_frames(smoke(), recording, run.store)
+    frames = training_frames(smoke(), recording)
     assert [camera.name for camera in frames.cameras] == ["image_00", "image_01", "image_02"]
     trainee = PaperTrainee(smoke(), frames, torch.Generator().manual_seed(0))
     draws = torch.Generator().manual_seed(0)
@@ -248,10 +249,10 @@ def test_every_whole_epoch_enters_the_average(drive, home):
     run = plan_run(entry(drive), home, recipe=recipe)
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=home, progress=lambda _: None)
     recording = read_recording(run.store)
-    frames = read_frames(recipe, recording, run.store)
+    frames = training_frames(recipe, recording)
     assert len(frames.frames) == recipe.optimiser.steps
     work = run.store.work_dir("field/one_epoch/0")
-    found = train_on_frames(task, recipe, recording, frames, work).tensors
+    found = train_on_frames(recipe, recording, frames, StageSession(task, work)).tensors
     last, _ = load_tensors(work / "field.safetensors")
     start = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).field
     # The first update: d_1 = min(0.95, 2 / 11) of the weights before training is kept.

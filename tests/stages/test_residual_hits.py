@@ -21,6 +21,7 @@ from nvsf_core.stages.residual_hits import (
 )
 from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.residual_pano import train_pano
+from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.runner.stage import Task
 from tests.stages.lidar_drive import proven_drive
@@ -50,12 +51,13 @@ class Drive:
         fields = make_fields(recipe, self.recording, 0)
         assert isinstance(fields.lidar, LidarField) and fields.hits is not None
         torch.set_num_threads(1)
-        return train_hits(self.task(work), work, fields.hits, fields.lidar, recipe, lidar)
+        return train_hits(self.session(work), fields.hits, fields.lidar, recipe, lidar)
 
-    def task(self, work: Path) -> Task:
+    def session(self, work: Path) -> StageSession:
         """Of a training that keeps its checkpoints in `work`."""
         run = self.run
-        return Task(scene=run.scene, store=run.store, config=run.config, folder=work, progress=lambda _: None)
+        task = Task(scene=run.scene, store=run.store, config=run.config, folder=work, progress=lambda _: None)
+        return StageSession(task, work)
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +132,8 @@ def test_the_seconds_of_training_a_pano_are_all_that_it_took(drive: Drive, tmp_p
     fields = make_fields(recipe, drive.recording, 0)
     assert fields.lidar is not None and fields.pano is not None
     torch.set_num_threads(1)
-    task, started = drive.task(tmp_path), time.perf_counter()
-    trained = train_pano(task, tmp_path, fields.pano, fields.lidar, recipe, drive.lidar, None)
+    session, started = drive.session(tmp_path), time.perf_counter()
+    trained = train_pano(session, fields.pano, fields.lidar, recipe, drive.lidar, None)
     took_s = time.perf_counter() - started
     counted_s = trained.preparation_seconds + sum(state.seconds for state in trained.states.values())
     assert 0.85 * took_s < counted_s <= took_s

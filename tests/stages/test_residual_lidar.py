@@ -13,10 +13,11 @@ from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import run_named_stage
+from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.residual_lidar import SHOWS_FIELD, judge
-from nvsf_core.stages.residual_model import load_residual_model, make_fields
+from nvsf_core.stages.residual_model import make_fields
 from nvsf_core.stages.runner.stage import Outcome
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from tests.stages.lidar_drive import FRAMES, proven_drive
@@ -73,7 +74,7 @@ def test_a_field_that_does_not_beat_reproject_is_replaced_by_it_and_that_is_said
     said = broken.outcome.metadata
     assert said["lidar_shows"] == "reproject: learning did not beat it"
     assert float(said["lidar_judged_f_score"]) < float(said["lidar_judged_reproject_f_score"])
-    model = load_residual_model(broken.outcome.path, broken.recording)
+    model = load_trained(broken.outcome.path, broken.recording)
     assert broken.is_reproject(model)
     assert model.pano is None, "the baseline's pano is the projection of its scan"
 
@@ -83,7 +84,7 @@ def test_a_field_that_won_is_shown(broken: Judged, tmp_path: Path) -> None:
     assert facts[SHOWS_FIELD] is False
     save_tensors(tmp_path / "weights.safetensors", tensors, facts | {SHOWS_FIELD: True})
     shutil.copy(broken.outcome.path / "recipe.json", tmp_path)
-    model = load_residual_model(tmp_path, broken.recording)
+    model = load_trained(tmp_path, broken.recording)
     assert model.pano is not None
     assert not broken.is_reproject(model)
 

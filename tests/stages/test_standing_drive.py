@@ -11,9 +11,9 @@ from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages import run_named_stage
+from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.residual_model import load_residual_model
 from nvsf_core.stages.views.lidar import copied_scans
 from nvsf_core.stages.views.plan import held_out_view
 from tests.stages.lidar_drive import FRAMES, proven_drive
@@ -46,7 +46,7 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     found = {"copy_nearest": _scores(lidar.sweeps.arrays, copied)}
     models = {
         "reproject": reprojection(recording),
-        "model": load_residual_model(run.store.require("field/smoke/0"), recording),
+        "model": load_trained(run.store.require("field/smoke/0"), recording),
     }
     for name, model in models.items():
         assert model.lidar is not None

@@ -1,57 +1,49 @@
-"""Training one network of a scene from where it was killed, and what a family of recipes hands back."""
+"""Where a stage's training was killed: its checkpoints, and who may go on from them."""
 
+import contextlib
 import shutil
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from torch import Tensor
 
-from nvsf_core._types import Scalar
 from nvsf_core.errors import StoreError
-from nvsf_core.recipe import TrainingSpec
 from nvsf_core.stages.runner.divergence import diverging, owner
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
-from nvsf_core.training.loop import Save, Step, TrainingState, train
+from nvsf_core.training.loop import Save, TrainingState
+from nvsf_core.training.session import ResumedPart
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trained:
-    """What training a scene gave, whatever family of recipes it was."""
+@dataclass(frozen=True, slots=True)
+class StageSession:
+    """The `TrainingSession` of a task: a checkpoint a part, in `work`."""
 
-    tensors: dict[str, Tensor]
-    """All weights."""
-    curves: dict[str, list[dict[str, float]]]
-    """Part of the model (a sensor, a phase) to its training curve."""
-    seconds: float
-    """All that it took, preparation included."""
-    metadata: dict[str, Scalar]
-    """What else is worth knowing, units in the keys."""
-    facts: dict[str, object] = field(default_factory=dict)
-    """What rendering needs beside the weights."""
+    task: Task
+    work: Path
 
+    @property
+    def seed(self) -> int:
+        """Of the run."""
+        return self.task.config.seed
 
-def fit(
-    task: Task, work: Path, part: str, state: TrainingState, spec: TrainingSpec, step: Step
-) -> TrainingState:
-    """Train one part of a scene's model, from its checkpoint in `work` where there is one of this recipe.
+    def say(self, part: str, line: str, /) -> None:
+        """Name scene, stage and part before the line."""
+        self.task.progress(f"[{self.task.scene.name}] field, {part}: {line}")
 
-    Raises:
-        DivergedError: A loss, gradient or weight is not finite; scene, recipe, part and step are named.
-    """
-    path = work / f"{part}.safetensors"
-
-    def say(line: str) -> None:
-        task.progress(f"[{task.scene.name}] field, {part}: {line}")
-
-    observe = task.observe
-    resume(task, state, path)
-    with diverging(task, work, part):
-        train(
-            state, spec, step, saving(task, path), say,
-            None if observe is None else lambda seen: observe(part, seen),
-        )  # fmt: skip
-    return state
+    @contextlib.contextmanager
+    def resumed(self, part: str, state: TrainingState, /) -> Iterator[ResumedPart]:
+        """Go on from the part's checkpoint where there is a readable one of this recipe and these inputs."""
+        task, path = self.task, self.work / f"{part}.safetensors"
+        observe = task.observe
+        resume(task, state, path)
+        with diverging(task, self.work, part):
+            yield ResumedPart(
+                save=saving(task, path),
+                say=lambda line: self.say(part, line),
+                observe=None if observe is None else lambda seen: observe(part, seen),
+            )
 
 
 def saving(task: Task, path: Path) -> Save:

@@ -14,7 +14,8 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import CameraSpec, FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
-from nvsf_core.stages import fitting, plan_run, residual_training, run_named_stage
+from nvsf_core.stages import plan_run, residual_training, run_named_stage
+from nvsf_core.stages.runner import checkpoints
 from nvsf_core.stores.checkpoints import load_tensors
 
 UPSTREAM = ("frames", "sweeps", "pano", "undistorted", "evidence")
@@ -66,14 +67,14 @@ def train(root: Path, home: Path, recipe: Recipe, phase: str = "") -> None:
     With a phase, SIGKILL ends the process as it is about to save what that was past the given step. By its
     own hand, for a killer outside must guess at the time.
     """
-    save = fitting.save_tensors
+    save = checkpoints.save_tensors
 
     def save_or_die(path: Path, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, object]) -> None:
         if path.stem == phase and facts["step"] == KILLED_AFTER + 1:
             os.kill(os.getpid(), signal.SIGKILL)
         save(path, tensors, facts)
 
-    fitting.save_tensors = save_or_die
+    checkpoints.save_tensors = save_or_die
     # A field of six steps loses, and nothing would be learned of what it shows.
     residual_training.judge = lambda *_: (True, {"lidar_shows": "field"})
     with (home / "said.txt").open("w") as said:

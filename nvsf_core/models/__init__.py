@@ -1,0 +1,1 @@
+"""The method: how each family of recipes is trained and rendered, and the baselines."""
