@@ -25,13 +25,13 @@ from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.family import Trained
+from nvsf_core.models.paper.render import PaperModel
+from nvsf_core.models.paper.scene import device, frame_at, frame_count, training_frames
+from nvsf_core.models.paper.training.train import train_on_frames
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
 from nvsf_core.recording.drive import Recording
-from nvsf_core.simulation.paper_render import PaperModel
 from nvsf_core.stages import STAGES
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.paper_model import device, frame_at, frame_count, training_frames
-from nvsf_core.stages.paper_training import train_on_frames
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.run import (
     SceneRun,

@@ -11,11 +11,11 @@ from nvsf_core.metrics.foreground import lidar4d_regions
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, Scan, lidar4d, project_scan
+from nvsf_core.models.paper.training.frames import PaperFrames
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
-from nvsf_core.training.paper_frames import PaperFrames
 
 COLUMN_STEP, IMAGE_STEP = 4, 4
 LIDAR_METRICS = (

@@ -24,7 +24,10 @@ from benchmarks.curve_sizes import NAME as PAPER_CPU
 from benchmarks.curve_sizes import SIZE_SECONDS, SIZES, chosen_size, probe, timed
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.family import Trained, family_of
+from nvsf_core.models.residual.camera import LEARNED
+from nvsf_core.models.residual.lidar import SHOWS_FIELD
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
@@ -32,9 +35,6 @@ from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
-from nvsf_core.stages.reprojection import reprojection
-from nvsf_core.stages.residual_camera import LEARNED
-from nvsf_core.stages.residual_lidar import SHOWS_FIELD
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.device_lock import device_lease
 from nvsf_core.stages.runner.host import machine
@@ -150,7 +150,7 @@ def _run_baseline(setting: Setting, judge: Judge, name: str) -> tuple[dict[str, 
     seconds = {LIDAR: _evidence_seconds(setting), CAMERA: 0.0}
     if name == MESH:
         # Loads open3d, whose memory is not another run's.
-        from nvsf_core.stages.mesh_baseline import mesh_baseline
+        from nvsf_core.models.baselines.mesh import mesh_baseline
 
         record = read_record(setting.store.path(MESH))
         assert record is not None

@@ -25,6 +25,7 @@ from benchmarks.parameters import DOCUMENT
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.models.paper.training.flow import train_flow
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
 from nvsf_core.stages.inputs import read_sweeps
@@ -38,7 +39,6 @@ from nvsf_core.stages.runner.run import (
 )
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import read_demo_truth
-from nvsf_core.training.flow_step import train_flow
 
 RESULTS = Path(__file__).parent / "results" / "flow.json"
 STATIC_TARGET_M = 0.03

@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.models.paper.training.flow_clouds import flow_cloud
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.scoring.demo_truth import DemoTruth
-from nvsf_core.training.flow_clouds import flow_cloud
 
 SURFACES = ("car", "cyclist", "static", "ground")
 """The two that move; what stands, in the clouds; the street, which the clouds leave out."""

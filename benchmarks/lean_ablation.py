@@ -28,19 +28,19 @@ from nvsf_core.errors import DataError
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.models.baselines.reproject import reprojection
+from nvsf_core.models.residual.capacity import needed_field
+from nvsf_core.models.residual.training.lidar_rays import LidarRays
+from nvsf_core.models.residual.training.rays_of_scans import training_rays
 from nvsf_core.recipe import ResidualRecipe, preset
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import field_renderer
-from nvsf_core.stages.capacity import needed_field
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.lidar_training_rays import training_rays
-from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, run_named_stage, say_on_stderr
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stores.scene_store import SceneStore
-from nvsf_core.training.lidar_rays import LidarRays
 from nvsf_core.training.loop import TrainingState, make_optimiser, train
 
 _ROOT = Path(__file__).resolve().parent.parent
@@ -124,8 +124,8 @@ def unlearned_errors(scene: Scene, name: str) -> dict[str, float]:
     if name != "mesh":
         return scene.judge.errors(reprojection(recording), thin_images=False)
     # Loads open3d, whose memory is not another run's.
+    from nvsf_core.models.baselines.mesh import mesh_baseline
     from nvsf_core.stages.mesh import read_mesh
-    from nvsf_core.stages.mesh_baseline import mesh_baseline
 
     model = mesh_baseline(read_mesh(scene.store), recording)
     if model is None:

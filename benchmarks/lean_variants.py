@@ -17,14 +17,14 @@ from nvsf_core.losses.gradient_mask import double_gradient_mask
 from nvsf_core.losses.intensity import intensity_loss
 from nvsf_core.losses.raydrop import raydrop_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.models.residual.training.lidar_rays import LidarRays
+from nvsf_core.models.residual.training.rays_of_scans import learned_scans
 from nvsf_core.recipe import PaperRecipe, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sampling.error_map import LIDAR_CELL_PX, ErrorMap
 from nvsf_core.sampling.patches import patch_pixels, uniform_corners
-from nvsf_core.stages.lidar_training_rays import learned_scans
-from nvsf_core.training.lidar_rays import LidarRays
 
 PAPER = PaperRecipe(name="paper")
 """Patch and threshold of the double-gradient mask are the paper's."""

@@ -15,11 +15,11 @@ import torch
 from benchmarks.ablation import prepared_recording
 from benchmarks.commit import commit
 from benchmarks.markers import write_between
+from nvsf_core.models.paper.scene import device, training_frames
+from nvsf_core.models.paper.training.step import paper_step
+from nvsf_core.models.paper.training.trainee import PaperTrainee
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.stages.paper_model import device, training_frames
 from nvsf_core.stages.runner.host import machine
-from nvsf_core.training.paper_trainee import PaperTrainee
-from nvsf_core.training.step import paper_step
 
 _ROOT = Path(__file__).parents[1]
 RESULTS = _ROOT / "benchmarks" / "results" / "paper_step.json"

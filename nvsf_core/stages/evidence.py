@@ -10,17 +10,17 @@ from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior, find_cells
 from nvsf_core.evidence.raydrop.stationary_scans import AtRest, keep_scans, scans_at_rest
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.evidence.static.unobserved import unknown_beside
+from nvsf_core.models.selection.object_flow import choose_flow
+from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
 from nvsf_core.recording.sweeps import Sweeps, training_returns
-from nvsf_core.stages.flow_choice import choose_flow
 from nvsf_core.stages.inputs import read_sweeps
-from nvsf_core.stages.profile import scene_profile
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.voxel_choice import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.tables import read_rows, write_table
 

@@ -8,9 +8,11 @@ import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE
 from nvsf_core.errors import MissingLibraryError
+from nvsf_core.models.baselines.mesh import mesh_baseline
+from nvsf_core.models.baselines.reproject import reprojection
+from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.above_lasers import looks_above, seen_above
 from nvsf_core.stages.checks.images import LAWS as IMAGE_LAWS
 from nvsf_core.stages.checks.images import check_images
 from nvsf_core.stages.checks.views import LAWS as VIEW_LAWS
@@ -18,8 +20,6 @@ from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
-from nvsf_core.stages.mesh_baseline import mesh_baseline
-from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.views.camera import copied_images, image_arrays

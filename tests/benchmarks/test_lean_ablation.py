@@ -12,14 +12,14 @@ from benchmarks.lean_variants import PATCH, RayGrid, Variant, VariantStep, huber
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.losses.depth import depth_loss
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.models.residual.training.lidar_rays import LidarRays
+from nvsf_core.models.residual.training.lidar_step import lidar_step
+from nvsf_core.models.residual.training.rays_of_scans import training_rays
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.lidar_training_rays import training_rays
 from nvsf_core.stages.runner.run import plan_run
-from nvsf_core.training.lidar_rays import LidarRays
-from nvsf_core.training.lidar_step import lidar_step
 
 Made = tuple[LidarRecording, ResidualRecipe, LidarRays, RayGrid]
 

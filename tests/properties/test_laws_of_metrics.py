@@ -15,7 +15,7 @@ from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.losses.chamfer import squared_nearest_distances
 from nvsf_core.metrics.elementwise import median_abs_error, psnr, rmse
 from nvsf_core.metrics.point_cloud import F_THRESHOLD_M2, point_cloud_metrics
-from nvsf_core.training.refine import one_cycle
+from nvsf_core.models.paper.refine import one_cycle
 
 LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
 SINGLE = TOLERANCES[torch.float32]

@@ -7,13 +7,13 @@ import pytest
 
 from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.metrics.protocols import Scan, lidar4d, project_scan
+from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.reprojection import reprojection
 from nvsf_core.stages.views.lidar import copied_scans
 from nvsf_core.stages.views.plan import held_out_view
 from tests.stages.lidar_drive import FRAMES, proven_drive

@@ -13,9 +13,9 @@ import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.models.residual.raydrop import recorded_turns
 from nvsf_core.recipe import preset
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.residual_hits import recorded_turns
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
 
 _STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nvsf_core.models.baselines.copy_nearest import nearest_earlier
 from nvsf_core.recording.drive import Recording
-from nvsf_core.simulation.copying import nearest_earlier
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.runner.stage import Task

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.copying import copied_ranges, nearest_earlier
 from nvsf_core.simulation.scan import HIT_THRESHOLD, by_lasers, measured_at_rest
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import (

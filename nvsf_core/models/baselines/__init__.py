@@ -1,0 +1,1 @@
+"""What learning must beat: the nearest recording copied, evidence alone, a Poisson mesh."""

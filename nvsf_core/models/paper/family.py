@@ -1,0 +1,15 @@
+"""The family `paper` (recipes `paper`, `paper_cpu`, ...), as `Family` asks for it."""
+
+from nvsf_core._types import Scalar
+from nvsf_core.models.paper.scene import load
+from nvsf_core.models.paper.training.train import train
+from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recording.drive import Recording
+
+__all__ = ["load", "needs", "train"]
+
+
+def needs(recipe: PaperRecipe, recording: Recording) -> dict[str, Scalar]:
+    """Nothing: every scene gets the recipe's whole field."""
+    del recipe, recording
+    return {}

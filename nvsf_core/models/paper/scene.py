@@ -1,0 +1,179 @@
+"""The family of the paper's recipes: its training data from what was published, and its trained model."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import nn
+
+from nvsf_core.errors import DataError
+from nvsf_core.fields.raydrop_unet import RaydropUnet
+from nvsf_core.fields.scene_field import SceneField
+from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.metrics.depth import lidar_depth_images
+from nvsf_core.models.family import Weights
+from nvsf_core.models.paper.render import PaperModel
+from nvsf_core.models.paper.training.flow_clouds import flow_cloud
+from nvsf_core.models.paper.training.frames import Images, Panos, PaperFrames
+from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.recording.images import CameraRecording
+from nvsf_core.simulation.scene_model import SceneModel
+
+CAMERA_REACH_M = 60.0
+"""Half an edge of the cube around the cameras' path where no LiDAR says how far the scene reaches."""
+_BOX_POINTS_STEP = 7
+"""Every seventh return decides the box: its quantiles are those of all."""
+
+
+def device() -> torch.device:
+    """CUDA where there is any."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def needed(recipe: PaperRecipe, recording: Recording) -> PaperRecipe:
+    """The recipe without what a drive of one sensor never asks: the other's encoder, and colours."""
+    if recording.lidar is not None and recording.cameras:
+        return recipe
+    sampling = replace(recipe.sampling, camera=recipe.sampling.camera and bool(recording.cameras))
+    return replace(recipe, sampling=sampling, encoders="same")
+
+
+def frame_count(recording: Recording) -> int:
+    """N of the paper: frames from the first to the last, held-out ones and gaps included."""
+    return int(recording.posed_frame[-1] - recording.posed_frame[0]) + 1
+
+
+def frame_at(recording: Recording) -> Callable[[float], float]:
+    """Seconds since the first frame to frame coordinates 0..n-1, held at both ends."""
+    known_s, frame = recording.posed_time_s, recording.posed_frame - recording.posed_frame[0]
+    return lambda time_s: float(np.interp(time_s, known_s, frame))
+
+
+def scene_bounds(recipe: PaperRecipe, recording: Recording) -> Bounds:
+    """The cube around the training scans' returns; without LiDAR, around the cameras' path."""
+    share = 0.0 if recipe.slips.minmax_box else OUTERMOST_SHARE
+    if recording.lidar is not None:
+        scans = _training_scans(recording.lidar)
+        points_m = np.concatenate([_points(recording.lidar, int(scan)) for scan in scans])
+        return Bounds.of_points(points_m[::_BOX_POINTS_STEP], outermost_share=share, bound=recipe.slips.bound)
+    path = np.concatenate([camera.training.pose[:, :3, 3] for camera in recording.cameras.values()])
+    corners = np.concatenate([path - CAMERA_REACH_M, path + CAMERA_REACH_M])
+    return Bounds.of_points(corners, outermost_share=0.0, bound=recipe.slips.bound)
+
+
+def training_frames(recipe: PaperRecipe, recording: Recording) -> PaperFrames:
+    """Panos, flow clouds and images of the training frames.
+
+    Raises:
+        DataError: The recording has scans, but nobody projected them.
+    """
+    bounds = scene_bounds(recipe, recording)
+    number = frame_at(recording)
+    cameras = tuple(
+        Images(
+            name=name,
+            images=camera.training,
+            frame=np.array([number(float(time_s)) for time_s in camera.training_time_s]),
+            range_m=_seen_by_lidar(camera, recording.lidar) if recipe.losses.camera_depth else None,
+        )
+        for name, camera in recording.cameras.items()
+        if recipe.sampling.camera
+    )
+    panos = None if recording.lidar is None else _panos(recipe, recording, bounds)
+    return PaperFrames(bounds=bounds, count=frame_count(recording), panos=panos, cameras=cameras)
+
+
+def _panos(recipe: PaperRecipe, recording: Recording, bounds: Bounds) -> Panos:
+    lidar = recording.lidar
+    assert lidar is not None
+    if lidar.read_panos is None:
+        raise DataError("expected the scans projected to linear panos, found none; run the stage `pano`")
+    recorded = lidar.read_panos()
+    scans = _training_scans(lidar)
+    frame = lidar.sweeps.arrays["frame"][scans]
+    row = np.searchsorted(recorded.frame, frame)
+    rotation, position = lidar.sweeps.trajectory.at(lidar.sweeps.arrays["time_s"][scans])
+    pose = np.tile(np.eye(4), (len(scans), 1, 1))
+    pose[:, :3, :3], pose[:, :3, 3] = rotation, position
+    # The clouds are data: the same for every seed of training.
+    draws = np.random.default_rng(0)
+    clouds = [
+        flow_cloud(_points(lidar, int(scan)), pose[k], np.array(bounds.centre_m), draws) / bounds.half_m
+        if recipe.aggregate
+        else np.zeros((0, 3), np.float32)
+        for k, scan in enumerate(scans)
+    ]
+    return Panos(
+        frame=(frame - recording.posed_frame[0]).astype(np.float64),
+        pose=pose,
+        range_m=torch.from_numpy(recorded.range_m[row]),
+        intensity=torch.from_numpy(recorded.intensity[row]),
+        clouds=tuple(cloud.astype(np.float32) for cloud in clouds),
+    )
+
+
+def _seen_by_lidar(camera: CameraRecording, lidar: LidarRecording | None) -> np.ndarray | None:
+    """Ray lengths (k, h, w) of the returns of each image's own scan; 0 where none falls, or there is none."""
+    if lidar is None:
+        return None
+    pinhole = camera.training.pinhole
+    found = np.zeros((len(camera.training.pose), pinhole.height, pinhole.width), np.float32)
+    scan_at = {float(lidar.sweeps.arrays["time_s"][scan]): int(scan) for scan in _training_scans(lidar)}
+    for k, (pose, time_s) in enumerate(zip(camera.training.pose, camera.training_time_s, strict=True)):
+        scan = scan_at.get(float(time_s))
+        if scan is not None:
+            inverse = invert_pose(pose)
+            points_m = _points(lidar, scan) @ inverse[:3, :3].T + inverse[:3, 3]
+            found[k] = lidar_depth_images(points_m, pinhole)[0]
+    return found
+
+
+def _training_scans(lidar: LidarRecording) -> np.ndarray:
+    return np.flatnonzero(lidar.sweeps.is_training)
+
+
+def _points(lidar: LidarRecording, scan: int) -> np.ndarray:
+    """Returns (m, 3) float64 of a scan, scene-local, each at its own time where that is known."""
+    part, a = lidar.sweeps.returns_of(scan), lidar.sweeps.arrays
+    kept = a["range_m"][part] < lidar.far_m
+    origin, direction = a["origin_m"][part][kept], a["direction"][part][kept]
+    range_m = a["range_m"][part][kept].astype(np.float64)
+    points: np.ndarray = origin.astype(np.float64) + direction * range_m[:, None]
+    return points
+
+
+def load(
+    recipe: PaperRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
+) -> SceneModel:
+    """The trained field, ready to render.
+
+    Raises:
+        StoreError: The weights are not the recipe's.
+    """
+    recipe, facts = needed(recipe, recording), weights.facts
+    torch.set_num_threads(recipe.optimiser.threads)
+    bounds = Bounds(centre_m=tuple(facts["centre_m"]), half_m=facts["half_m"], bound=facts["bound"])
+    field = SceneField(recipe, frame_count(recording), torch.Generator())
+    weights.load_into(field, "field.")
+    unet = _load_unet(recipe, weights)
+    model = PaperModel(
+        recipe=recipe, field=field.to(device()), bounds=bounds, frame_at=frame_at(recording), unet=unet
+    )
+    has_lidar, has_camera = recording.lidar is not None, recipe.sampling.camera and bool(recording.cameras)
+    return SceneModel(
+        lidar=model.answer_rays if has_lidar else None,
+        camera=model.render_image if has_camera and with_camera else None,
+        pano=model.render_pano if has_lidar else None,
+        as_recorded=True,
+    )
+
+
+def _load_unet(recipe: PaperRecipe, weights: Weights) -> nn.Module | None:
+    if not weights.has("unet."):
+        return None
+    unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
+    weights.load_into(unet, "unet.")
+    return unet.to(device()).eval()

@@ -1,0 +1,1 @@
+"""What the paper's family learns from, and its steps (paper, Sec. III)."""

@@ -1,0 +1,69 @@
+"""A camera's part of a step: L_rgb on pixels of one image."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.losses.colour import squared_colour_error
+from nvsf_core.losses.depth import absolute_range_error
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.models.paper.training.frames import Images, PaperFrames
+from nvsf_core.models.paper.training.lidar import SUMS
+from nvsf_core.models.paper.training.trainee import PaperTrainee
+from nvsf_core.rendering.scaled_rays import camera_rays
+from nvsf_core.rendering.volume import on_white, render_volume
+from nvsf_core.sampling.error_map import ErrorMap
+from nvsf_core.sampling.pixels import draw_camera_pixels
+
+
+def camera_losses(
+    trainee: PaperTrainee,
+    frames: PaperFrames,
+    camera: Images,
+    row: int,
+    epoch: int,
+    generator: torch.Generator,
+) -> Iterator[LossBreakdown]:
+    """The loss of the pixels drawn from image `row`, in parts; then the error map learns."""
+    recipe, errors = trainee.recipe, trainee.image_errors[camera.name]
+    assert isinstance(errors, ErrorMap)
+    drawn = draw_camera_pixels(recipe.sampling, epoch, row, errors, generator)
+    rows, columns = drawn.rows.numpy(), drawn.columns.numpy()
+    pose, frame = camera.images.pose[row], float(camera.frame[row])
+    direction = camera.images.pinhole.rays(np.stack([columns, rows], axis=1)) @ pose[:3, :3].T
+    origin = np.broadcast_to(pose[:3, 3], direction.shape)
+    rays = camera_rays(frames.bounds, origin, direction, near_m=recipe.sampling.near_m).to(trainee.device)
+    truth = torch.from_numpy(camera.images.rgb[row, rows, columns]).to(trainee.device) / 255.0
+    known = _known_range(camera, row, rows, columns, frames.bounds.half_m, trainee.device)
+    error: list[Tensor] = []
+    for first in range(0, len(rays), recipe.sampling.rays_at_once):
+        part = slice(first, first + recipe.sampling.rays_at_once)
+        render = render_volume(
+            lambda x01: trainee.field.density(x01, frame, "camera"),
+            trainee.field.camera,
+            rays.part(part),
+            samples=recipe.sampling.samples,
+            bound=frames.bounds.bound,
+            generator=generator,
+            optical_factor=2.0 if recipe.slips.active_sensor else 1.0,
+        )
+        colour = on_white(render)
+        terms = {"colour": squared_colour_error(colour, truth[part])}
+        if known is not None:
+            # Rays without a return are not compared: a pixel between two beams is no drop.
+            terms["camera_depth"] = absolute_range_error(render.range_scaled, known[part])
+        error.append(terms["colour"].sum(dim=1).detach().cpu())
+        yield total_loss(terms, asdict(recipe.losses), SUMS)
+    errors.update(row, drawn.rows, drawn.columns, torch.cat(error))
+
+
+def _known_range(
+    camera: Images, row: int, rows: np.ndarray, columns: np.ndarray, half_m: float, device: torch.device
+) -> Tensor | None:
+    """Ranges (r,) in scaled units that the LiDAR saw along pixels, 0 = none; None where nobody asks."""
+    if camera.range_m is None:
+        return None
+    return torch.from_numpy(camera.range_m[row, rows, columns] / np.float32(half_m)).to(device)

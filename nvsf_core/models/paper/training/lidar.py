@@ -1,0 +1,141 @@
+"""The LiDAR's part of a step: L_depth, L_intensity, L_raydrop and L_grad on the rays of one pano."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.losses.chamfer import ray_batch_chamfer
+from nvsf_core.losses.depth import absolute_range_error
+from nvsf_core.losses.gradient import gradient_loss
+from nvsf_core.losses.gradient_mask import gradient_mask
+from nvsf_core.losses.intensity import squared_intensity_error
+from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
+from nvsf_core.losses.raydrop import squared_hit_error
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.models.paper.training.frames import Panos, PaperFrames
+from nvsf_core.models.paper.training.trainee import PaperTrainee
+from nvsf_core.recipe import PaperRecipe
+from nvsf_core.rendering.scaled_rays import ScaledRays, lidar_rays
+from nvsf_core.rendering.volume import VolumeRender, render_volume
+from nvsf_core.sampling.pixels import DrawnPixels, draw_lidar_pixels
+from nvsf_core.sensors.linear_pano import LinearPano
+
+SUMS = ("depth", "intensity", "raydrop", "gradient", "colour", "camera_depth", "line_of_sight")
+"""Terms that the paper adds up over rays."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Truth:
+    """What was recorded along r rays."""
+
+    range_m: Tensor
+    """(r,), 0 = no return."""
+    intensity: Tensor
+    """(r,)."""
+    mask_x: Tensor
+    """(r,) bool: where gradients along a row are compared."""
+    mask_y: Tensor
+    """(r,) bool: along a column."""
+
+    def part(self, rays: slice) -> "_Truth":
+        return _Truth(self.range_m[rays], self.intensity[rays], self.mask_x[rays], self.mask_y[rays])
+
+
+def lidar_losses(
+    trainee: PaperTrainee,
+    frames: PaperFrames,
+    panos: Panos,
+    row: int,
+    step: int,
+    epoch: int,
+    generator: torch.Generator,
+) -> Iterator[LossBreakdown]:
+    """The loss of the rays drawn from pano `row`, in parts for memory's sake; then its error map learns."""
+    recipe, errors = trainee.recipe, trainee.pano_errors
+    assert errors is not None  # a scene with panos has their map
+    drawn = draw_lidar_pixels(recipe.sampling, epoch, row, errors, generator)
+    rays, truth = _rays(recipe, frames, panos, row, drawn, trainee.device)
+    frame, patch = float(panos.frame[row]), drawn.patch or (1, 1)
+    at_once = max(1, recipe.sampling.rays_at_once // (patch[0] * patch[1])) * patch[0] * patch[1]
+    error: list[Tensor] = []
+    for first in range(0, len(rays), at_once):
+        part, seen = rays.part(slice(first, first + at_once)), truth.part(slice(first, first + at_once))
+        render = render_volume(
+            lambda x01: trainee.field.density(x01, frame, "lidar"),
+            trainee.lidar_attributes,
+            part,
+            samples=recipe.sampling.samples,
+            bound=frames.bounds.bound,
+            generator=generator,
+            optical_factor=2.0 if recipe.slips.active_sensor else 1.0,
+        )
+        terms = _terms(recipe, render, part, seen, frames.bounds.half_m, drawn.patch, step)
+        if "chamfer" in terms:
+            # A mean over the step's rays, of which this part is a share.
+            terms["chamfer"] = terms["chamfer"] * (len(part) / len(rays))
+        error.append(_ray_error(recipe, terms))
+        yield total_loss(terms, asdict(recipe.losses), SUMS)
+    errors.update(row, drawn.rows, drawn.columns, torch.cat(error))
+
+
+def _rays(
+    recipe: PaperRecipe, frames: PaperFrames, panos: Panos, row: int, drawn: DrawnPixels, device: torch.device
+) -> tuple[ScaledRays, _Truth]:
+    """Rays through the drawn cells of a pano and what they saw."""
+    height, width = panos.range_m.shape[1:]
+    direction = LinearPano(height=height, width=width).directions()[drawn.rows.numpy(), drawn.columns.numpy()]
+    rotation, position = panos.pose[row][:3, :3], panos.pose[row][:3, 3]
+    origin, spec = np.broadcast_to(position, direction.shape), recipe.sampling
+    rays = lidar_rays(frames.bounds, origin, direction @ rotation.T, near_m=spec.near_m, far_m=spec.far_m)
+    pano_m = panos.range_m[row]
+    # On the whole pano, or a patch's border would have no second difference.
+    masks = gradient_mask(pano_m, recipe.gradient.mask, recipe.gradient.threshold_m)
+    cells = (drawn.rows, drawn.columns)
+    truth = (pano_m[cells], panos.intensity[row][cells], masks[0][cells], masks[1][cells])
+    return rays.to(device), _Truth(*(value.to(device) for value in truth))
+
+
+def _terms(
+    recipe: PaperRecipe,
+    render: VolumeRender,
+    rays: ScaledRays,
+    truth: _Truth,
+    half_m: float,
+    patch: tuple[int, int] | None,
+    step: int,
+) -> dict[str, Tensor]:
+    """Each term unreduced; only those with a weight are computed."""
+    weights, true_scaled = recipe.losses, truth.range_m / half_m
+    if recipe.slips.half_precision_truth:
+        true_scaled = true_scaled.half().float()
+    intensity, hit = render.attributes.unbind(dim=1)
+    is_return, range_m = truth.range_m > 0, render.range_scaled * half_m
+    terms = {
+        "depth": absolute_range_error(render.range_scaled, true_scaled),
+        "intensity": squared_intensity_error(intensity, truth.intensity, is_return),
+        "raydrop": squared_hit_error(hit, is_return),
+    }
+    if weights.gradient and patch is not None:
+        terms["gradient"] = gradient_loss(
+            range_m.view(-1, *patch),
+            truth.range_m.view(-1, *patch),
+            truth.mask_x.view(-1, *patch),
+            truth.mask_y.view(-1, *patch),
+            recipe.gradient.norm,
+        )
+    if weights.chamfer:
+        terms["chamfer"] = ray_batch_chamfer(rays.direction, range_m, truth.range_m)
+    if weights.line_of_sight:
+        epsilon = shell_half_width(step, recipe.optimiser.steps)
+        terms["line_of_sight"] = line_of_sight_loss(render.weights, render.t, true_scaled, epsilon)
+    return terms
+
+
+def _ray_error(recipe: PaperRecipe, terms: dict[str, Tensor]) -> Tensor:
+    """What the error map is told of each ray: its weighted depth, intensity and ray-drop loss."""
+    weights = recipe.losses
+    error = weights.depth * terms["depth"] + weights.intensity * terms["intensity"]
+    return (error + weights.raydrop * terms["raydrop"]).detach().cpu()

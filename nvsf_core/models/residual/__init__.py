@@ -1,0 +1,1 @@
+"""Our family: small fields and networks that correct what the recording already proves."""

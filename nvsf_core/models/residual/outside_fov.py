@@ -1,0 +1,64 @@
+"""What images show above the recorded lasers, for sensors that look there: the LiDAR knows nothing of it."""
+
+import numpy as np
+
+from nvsf_core._types import Say
+from nvsf_core.evidence.images.image_surfels import DepthRays, image_surfels
+from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.models.baselines.reproject import depth_points
+from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.rendering.image_depth import image_depth
+from nvsf_core.simulation.scene_model import RayRenderer
+from nvsf_core.simulation.sweep_simulation import highest_rad, image_renderer
+from nvsf_core.simulation.view_plan import SweepPlan
+
+_MOST_VIEWS = 24
+"""Views of a camera that are looked at; evenly spread over a longer drive."""
+_THREADS = 2
+
+
+def looks_above(lidar: LidarRecording, plan: SweepPlan) -> bool:
+    """Whether a view's sensor has lasers above all that recorded the drive."""
+    highest = highest_rad(lidar.sweeps.table, lidar.evidence)
+    return not plan.is_recorded_sensor and float(plan.table.elevation_rad.max()) > highest
+
+
+def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
+    """Answers by what views half-way between training images show up there; None where they show nothing."""
+    lidar = recording.lidar
+    if lidar is None:
+        return None
+    highest = highest_rad(lidar.sweeps.table, lidar.evidence)
+    views = []
+    for name in recording.cameras:
+        halves = _half_way(recording.cameras[name].training_time_s)
+        for number, instant_s in enumerate(halves.tolist()):
+            views.append(_depths(recording, name, instant_s, highest))
+            say(f"above the lasers, {name} {number + 1}/{len(halves)}")
+    shine = lidar.evidence.standing.intensity
+    surfels = image_surfels(views, far_m=lidar.far_m, intensity=float(shine.mean()), threads=_THREADS)
+    if surfels is None:
+        return None
+    return image_renderer(surfels, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
+
+
+def _half_way(time_s: np.ndarray) -> np.ndarray:
+    """Instants half-way between images side by side in time."""
+    ordered = np.sort(time_s)
+    halves = 0.5 * (ordered[1:] + ordered[:-1])
+    chosen = np.unique(
+        np.linspace(0, len(halves) - 1, min(len(halves), _MOST_VIEWS)).round().astype(np.int64)
+    )
+    return halves[chosen]
+
+
+def _depths(recording: Recording, camera: str, instant_s: float, highest_rad: float) -> DepthRays:
+    """What a camera sees at an instant above that elevation over the LiDAR's own plane."""
+    rotation, position_m = recording.trajectory.at(np.array([instant_s]))
+    pose = pose_from_parts(rotation, position_m)[0] @ recording.cameras[camera].in_lidar
+    images = recording.cameras[camera].training
+    return image_depth(
+        pose, images.pinhole, depth_points(recording, instant_s), images.rgb, images.pose, images.valid,
+        up=rotation[0, :, 2], elevation_rad=highest_rad,
+    )  # fmt: skip

@@ -1,0 +1,285 @@
+"""The residual recipes' pano: expected over the firings' phases, and corrected by a small network."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from nvsf_core._types import Scalar
+from nvsf_core.errors import RecipeError
+from nvsf_core.evidence.moving.objects import NearObjects
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.metrics.hit import hit_image_metrics
+from nvsf_core.metrics.intensity import intensity_image_metrics
+from nvsf_core.metrics.range import range_image_metrics
+from nvsf_core.models.residual.training.cell_step import CellExample, cell_step
+from nvsf_core.recipe import PanoSpec, ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.pano_correction import (
+    PARTS,
+    cell_features,
+    corrected_pano,
+    hit_prior,
+    intensity_prior,
+    phases_alone,
+)
+from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
+from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
+from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, TurnCorrector
+from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.session import TrainingSession, fit
+
+CORRECTED = "pano_corrected"
+"""Name of the fact: parts of the pano that the network shows better than the phases do."""
+_TYPICAL_RANGE_M, _LEAST_COST = 20.0, 0.2
+"""A wrong hit costs its range in units of the first, and the second beside."""
+_FEWEST_SCANS = 3
+"""With fewer, a pano that is left out has hardly others to be expected from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOutPano:
+    """A training pano as the other scans lead to expect it, and as it was recorded."""
+
+    estimate: PanoEstimate
+    neighbours: Neighbours
+    true_range_m: np.ndarray
+    """(66, 1030), 0 = empty."""
+    true_intensity: np.ndarray
+    """(66, 1030)."""
+
+    def example(self) -> CellExample:
+        """For training: a wrong hit errs by its whole range."""
+        returned, expected_m = self.true_range_m > 0.0, self.estimate.median_m
+        cost = np.where(returned, self.true_range_m, expected_m) / _TYPICAL_RANGE_M + _LEAST_COST
+        return CellExample(
+            features=cell_features(self.estimate, self.neighbours),
+            hit_logit=hit_prior(self.estimate),
+            intensity_logit=intensity_prior(self.estimate),
+            weight=torch.from_numpy(np.where(expected_m > 0.0, cost, 0.0).astype(np.float32)),
+            returned=torch.from_numpy(returned),
+            true_intensity=torch.from_numpy(self.true_intensity),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedPano:
+    """What training gave beside the network's weights."""
+
+    states: dict[str, TrainingState]
+    preparation_seconds: float
+    """All that training took beside the network's steps, the judges' verdict included."""
+    metadata: dict[str, Scalar]
+    corrected: list[str]
+    """Parts of the pano that the network shows; the others stay as the phases have them."""
+
+
+def train_pano(
+    session: TrainingSession,
+    network: CellNetwork,
+    field: LidarField,
+    recipe: ResidualRecipe,
+    lidar: LidarRecording,
+    correct: TurnCorrector | None,
+) -> TrainedPano:
+    """Train on panos of training frames, each expected without its own scan's votes; then ask the judges."""
+    spec = recipe.pano
+    training = None if spec is None else spec.training
+    if spec is None or training is None:
+        raise RecipeError(f"recipe {recipe.name}: expected a pano with training, found none")
+    started = time.perf_counter()
+    panos = recorded_panos(lidar)
+    if len(panos.time_s) < _FEWEST_SCANS:
+        few: dict[str, Scalar] = {"pano_corrected": "nothing: too few scans to learn from"}
+        prepared_s = time.perf_counter() - started
+        return TrainedPano(states={}, preparation_seconds=prepared_s, metadata=few, corrected=[])
+    scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
+    left_out = []
+    for scan in scans.tolist():
+        left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
+        session.say("pano", f"expected {len(left_out)} of {len(scans)}")
+    judged = judges(len(left_out), spec)
+    examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
+    generator = torch.Generator().manual_seed(session.seed * 5 + 3)
+    state = TrainingState(network, make_optimiser(network, training), generator)
+    preparation = time.perf_counter() - started
+    fit(
+        session, "pano", state, training,
+        lambda _, drawn: [cell_step(network, examples, training, recipe.losses, drawn)],
+    )  # fmt: skip
+    judging = time.perf_counter()
+    verdict, corrected = judge(network, [left_out[number] for number in judged])
+    preparation += time.perf_counter() - judging
+    return TrainedPano(
+        states={"pano": state}, preparation_seconds=preparation, metadata=verdict, corrected=corrected
+    )
+
+
+def judges(panos: int, spec: PanoSpec) -> range:
+    """Numbers of the panos that are never learned from; at least one, never all."""
+    return range(min(spec.judge_every // 2, panos // 2), panos, spec.judge_every)
+
+
+def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
+    """What the network does better than the phases, part by part, and the figures that say so.
+
+    A corrected hit must raise the range image's PSNR without losing hits, a corrected intensity must raise
+    the intensity image's.
+    """
+
+    def scored(*parts: str) -> tuple[float, float, float]:
+        found = [
+            _score(corrected_pano(network, one.estimate, one.neighbours, parts), one) for one in left_out
+        ]
+        range_db, hits, intensity_db = np.mean(found, axis=0).tolist()
+        return range_db, hits, intensity_db
+
+    phases = scored()
+    hit, brightness = (scored(part) for part in PARTS)
+    wins = (hit[0] > phases[0] and hit[1] >= phases[1], brightness[2] > phases[2])
+    corrected = [part for part, is_better in zip(PARTS, wins, strict=True) if is_better]
+    shown = scored(*corrected)
+    names = ("psnr_db", "hit_accuracy", "intensity_psnr_db")
+    metadata: dict[str, Scalar] = {
+        f"pano_judged_{whose}{name}": value
+        for whose, values in (("", shown), ("phases_", phases))
+        for name, value in zip(names, values, strict=True)
+    }
+    metadata["pano_corrected"] = ", ".join(corrected) or "nothing: learning did not beat the phases"
+    return metadata, corrected
+
+
+def pano_renderer(
+    lidar: LidarRecording,
+    spec: PanoSpec,
+    render: RayRenderer,
+    votes: int,
+    network: CellNetwork | None,
+    corrected: Sequence[str] = (),
+    correct: TurnCorrector | None = None,
+    unknown: RayRenderer | None = None,
+) -> PanoRenderer:
+    """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
+
+    Args:
+        lidar: The recording.
+        spec: Of the recipe.
+        render: Answers the sensor's rays.
+        votes: Scans that vote.
+        network: Trained; None where there is none.
+        corrected: What it corrects.
+        correct: Of the model: corrects the turns that the pano is made of.
+        unknown: Of the model.
+    """
+    panos = recorded_panos(lidar) if network is not None and corrected else None
+
+    def show(pose: np.ndarray, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rotation, position = lidar.sweeps.trajectory.at(np.array([time_s]))
+        recorded = np.eye(4)
+        recorded[:3, :3], recorded[:3, 3] = rotation[0], position[0]
+        mount = invert_pose(recorded) @ pose
+        is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
+        place = None if is_there else mount
+        estimate = expected_pano(lidar, spec, render, votes, time_s, place, correct=correct, unknown=unknown)
+        if network is None or panos is None or not is_there:
+            return phases_alone(estimate)
+        neighbours = _neighbours(lidar, panos, spec, estimate, time_s)
+        return corrected_pano(network, estimate, neighbours, corrected)
+
+    return show
+
+
+def expected_pano(
+    lidar: LidarRecording,
+    spec: PanoSpec,
+    render: RayRenderer,
+    votes: int,
+    time_s: float,
+    mount: np.ndarray | None,
+    *,
+    correct: TurnCorrector | None,
+    unknown: RayRenderer | None = None,
+    leave_out_s: float | None = None,
+) -> PanoEstimate:
+    """The pano at a time, from the phases; the training scan at `leave_out_s` does not vote."""
+    sweeps = lidar.sweeps
+    plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, sweeps.table, True)
+    return estimate_pano(
+        lambda phase: fire_sweep(
+            plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, votes,
+            correct=correct, unknown=unknown, phase=phase, leave_out_s=leave_out_s,
+        ),
+        LinearPano(quirks=True), spec.phases, parts=spec.parts,
+    )  # fmt: skip
+
+
+def leave_out(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, panos: RecordedPanos, scan: int,
+    correct: TurnCorrector | None,
+) -> LeftOutPano:  # fmt: skip
+    """A training pano (`scan` counts training scans) as the field and all other scans' votes have it."""
+    assert recipe.pano is not None
+    dynamic, time_s = lidar.evidence.dynamic, float(panos.time_s[scan])
+    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=scan)
+    render = field_renderer(
+        field, lidar.evidence.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
+    )
+    estimate = expected_pano(
+        lidar, recipe.pano, render, recipe.evidence.votes, time_s, None, correct=correct, leave_out_s=time_s
+    )
+    return LeftOutPano(
+        estimate=estimate,
+        neighbours=_neighbours(lidar, panos, recipe.pano, estimate, time_s, leave_out_s=time_s),
+        true_range_m=panos.range_m[scan],
+        true_intensity=panos.intensity[scan],
+    )
+
+
+def recorded_panos(lidar: LidarRecording) -> RecordedPanos:
+    """All training scans as the papers project them."""
+    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
+    pano = LinearPano(quirks=True)
+    training = np.flatnonzero(sweeps.is_training)
+    parts = [sweeps.returns_of(int(scan)) for scan in training]
+    images = [pano.project(a["points_m"][part], a["intensity"][part]) for part in parts]
+    return RecordedPanos(
+        time_s=a["time_s"][training].astype(np.float64),
+        range_m=np.stack([range_m for range_m, _ in images]),
+        intensity=np.stack([intensity for _, intensity in images]),
+        trajectory=sweeps.trajectory,
+        period_s=sweeps.period_s,
+        turn_up_rad=sweeps.elevation_correction_rad,
+    )
+
+
+def _neighbours(
+    lidar: LidarRecording,
+    panos: RecordedPanos,
+    spec: PanoSpec,
+    estimate: PanoEstimate,
+    time_s: float,
+    *,
+    leave_out_s: float | None = None,
+) -> Neighbours:
+    scans = lidar.evidence.prior.nearest_scans(time_s, spec.neighbours, leave_out_s=leave_out_s)
+    return ask_neighbours(panos, scans, estimate.median_m, time_s, LinearPano(quirks=True))
+
+
+def _score(
+    shown: tuple[np.ndarray, np.ndarray, np.ndarray], truth: LeftOutPano
+) -> tuple[float, float, float]:
+    """Range PSNR in dB, hit accuracy and intensity PSNR in dB, as the protocol `lidar4d` has them."""
+    range_m, intensity, hit = shown
+    answered = hit > HIT_THRESHOLD
+    ranges = range_image_metrics(np.where(answered, range_m, 0.0), truth.true_range_m)
+    hits = hit_image_metrics(hit, truth.true_range_m > 0.0)
+    bright = intensity_image_metrics(np.where(answered, intensity, 0.0), truth.true_intensity)
+    return ranges["range_psnr_db"].value, hits["hit_accuracy"].value, bright["intensity_psnr_db"].value

@@ -1,0 +1,114 @@
+"""A drive whose images lie where they agree with each other, and where a view then is that they show."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.models.baselines.reproject import SAME_INSTANT_S
+from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.recording.drive import Recording
+from nvsf_core.rendering.image_alignment import PoseCorrection, align_images
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedDrive:
+    """What the learned camera knows of a drive."""
+
+    given: Recording
+    """With the poses as they were recorded."""
+    world: MovingWorld
+    """With the images' corrected ones."""
+    corrections: Mapping[str, PoseCorrection]
+    """By camera; one that is not named keeps its poses."""
+
+    def pose_at(self, camera: str, pose: np.ndarray, time_s: float) -> np.ndarray:
+        """Where a view (4, 4) of any time lies among the corrected images.
+
+        It goes with the camera that recorded at its time, as if both sat on one vehicle: a correction is one
+        of that camera's frame, and not of a view's that looks elsewhere.
+        """
+        correction = self.corrections.get(camera)
+        if correction is None:
+            return pose
+        # Mountings as files have them are rotations to 1e-10 only, so the inverse is no transpose.
+        rotation, position = self.given.trajectory.at(np.array([time_s]))
+        recorded = pose_from_parts(rotation[0], position[0]) @ self.given.cameras[camera].in_lidar
+        corrected: np.ndarray = correction.at(recorded, time_s) @ (np.linalg.inv(recorded) @ pose)
+        return corrected
+
+    def left_out_pose(self, camera: str, index: int) -> np.ndarray:
+        """Where a training image (4, 4) were looked for if it were held out: its own word is not heard."""
+        one = self.given.cameras[camera]
+        correction, pose = self.corrections.get(camera), one.training.pose[index]
+        if correction is None:
+            return pose
+        return correction.at(pose, float(one.training_time_s[index]), leave_out=True)
+
+
+def align_drive(
+    world: MovingWorld, cameras: Sequence[str], silent: Mapping[str, Collection[int]] | None = None
+) -> dict[str, PoseCorrection]:
+    """Align the images of the named cameras, each camera's by themselves; without a LiDAR none are.
+
+    Args:
+        world: With the poses as they were recorded.
+        cameras: Whose images are aligned.
+        silent: By camera, numbers of training images that nothing is learned from, others' poses included.
+    """
+    if world.recording.lidar is None:
+        return {}
+    corrections = {}
+    for name in cameras:
+        one = world.recording.cameras[name]
+        unheard = () if silent is None else silent.get(name, ())
+        heard = [index for index in range(len(one.training.rgb)) if index not in unheard]
+        time_s = one.training_time_s[heard]
+        returns_m = [_own_returns(world, instant_s) for instant_s in time_s.tolist()]
+        images = (one.training.rgb[index] for index in heard)
+        twist = align_images(images, one.training.pinhole, one.training.pose[heard], returns_m)
+        corrections[name] = PoseCorrection(time_s, twist)
+    return corrections
+
+
+def aligned_by(world: MovingWorld, corrections: Mapping[str, PoseCorrection]) -> AlignedDrive:
+    """The drive of a world with the recorded poses, and with corrections that are known."""
+    given = world.recording
+    if not corrections:
+        return AlignedDrive(given, world, corrections)
+    cameras = dict(given.cameras)
+    for name, correction in corrections.items():
+        one = cameras[name]
+        pose = correction.of_images(one.training.pose, one.training_time_s)
+        cameras[name] = replace(one, training=replace(one.training, pose=pose))
+    return AlignedDrive(given, MovingWorld(replace(given, cameras=cameras)), corrections)
+
+
+def facts_of(corrections: Mapping[str, PoseCorrection]) -> dict[str, dict[str, object]]:
+    """Corrections as JSON can hold them."""
+    return {
+        name: {"time_s": one.time_s.tolist(), "twist": one.twist.tolist()}
+        for name, one in corrections.items()
+    }
+
+
+def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, PoseCorrection]:
+    """What `facts_of` said."""
+    return {
+        name: PoseCorrection(np.array(one["time_s"], np.float64), np.array(one["twist"], np.float64))
+        for name, one in facts.items()
+    }
+
+
+def _own_returns(world: MovingWorld, instant_s: float) -> np.ndarray:
+    """Returns (m, 3) of what stands still in the scan of an image's own instant; none where it is missing.
+
+    Another scan's err otherwise than the image's pose does, and do not tell how the image lies.
+    """
+    assert world.recording.lidar is not None
+    sweeps = world.recording.lidar.sweeps
+    apart_s = np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)
+    if not (apart_s <= SAME_INSTANT_S).any():
+        return np.zeros((0, 3), np.float32)
+    return world.still_points(instant_s, most=1)

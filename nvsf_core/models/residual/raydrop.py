@@ -1,0 +1,224 @@
+"""The residual recipes' hits in the sensor's own grid: what trains the network there, and who judges it."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from nvsf_core._types import Scalar
+from nvsf_core.evidence.moving.objects import NearObjects
+from nvsf_core.evidence.raydrop.prior import find_cells
+from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.models.residual.training.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.training.rays_of_scans import learned_scans
+from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.simulation.hit_blend import HitBlend, fit_blend, nats
+from nvsf_core.simulation.lidar_rays import SweepRays
+from nvsf_core.simulation.scene_model import TurnCorrector
+from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
+from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
+from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.session import TrainingSession, fit
+
+HITS_BLEND = "hits_blend"
+"""Name of the fact: how network and ray head are blended; None where the ray head alone says what returns."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedHits:
+    """What training gave beside the network's weights."""
+
+    states: dict[str, TrainingState]
+    preparation_seconds: float
+    metadata: dict[str, Scalar]
+    correct: TurnHits | None
+    """None where the network is not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedTurn:
+    """A left-out scan's r firings, and what is said of them."""
+
+    network_logit: np.ndarray
+    """(r,) float32."""
+    ray_head_logit: np.ndarray
+    """(r,) float32."""
+    is_answered: np.ndarray
+    """(r,) bool: whether anything is there that could return."""
+    returned: np.ndarray
+    """(r,) bool."""
+
+    def accuracy(self, logit: np.ndarray) -> float:
+        """Share of all firings whose return, or its absence, is expected by logits (r,)."""
+        return float(((self.is_answered & (logit >= 0.0)) == self.returned).mean())
+
+    def nats(self, logit: np.ndarray) -> float:
+        """Mean cross-entropy of logits (r,), of the answered firings."""
+        return nats(logit[self.is_answered], self.returned[self.is_answered])
+
+
+def train_hits(
+    session: TrainingSession, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
+    lidar: LidarRecording,
+) -> TrainedHits:  # fmt: skip
+    """Train on scans that the field learned from, by the others' votes and turns; then ask the judges.
+
+    Without judges nobody could say whether it helps: nothing is trained.
+    """
+    spec, left_out = recipe.hits, lidar.evidence.left_out
+    assert spec is not None
+    if left_out is None:
+        few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to judge a network by"}
+        return TrainedHits(states={}, preparation_seconds=0.0, metadata=few, correct=None)
+    started = time.perf_counter()
+    turns = recorded_turns(lidar)
+    learned = [number for number, _ in learned_scans(lidar)]
+    chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
+    examples = []
+    for index in chosen.tolist():
+        examples.append(_example(field, recipe, lidar, turns, learned[index]))
+        session.say("hits", f"expected {len(examples)} of {len(chosen)}")
+    preparation = time.perf_counter() - started
+    generator = torch.Generator().manual_seed(session.seed * 5 + 4)
+    state = TrainingState(network, make_optimiser(network, spec.training), generator)
+    fit(
+        session, "hits", state, spec.training,
+        lambda _, drawn: [cell_step(network, examples, spec.training, recipe.losses, drawn)],
+    )  # fmt: skip
+    judging = time.perf_counter()
+    judged = [
+        _judged(field, recipe, lidar, turns, network, number, left_out.standing)
+        for number in left_out.judges.tolist()
+    ]
+    blend, metadata = blend_in_rotation(judged)
+    preparation += time.perf_counter() - judging
+    return TrainedHits(
+        states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
+        correct=None if blend is None else TurnHits(network, turns, blend),
+    )  # fmt: skip
+
+
+def blend_in_rotation(judged: Sequence[JudgedTurn]) -> tuple[HitBlend | None, dict[str, Scalar]]:
+    """How network and ray head are blended, None where the ray head alone is better, and figures.
+
+    Each of at least two judges is told by a blend that was fitted on the others; what is shown, on all.
+    """
+    alone = [one.accuracy(one.ray_head_logit) for one in judged]
+    blended = []
+    for number, one in enumerate(judged):
+        others = [other for place, other in enumerate(judged) if place != number]
+        blended.append(_fitted(others).logit(one.network_logit, one.ray_head_logit))
+    accuracy = [one.accuracy(logit) for one, logit in zip(judged, blended, strict=True)]
+    is_better = float(np.mean(accuracy)) > float(np.mean(alone))
+    blend = _fitted(judged)
+    metadata: dict[str, Scalar] = {
+        "hits_judged_accuracy": float(np.mean(accuracy)),
+        "hits_judged_ray_head_accuracy": float(np.mean(alone)),
+        "hits_judged_nats": float(np.mean([one.nats(x) for one, x in zip(judged, blended, strict=True)])),
+        "hits_judged_ray_head_nats": float(np.mean([one.nats(one.ray_head_logit) for one in judged])),
+        "hits_blend": f"{blend.network:.2f} network {blend.ray_head:+.2f} ray head {blend.offset:+.2f}",
+        "hits_shown": "network and ray head" if is_better else "ray head: learning did not beat it",
+    }
+    return blend if is_better else None, metadata
+
+
+def _fitted(judged: Sequence[JudgedTurn]) -> HitBlend:
+    """On all answered firings of some judges."""
+    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_answered) for one in judged]
+    network, ray_head, returned, answered = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return fit_blend(network[answered], ray_head[answered], returned[answered])
+
+
+def turn_hits(network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]) -> TurnHits:
+    """A trained network, ready to correct turns; `blend` is the fact `HITS_BLEND`."""
+    return TurnHits(network, recorded_turns(lidar), HitBlend(**blend))
+
+
+def recorded_turns(lidar: LidarRecording) -> RecordedTurns:
+    """All training scans in the grid that the drop prior has."""
+    sweeps, a, prior = lidar.sweeps, lidar.sweeps.arrays, lidar.evidence.prior
+    ranges, shine = (np.zeros(prior.is_hit.shape, np.float32) for _ in range(2))
+    for number, scan in enumerate(np.flatnonzero(sweeps.is_training).tolist()):
+        part = sweeps.returns_of(scan)
+        laser, offsets = a["laser"][part], np.array([0, part.stop - part.start])
+        _, cells = find_cells(
+            laser, a["firing"][part], a["sweep_fraction"][part], offsets, a["firings"][scan : scan + 1],
+            nominal_firings=sweeps.table.firings_per_turn,
+        )  # fmt: skip
+        known = cells.is_known
+        cell = (number, laser[known], cells.column[known])
+        ranges[cell], shine[cell] = a["range_m"][part][known], a["intensity"][part][known]
+    return RecordedTurns(
+        prior, lidar.evidence.lasers.astype(np.int64), ranges, shine, sweeps.trajectory, sweeps.table,
+        sweeps.period_s, sweeps.elevation_correction_rad,
+    )  # fmt: skip
+
+
+def _example(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns, number: int
+) -> CellExample:
+    """A training scan by the others' votes and turns, on surfaces that its own returns helped to prove.
+
+    Where no surface was proven nothing is learned.
+    """
+    told: list[TurnCells] = []
+
+    def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+        told.append(turn_cells(turns, rays, answers, near))
+        return answers
+
+    rays, _ = _fire(field, recipe, lidar, lidar.evidence.standing, number, listen)
+    (cells,), prior = told, lidar.evidence.prior
+    lasers, firings = rays.shape
+    recorded = prior.nearest_firing(number, rays.fraction[:firings])[cells.column.numpy()]
+    is_hit = prior.is_hit[number, rays.laser[::firings, None], recorded]
+    return CellExample(
+        features=cells.features,
+        hit_logit=cells.vote_logit,
+        intensity_logit=torch.zeros(lasers, firings),
+        weight=cells.is_answered.float(),
+        returned=torch.from_numpy(is_hit),
+        true_intensity=torch.zeros(lasers, firings),
+    )
+
+
+def _judged(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns,
+    network: CellNetwork, number: int, standing: Surfels,
+) -> JudgedTurn:  # fmt: skip
+    """A judge as others prove it, and whether its firings returned."""
+    told: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+        told.append(hit_logits(network, turns, rays, answers, near))
+        return answers
+
+    rays, answers = _fire(field, recipe, lidar, standing, number, listen)
+    ((network_logit, ray_head_logit),), prior = told, lidar.evidence.prior
+    firing = prior.nearest_firing(number, rays.fraction)
+    return JudgedTurn(
+        network_logit, ray_head_logit, np.isfinite(answers.range_m), prior.is_hit[number, rays.laser, firing]
+    )
+
+
+def _fire(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, standing: Surfels, number: int,
+    correct: TurnCorrector | None,
+) -> tuple[SweepRays, RayAnswers]:  # fmt: skip
+    """A training scan as the field, some evidence of what stays, and all other scans have it."""
+    sweeps, dynamic = lidar.sweeps, lidar.evidence.dynamic
+    time_s = float(lidar.evidence.prior.time_s[number])
+    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=number)
+    render = field_renderer(field, standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
+    plan = SweepPlan("hits", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
+    return fire_sweep(
+        plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table,
+        recipe.evidence.votes, correct=correct, leave_out_s=time_s,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""What our family learns from, and its steps."""

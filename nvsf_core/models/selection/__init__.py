@@ -1,0 +1,1 @@
+"""What training scans that were left out decide."""

@@ -1,0 +1,91 @@
+"""Laws of the choice of voxels: scans that are left out decide, and the evidence keeps what they chose."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.models.selection.voxel_size import (
+    CANDIDATES_M,
+    FIELD_VOXEL_M,
+    ScanRays,
+    VoxelChoice,
+    choose_voxel_m,
+)
+
+FAR_M = 50.0
+NOBODY = np.zeros(0, np.int64)
+
+
+def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> ScanRays:
+    """A wall 10 m ahead whose surface steps back and forth every 0.15 m, by rays drawn at random."""
+    generator = np.random.default_rng(0)
+    count = scans * rays_a_scan
+    y, z = generator.uniform(-2.0, 2.0, count), generator.uniform(-1.0, 1.0, count)
+    x = 10.0 + step_m * (np.floor(y / 0.15) % 2.0)
+    points = np.stack([x, y, z], axis=1)
+    range_m = np.linalg.norm(points, axis=1)
+    return ScanRays(
+        origin_m=np.zeros((count, 3), np.float32),
+        direction=(points / range_m[:, None]).astype(np.float32),
+        range_m=range_m.astype(np.float32),
+        intensity=np.full(count, 0.5, np.float32),
+        scan=np.repeat(np.arange(scans), rays_a_scan),
+        stays=np.ones(count, bool),
+    )
+
+
+def chosen(rays: ScanRays) -> VoxelChoice:
+    choice = choose_voxel_m(rays, silent=NOBODY, far_m=FAR_M, threads=1)
+    assert choice is not None
+    return choice
+
+
+def test_what_is_seen_densely_and_is_not_flat_gets_the_finest_voxels() -> None:
+    choice = chosen(wall_seen_from_one_place(8, 4000, 0.1))
+    assert choice.best_m == CANDIDATES_M[0]
+    assert all(0.0 < found < 1.0 for found in choice.errors_m.values())
+
+
+def test_what_is_seen_sparsely_gets_coarse_ones_whose_gaps_are_closed() -> None:
+    choice = chosen(wall_seen_from_one_place(8, 25, 0.0))
+    assert list(choice.errors_m) == list(CANDIDATES_M) and choice.best_m == CANDIDATES_M[-1]
+
+
+def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    assert chosen(rays).errors_m == chosen(rays).errors_m
+    few = wall_seen_from_one_place(5, 400, 0.1)
+    assert choose_voxel_m(few, silent=NOBODY, far_m=FAR_M, threads=1) is None
+
+
+def test_moving_objects_do_not_vote_on_the_size() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    rays.stays[:] = False
+    assert choose_voxel_m(rays, silent=NOBODY, far_m=FAR_M, threads=1) is None
+
+
+def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.0)
+    rays.stays[::2] = False
+    surfels = rays.surfels(0.3, 1, shaped=True)
+    assert surfels.index.voxel_m == 0.3
+    assert int(surfels.hits.sum()) == int(rays.stays.sum())
+    assert surfels.mean_m[:, 0] == pytest.approx(10.0, abs=1e-3)
+
+
+def test_what_judges_are_judged_by_is_proven_by_the_others_alone() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    choice = chosen(rays)
+    assert len(choice.judges) == 2 and choice.standing.index.voxel_m == FIELD_VOXEL_M
+    assert len(choice.standing.precision) == 0
+    for surfels in (choice.standing, *choice.rendered.values()):
+        assert int(surfels.hits.sum()) == int((~np.isin(rays.scan, choice.judges)).sum())
+
+
+def test_silent_scans_prove_but_never_judge() -> None:
+    rays = wall_seen_from_one_place(8, 400, 0.1)
+    silent = chosen(rays).judges[:1]
+    choice = choose_voxel_m(rays, silent=silent, far_m=FAR_M, threads=1)
+    assert choice is not None and len(np.unique(choice.judges)) == 2
+    assert not np.isin(silent, choice.judges).any()
+    assert int(choice.standing.hits.sum()) == 6 * 400
+    assert choose_voxel_m(rays, silent=np.arange(3), far_m=FAR_M, threads=1) is None
