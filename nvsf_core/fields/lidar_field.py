@@ -10,7 +10,7 @@ from nvsf_core.fields.layers import network
 from nvsf_core.fields.object_surfaces import object_places
 from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kernels.layout import GridLayout
+from nvsf_core.kernels.encodings.layout import GridLayout
 from nvsf_core.recipe import FieldSpec
 
 

@@ -8,8 +8,8 @@ import os
 os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
 
 from nvsf_core.kernels.cache import COMPILED
-from nvsf_core.kernels.hash_grid import Backend, hash_grid_encode
-from nvsf_core.kernels.layout import GridLayout
-from nvsf_core.kernels.planes import PlanesBackend, planes_sample
+from nvsf_core.kernels.encodings.hash_grid import Backend, hash_grid_encode
+from nvsf_core.kernels.encodings.layout import GridLayout
+from nvsf_core.kernels.encodings.planes import PlanesBackend, planes_sample
 
 __all__ = ["COMPILED", "Backend", "GridLayout", "PlanesBackend", "hash_grid_encode", "planes_sample"]

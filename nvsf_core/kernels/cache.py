@@ -11,7 +11,7 @@ from pathlib import Path
 
 _OURS = "nvsf-kernels-"
 _HERE = Path(__file__).parent
-_SOURCES = b"".join(path.read_bytes() for path in sorted(_HERE.glob("*.py")))
+_SOURCES = b"".join(path.read_bytes() for path in sorted(_HERE.rglob("*.py")))
 COMPILED = _HERE / "__pycache__" / f"{_OURS}{hashlib.sha256(_SOURCES).hexdigest()[:16]}"
 """Unless the environment's NUMBA_CACHE_DIR names another folder than a parent process of ours has set."""
 

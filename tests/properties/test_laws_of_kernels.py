@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from benchmarks.stability_cases.tolerances import TOLERANCES
 from nvsf_core.kernels import GridLayout, hash_grid_encode
 from nvsf_core.kernels.composite import composite_rays
-from nvsf_core.kernels.planes import planes_sample
+from nvsf_core.kernels.encodings.planes import planes_sample
 from nvsf_core.metrics.ssim import ssim
 from nvsf_core.training.ema import WeightAverage
 

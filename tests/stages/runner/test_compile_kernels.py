@@ -11,7 +11,7 @@ from nvsf_core.stages.runner.compile_kernels import compile_kernels
 def _kept() -> dict[str, Path]:
     """Where numba lists the compiled forms of each kernel that is kept on disk, by module and name."""
     found = {}
-    for module in pkgutil.iter_modules(kernels.__path__, f"{kernels.__name__}."):
+    for module in pkgutil.walk_packages(kernels.__path__, f"{kernels.__name__}."):
         if "triton" in module.name:
             continue
         for name, value in vars(import_module(module.name)).items():

@@ -16,7 +16,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from nvsf_core.kernels.corners_numba import (
+from nvsf_core.kernels.encodings.corners_numba import (
     BLOCK,
     axis_by_axis,
     combine,
@@ -26,8 +26,8 @@ from nvsf_core.kernels.corners_numba import (
     place,
     use_threads_of_torch,
 )
-from nvsf_core.kernels.layout import PRIMES, GridLayout
-from nvsf_core.kernels.rows_numba import copy_row, gather, scatter
+from nvsf_core.kernels.encodings.layout import PRIMES, GridLayout
+from nvsf_core.kernels.encodings.rows_numba import copy_row, gather, scatter
 
 __all__ = ["adjoint", "encode"]
 

@@ -29,7 +29,7 @@ def device():
         return "cuda"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRITON_INTERPRET", "1")
-        from nvsf_core.kernels import hash_grid_triton
+        from nvsf_core.kernels.encodings import hash_grid_triton
     assert hash_grid_triton.is_interpreted()
     return "cpu"
 
@@ -122,7 +122,7 @@ def test_code_compiled_for_cuda_fuses_no_multiply_with_an_add():
 
 def _compilable_kernels():
     """The kernels' module once more, for the compiler: where there is no CUDA the other is interpreted."""
-    name = "nvsf_core.kernels.hash_grid_triton"
+    name = "nvsf_core.kernels.encodings.hash_grid_triton"
     spec = importlib.util.find_spec(name)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -166,8 +166,8 @@ def test_other_types_than_float32_are_refused(device):
 
 def test_the_cpu_needs_no_triton(monkeypatch):
     monkeypatch.setitem(sys.modules, "triton", None)
-    monkeypatch.setitem(sys.modules, "nvsf_core.kernels.hash_grid_triton", None)
-    monkeypatch.delattr("nvsf_core.kernels.hash_grid_triton", raising=False)
+    monkeypatch.setitem(sys.modules, "nvsf_core.kernels.encodings.hash_grid_triton", None)
+    monkeypatch.delattr("nvsf_core.kernels.encodings.hash_grid_triton", raising=False)
     layout = _layout(3, 2)
     table = _table(layout).requires_grad_()
     hash_grid_encode(torch.zeros(4, 3, requires_grad=True), table, layout).sum().backward()

@@ -17,7 +17,7 @@ from llvmlite import ir  # type: ignore[import-untyped,unused-ignore]
 from numba.core import types
 from numba.extending import intrinsic
 
-from nvsf_core.kernels.corners_numba import AHEAD
+from nvsf_core.kernels.encodings.corners_numba import AHEAD
 
 __all__ = ["copy_row", "gather", "scatter"]
 

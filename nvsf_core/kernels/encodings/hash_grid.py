@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.kernels import hash_grid_torch
-from nvsf_core.kernels.layout import GridLayout
+from nvsf_core.kernels.encodings import hash_grid_torch
+from nvsf_core.kernels.encodings.layout import GridLayout
 
 __all__ = ["Backend", "hash_grid_encode"]
 
@@ -55,7 +55,7 @@ class _NumbaEncode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
         # numba costs 0.3 s to import and nothing but this path needs it
-        from nvsf_core.kernels import hash_grid_numba
+        from nvsf_core.kernels.encodings import hash_grid_numba
 
         ctx.save_for_backward(positions, table)
         ctx.layout = layout
@@ -63,7 +63,7 @@ class _NumbaEncode(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
-        from nvsf_core.kernels import hash_grid_numba
+        from nvsf_core.kernels.encodings import hash_grid_numba
 
         positions, table = ctx.saved_tensors
         grad_positions = grad_table = None
@@ -81,7 +81,7 @@ class _TritonEncode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
         # not every machine has Triton
-        from nvsf_core.kernels import hash_grid_triton
+        from nvsf_core.kernels.encodings import hash_grid_triton
 
         ctx.save_for_backward(positions, table)
         ctx.layout = layout
@@ -89,7 +89,7 @@ class _TritonEncode(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
-        from nvsf_core.kernels import hash_grid_triton
+        from nvsf_core.kernels.encodings import hash_grid_triton
 
         positions, table = ctx.saved_tensors
         grad_positions = grad_table = None
@@ -117,7 +117,7 @@ def _require_backend(backend: Backend, positions: Tensor, table: Tensor) -> None
     if backend == "numba":
         expected, fits = "on the CPU", positions.is_cpu
     else:
-        from nvsf_core.kernels import hash_grid_triton
+        from nvsf_core.kernels.encodings import hash_grid_triton
 
         expected = "on the CPU, interpreted" if hash_grid_triton.is_interpreted() else "on CUDA"
         fits = positions.is_cuda or hash_grid_triton.is_interpreted()

@@ -16,7 +16,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from nvsf_core.kernels.hash_grid_triton import add, is_interpreted, store_unclamped
+from nvsf_core.kernels.encodings.hash_grid_triton import add, is_interpreted, store_unclamped
 
 __all__ = ["adjoint", "coordinate_adjoint", "is_interpreted", "sample"]
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.kernels import planes_torch
+from nvsf_core.kernels.encodings import planes_torch
 
 __all__ = ["PlanesBackend", "planes_sample"]
 
@@ -52,14 +52,14 @@ class _NumbaSample(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
         # numba costs 0.3 s to import and nothing but this path needs it
-        from nvsf_core.kernels import planes_numba
+        from nvsf_core.kernels.encodings import planes_numba
 
         ctx.save_for_backward(coordinates, plane)
         return planes_numba.sample(coordinates, plane)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        from nvsf_core.kernels import planes_numba, planes_slope_numba
+        from nvsf_core.kernels.encodings import planes_numba, planes_slope_numba
 
         coordinates, plane = ctx.saved_tensors
         grad_coordinates = grad_plane = None
@@ -74,14 +74,14 @@ class _TritonSample(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
         # not every machine has Triton
-        from nvsf_core.kernels import planes_triton
+        from nvsf_core.kernels.encodings import planes_triton
 
         ctx.save_for_backward(coordinates, plane)
         return planes_triton.sample(coordinates, plane)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        from nvsf_core.kernels import planes_triton
+        from nvsf_core.kernels.encodings import planes_triton
 
         coordinates, plane = ctx.saved_tensors
         grad_coordinates = grad_plane = None
@@ -109,7 +109,7 @@ def _require_backend(backend: PlanesBackend, coordinates: Tensor, plane: Tensor)
     if backend == "numba":
         expected, fits = "on the CPU", coordinates.is_cpu
     else:
-        from nvsf_core.kernels import planes_triton
+        from nvsf_core.kernels.encodings import planes_triton
 
         expected = "on the CPU, interpreted" if planes_triton.is_interpreted() else "on CUDA"
         fits = coordinates.is_cuda or planes_triton.is_interpreted()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from nvsf_core.kernels.layout import PRIMES, GridLayout
+from nvsf_core.kernels.encodings.layout import PRIMES, GridLayout
 
 __all__ = ["encode"]
 

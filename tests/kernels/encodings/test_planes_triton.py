@@ -24,7 +24,7 @@ def device():
         return "cuda"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRITON_INTERPRET", "1")
-        from nvsf_core.kernels import planes_triton
+        from nvsf_core.kernels.encodings import planes_triton
     assert planes_triton.is_interpreted()
     return "cpu"
 

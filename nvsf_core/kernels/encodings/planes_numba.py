@@ -17,7 +17,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from nvsf_core.kernels.corners_numba import (
+from nvsf_core.kernels.encodings.corners_numba import (
     BLOCK,
     axis_by_axis,
     combine,
@@ -27,7 +27,7 @@ from nvsf_core.kernels.corners_numba import (
     place,
     use_threads_of_torch,
 )
-from nvsf_core.kernels.rows_numba import gather, scatter
+from nvsf_core.kernels.encodings.rows_numba import gather, scatter
 
 __all__ = ["adjoint", "sample"]
 

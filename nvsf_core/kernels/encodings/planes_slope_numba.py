@@ -14,7 +14,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from nvsf_core.kernels.corners_numba import compiled, use_threads_of_torch
+from nvsf_core.kernels.encodings.corners_numba import compiled, use_threads_of_torch
 
 __all__ = ["coordinate_adjoint"]
 
