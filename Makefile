@@ -51,10 +51,10 @@ bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPES, SEEDS="0 1 2", S
 	$(BIN)/python -m benchmarks.run
 
 ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md
-	$(BIN)/python -m benchmarks.ablation
+	$(BIN)/python -m benchmarks.paper.ablation
 
 stability: install ## hard numerical cases, measured; docs/numerical_stability.md
-	$(BIN)/python -m benchmarks.stability
+	$(BIN)/python -m benchmarks.numerics.stability
 
 contract: install ## write docs/data_contract.md from nvsf_core/stores/schemas.py
 	$(BIN)/python -m nvsf_core.stores.schemas > docs/data_contract.md

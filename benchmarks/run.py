@@ -1,19 +1,21 @@
 """``make bench``: speed against error, then every metric of the recipes that learn a residual.
 
-First the runs of `benchmarks.curves`, which train. Then, of whole scenes, Dagster's job ``benchmark`` for
-each recipe and seed: its stage ``field`` goes on from the finished checkpoint that the curve's run left, so
-that nothing is trained twice; the metrics over all rays and pixels, the report and README's table follow.
-What is up to date is not repeated. SCENES, RECIPES, SEEDS, SPLITS, MARKS say what is measured.
+First the runs of `benchmarks.speed_error.curves`, which train. Then, of whole scenes, Dagster's job
+``benchmark`` for each recipe and seed: its stage ``field`` goes on from the finished checkpoint that the
+curve's run left, so that nothing is trained twice; the metrics over all rays and pixels, the report and
+README's table follow. What is up to date is not repeated. SCENES, RECIPES, SEEDS, SPLITS, MARKS say what is
+measured.
 """
 
 import os
 import sys
 
-from benchmarks.curve_document import write_document
-from benchmarks.curve_plan import FULL, RESULTS
-from benchmarks.curves import Asked, asked_from, measure
-from benchmarks.job import execute_benchmark
-from benchmarks.results_table import ROOT, write
+from benchmarks.common.job import execute_benchmark
+from benchmarks.common.places import ROOT
+from benchmarks.speed_error.curves import Asked, asked_from, measure
+from benchmarks.speed_error.document import write_document
+from benchmarks.speed_error.plan import FULL, RESULTS
+from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.recipe import PaperRecipe, preset
 

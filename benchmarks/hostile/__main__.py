@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.commit import commit
+from benchmarks.common.commit import commit
+from benchmarks.common.markers import write_between
+from benchmarks.common.places import ROOT
 from benchmarks.hostile.limits import GIGABYTES, SECONDS, run_limited
 from benchmarks.hostile.subjects import Templates
 from benchmarks.hostile.table import FAULTS, counts, silent
-from benchmarks.markers import write_between
 from nvsf_core.stages.runner.host import machine
 
-ROOT = Path(__file__).resolve().parents[2]
 RESULTS = "benchmarks/results/hostile.json"
 _SHARES = {"drive": 0.45, "home": 0.2, "catalogue": 0.2, "choice": 0.15}
 _SAY_EVERY = 100

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.ablation_baselines import baseline_rows
-from benchmarks.ablation_scoring import IMAGE_STEP, Scene, averaged_rgb, score_image
-from benchmarks.ablation_table import read_rows
+from benchmarks.paper.ablation_baselines import baseline_rows
+from benchmarks.paper.ablation_scoring import IMAGE_STEP, Scene, averaged_rgb, score_image
+from benchmarks.paper.ablation_table import read_rows
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import BASELINES

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import curve_run
-from benchmarks.curve_document import write_document
-from benchmarks.curve_lidar import Sectors
-from benchmarks.curve_plan import read_result, result_path, split_of, write_result
-from benchmarks.curve_scoring import thin_pinhole, thinned
-from benchmarks.curve_sizes import SIZES, chosen_size
-from benchmarks.curves import asked_from, is_done
+from benchmarks.speed_error import run as curve_run
+from benchmarks.speed_error.curves import asked_from, is_done
+from benchmarks.speed_error.document import write_document
+from benchmarks.speed_error.lidar import Sectors
+from benchmarks.speed_error.plan import read_result, result_path, split_of, write_result
+from benchmarks.speed_error.scoring import thin_pinhole, thinned
+from benchmarks.speed_error.sizes import SIZES, chosen_size
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole

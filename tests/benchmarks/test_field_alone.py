@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.curve_plan import RESULTS, result_path
-from benchmarks.curve_sizes import chosen_size
-from benchmarks.field_alone import equally_long
-from benchmarks.results_table import RECIPES, ROOT
+from benchmarks.lean.field_alone import equally_long
+from benchmarks.speed_error.plan import RESULTS, result_path
+from benchmarks.speed_error.sizes import chosen_size
+from benchmarks.tables.results_table import RECIPES, ROOT
 from nvsf_core.errors import DataError
 
 SCENE = "k360_street"

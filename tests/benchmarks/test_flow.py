@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.flow import errors_m, learned, nearest_in_time, nothing, table, targets
-from benchmarks.flow_truth import SURFACES, TrueMotion, displacements_m
+from benchmarks.paper.flow import errors_m, learned, nearest_in_time, nothing, table, targets
+from benchmarks.paper.flow_truth import SURFACES, TrueMotion, displacements_m
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.fields.flow import FlowField

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.lean_ablation import VARIANTS, helps, make_field, read_rows
-from benchmarks.lean_variants import PATCH, RayGrid, Variant, VariantStep, huber_depth_loss, ray_grid
+from benchmarks.lean.ablation import VARIANTS, helps, make_field, read_rows
+from benchmarks.lean.variants import PATCH, RayGrid, Variant, VariantStep, huber_depth_loss, ray_grid
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.losses.depth import depth_loss
 from nvsf_core.metrics.table import BASELINES

@@ -4,8 +4,8 @@ import json
 import sys
 from pathlib import Path
 
-from benchmarks.results_document import as_document, error_of
-from benchmarks.results_table import BEGIN, END, as_markdown, write
+from benchmarks.tables.results_document import as_document, error_of
+from benchmarks.tables.results_table import BEGIN, END, as_markdown, write
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from street_store import write_street  # tests are no package

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.rigidity import surface_distance_m
+from benchmarks.lean.rigidity import surface_distance_m
 
 
 def test_distance_to_a_surface_is_that_to_its_plane_and_unknown_where_nothing_was_seen():

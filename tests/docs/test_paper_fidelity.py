@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import gradient_mask
-from benchmarks.parameters import counts, table
+from benchmarks.paper import gradient_mask
+from benchmarks.paper.parameters import counts, table
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recipe.paper import (
     AuthorsSlips,

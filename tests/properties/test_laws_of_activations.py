@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.stability_cases.tolerances import TOLERANCES
+from benchmarks.numerics.cases.tolerances import TOLERANCES
 from nvsf_core import numerics
 from nvsf_core.losses.depth import CLAMP_M, depth_loss
 from nvsf_core.losses.line_of_sight import line_of_sight_loss

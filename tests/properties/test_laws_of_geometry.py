@@ -8,8 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from benchmarks.stability_cases.cameras import KITTI_360
-from benchmarks.stability_cases.tolerances import LENGTH_M, SHIFTED_POSE_M
+from benchmarks.numerics.cases.cameras import KITTI_360
+from benchmarks.numerics.cases.tolerances import LENGTH_M, SHIFTED_POSE_M
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import (
     exp_se3,

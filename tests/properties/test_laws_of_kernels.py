@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from benchmarks.stability_cases.tolerances import TOLERANCES
+from benchmarks.numerics.cases.tolerances import TOLERANCES
 from nvsf_core.kernels import GridLayout, hash_grid_encode
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.kernels.encodings.planes import planes_sample

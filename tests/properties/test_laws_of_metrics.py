@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from benchmarks.stability_cases.tolerances import LENGTH_M, TOLERANCES
+from benchmarks.numerics.cases.tolerances import LENGTH_M, TOLERANCES
 from nvsf_core.evidence.static.voxels import index_points
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.losses.chamfer import squared_nearest_distances

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.stability_cases.long_run import long_run
+from benchmarks.numerics.cases.long_run import long_run
 
 
 def test_a_long_run_neither_drifts_nor_grows_nor_loses_its_statistics() -> None:

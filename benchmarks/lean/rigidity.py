@@ -1,0 +1,299 @@
+"""Whether anything moves that no rigid motion explains: returns of moving things against what stands.
+
+Run ``python -m benchmarks.lean.rigidity [--scene kitti0005_van_cyclist]`` after the scene's stage
+`evidence`; it prints a table and writes benchmarks/results/rigidity.json. Training scans only.
+
+Each scan's returns of a moving object are laid, by its rigid path, over those of the 4 scans nearest in time
+(as many as the renderer uses) and compared with the plane through the 8 nearest of them. The same is done
+with returns of what stands, at the same distances from the sensor and heights above the ground, and with the
+moving object's returns as if it had stood still. A limb that swings lies between its other places, and hardly
+off them: so the same rays are also answered by surfels of those 4 scans, as the renderer does, and ranges
+compared: what blurs shows there. The same is told of objects that have a flow, with it.
+"""
+
+import argparse
+import itertools
+import json
+import os
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks.common import places
+from benchmarks.common.commit import commit
+from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.evidence.moving.detection import STANDING_M
+from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
+from nvsf_core.evidence.static.ground import build_ground
+from nvsf_core.evidence.static.planes import PLANE_POINTS
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.recording.sweeps import training_returns
+from nvsf_core.rendering.reproject import reproject_rays
+from nvsf_core.stages.inputs import read_evidence, read_sweeps
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stores.scene_store import SceneStore
+
+RESULTS = places.RESULTS / "rigidity.json"
+FAR_OFF_M = 0.1
+"""A return farther off its surface than this would be seen to be wrong."""
+_UNSEEN_M = 0.5
+"""Without a return so near in a scan a place was not seen by it: no surface to compare with."""
+VEHICLE_M = 2.5
+"""What is at least as long is a vehicle; smaller things are people, on foot or on wheels."""
+FEWEST_RETURNS = 1000
+"""Of an object that is told by itself: below it, its own surface is hardly known."""
+_HIGHEST_M = 2.5
+_STANDING_A_SCAN = 4000
+_RENDERED_EVERY = 4
+"""Of the scans of what stands: surfels of a whole street take longer than those of an object."""
+_MOST_SURFACES = 24
+_NEAR_M, _FAR_M = 4.0, 40.0
+_SHOWN = ("rendered", "flowing", "standing_rendered")
+
+
+def surface_distance_m(point_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
+    """Distance (n,) of points (n, 3) to the plane through the 8 nearest of others (m, 3), m >= 8.
+
+    NaN where the nearest lies more than 0.5 m off.
+    """
+    near_m, near = cKDTree(seen_m).query(point_m, PLANE_POINTS)
+    around = seen_m[near]
+    centre = around.mean(axis=1)
+    apart = around - centre[:, None]
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    distance = np.abs(np.einsum("ni,ni->n", point_m - centre, axes[:, :, 0]))
+    return np.where(near_m[:, 0] <= _UNSEEN_M, distance, np.nan)
+
+
+def object_distances_m(one: ObjectEvidence, *, is_moved: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Of an object's returns: distance to its surface as its nearest other scans show it, and range.
+
+    `is_moved`: by its rigid path; else as if it had stood still.
+    """
+    rays = one.rays
+    point_o = rays.origin_m + rays.direction * rays.range_m[:, None]
+    if not is_moved:
+        scan_pose = one.path.matrix_at(one.path.time_s)
+        pose = scan_pose[np.searchsorted(one.path.scan, rays.scan)]
+        point_o = np.einsum("nij,nj->ni", pose[:, :3, :3], point_o) + pose[:, :3, 3]
+    distances, ranges = [], []
+    for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
+        mine = rays.is_hit & (rays.scan == scan)
+        others = rays.is_hit & np.isin(rays.scan, one.scans_near(float(time_s), leave_out=int(scan)))
+        if mine.any() and others.sum() >= PLANE_POINTS:
+            distances.append(surface_distance_m(point_o[mine], point_o[others]))
+            ranges.append(rays.range_m[mine])
+    return np.concatenate([[], *distances]), np.concatenate([[], *ranges])
+
+
+def object_range_errors_m(one: ObjectEvidence) -> tuple[np.ndarray, np.ndarray]:
+    """Of an object's returns: range error of what its nearest other scans' surfels answer, and range.
+
+    With its flow, if it has one.
+    """
+    rays, errors, ranges = one.rays, [], []
+    for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
+        mine = rays.is_hit & (rays.scan == scan)
+        surfels = one.surfels_from(one.scans_near(float(time_s), leave_out=int(scan)), float(time_s))
+        if mine.any() and surfels is not None:
+            errors.append(
+                _range_error_m(surfels, rays.origin_m[mine], rays.direction[mine], rays.range_m[mine])
+            )
+            ranges.append(rays.range_m[mine])
+    return np.concatenate([[], *errors]), np.concatenate([[], *ranges])
+
+
+def _range_error_m(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray
+) -> np.ndarray:
+    """Absolute range errors (r,) of answers by evidence alone; NaN where it has none."""
+    answered = reproject_rays(
+        surfels, origin_m, direction, np.ones(len(range_m), np.float32), most=_MOST_SURFACES, far_m=2 * _FAR_M
+    )
+    error = np.abs(answered.range_m - range_m)
+    return np.where(np.isfinite(error), error, np.nan)
+
+
+class Standing(NamedTuple):
+    """Returns of what stands, as high above the ground as people and vehicles are; (n, 2) each."""
+
+    distance_m: np.ndarray
+    """Distance to its surface as 4 other scans show it, and range."""
+    error_m: np.ndarray
+    """Range error of what these scans' surfels answer, and range."""
+
+
+def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> Standing:
+    """Figures of what stands; what moves is left out, and what is near its path."""
+    sweeps = read_sweeps(store)
+    assert sweeps is not None
+    returns = training_returns(sweeps)
+    kept = np.repeat(sweeps.is_training, np.diff(sweeps.arrays["offsets"]))
+    a = {name: sweeps.arrays[name][kept] for name in ("origin_m", "direction", "range_m", "intensity")}
+    scan = returns.scan_of(np.arange(len(kept[kept])))
+    stands = ~returns.is_own_vehicle
+    height_m = build_ground(returns.point_m[stands]).above(returns.point_m)
+    for one in objects:
+        local = one.path.to_object(returns.point_m.astype(np.float64), returns.time_s)
+        stands &= ~np.all((local > one.path.low_m - 0.3) & (local < one.path.high_m + 0.3), axis=1)
+    used = stands & (height_m > STANDING_M) & (height_m < _HIGHEST_M)
+    used &= (a["range_m"] > _NEAR_M) & (a["range_m"] < _FAR_M)
+    random, distances, errors = np.random.default_rng(0), [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for k in range(returns.scan_count):
+        others = np.argsort(np.abs(np.arange(returns.scan_count) - k), kind="stable")[1 : NEAREST_SCANS + 1]
+        near, mine = np.isin(scan, others), np.flatnonzero(used & (scan == k))
+        if len(mine) == 0 or (used & near).sum() < PLANE_POINTS:
+            continue
+        mine = random.choice(mine, min(len(mine), _STANDING_A_SCAN), replace=False)
+        seen = returns.point_m[used & near].astype(np.float64)
+        off_m = surface_distance_m(returns.point_m[mine], seen)
+        distances.append(np.stack([off_m, a["range_m"][mine]], axis=1))
+        if k % _RENDERED_EVERY == 0:
+            surfels = build_surfels(
+                a["origin_m"][near], a["direction"][near], a["range_m"][near], a["intensity"][near],
+                voxel_m=OBJECT_VOXEL_M, threads=1, is_surface=stands[near],
+            )  # fmt: skip
+            off_m = _range_error_m(surfels, *(a[name][mine] for name in ("origin_m", "direction", "range_m")))
+            errors.append(np.stack([off_m, a["range_m"][mine]], axis=1))
+    return Standing(np.concatenate(distances), np.concatenate(errors))
+
+
+def figures(distance_m: np.ndarray) -> dict[str, float]:
+    """Median, 90th percentile, share farther off than 10 cm, share of places that others never saw."""
+    known = distance_m[np.isfinite(distance_m)]
+    return {
+        "returns": len(distance_m), "median_m": float(np.median(known)),
+        "p90_m": float(np.quantile(known, 0.9)), "far_off_share": float((known > FAR_OFF_M).mean()),
+        "unseen_share": 1.0 - len(known) / len(distance_m),
+    }  # fmt: skip
+
+
+def like(standing: np.ndarray, range_m: np.ndarray) -> np.ndarray:
+    """Distances (n,) of standing returns at the ranges of some others, as many at each as those are."""
+    random, low = np.random.default_rng(0), np.quantile(range_m, [0.0, 0.25, 0.5, 0.75, 1.0])
+    parts = [standing[(standing[:, 1] >= a) & (standing[:, 1] <= b), 0] for a, b in itertools.pairwise(low)]
+    count = min((len(part) for part in parts if len(part)), default=0)
+    return np.concatenate([random.choice(part, count, replace=False) for part in parts if len(part)])
+
+
+class Moved(NamedTuple):
+    """Of one moving object, or of all of a kind."""
+
+    distance_m: np.ndarray
+    """(n,) to its surface, by its rigid path."""
+    still_m: np.ndarray
+    """(n,) to its surface as if it had stood still."""
+    range_m: np.ndarray
+    """(n,)."""
+    error_m: np.ndarray
+    """(m,) range errors."""
+    error_range_m: np.ndarray
+    """(m,)."""
+    flowing_m: np.ndarray
+    """(m,) range errors with a flow, where the object has one."""
+
+
+def measure(store: SceneStore) -> dict[str, Any]:
+    """All figures of a scene whose evidence lies published."""
+    evidence = read_evidence(store)
+    if evidence is None or evidence.dynamic is None:
+        raise SystemExit(f"scene {store.scene}: nothing was seen to move")
+    objects = evidence.dynamic.objects
+    standing = standing_returns(store, objects)
+    total = int(evidence.prior.is_hit.sum())
+    rows, kinds = [], dict[str, list[Moved]]()
+    for number, one in enumerate(objects):
+        moved, range_m = object_distances_m(one, is_moved=True)
+        if len(moved) == 0:
+            continue
+        still_m = object_distances_m(one, is_moved=False)[0]
+        error_m, error_range_m = object_range_errors_m(replace(one, flow_m=None))
+        flowing_m = error_m if one.flow_m is None else object_range_errors_m(one)[0]
+        found = Moved(moved, still_m, range_m, error_m, error_range_m, flowing_m)
+        size_m = one.path.high_m - one.path.low_m
+        kind = "vehicle" if size_m[:2].max() >= VEHICLE_M else "person"
+        kinds.setdefault(kind, []).append(found)
+        if len(moved) >= FEWEST_RETURNS:
+            rows.append(_row(f"object {number}, {kind}", found, standing, total) | {
+                "size_m": [round(float(side), 2) for side in size_m], "scans": len(one.path.scan),
+                "has_flow": one.flow_m is not None,
+            })  # fmt: skip
+    for kind, parts in kinds.items():
+        joined = Moved(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        of_kind = {"objects": len(parts), "has_flow": False}
+        rows.append(_row(f"all of kind {kind}", joined, standing, total) | of_kind)
+    return {"scene": store.scene, "returns": total, "rows": rows}
+
+
+def _row(name: str, moved: Moved, standing: Standing, total: int) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "name": name, "range_m": float(np.median(moved.range_m)),
+        "rigid": figures(moved.distance_m), "if_it_stood": figures(moved.still_m),
+        "standing": figures(like(standing.distance_m, moved.range_m)),
+        "rendered": figures(moved.error_m), "flowing": figures(moved.flowing_m),
+        "standing_rendered": figures(like(standing.error_m, moved.error_range_m)),
+    }  # fmt: skip
+    excess = row["rendered"]["far_off_share"] - row["standing_rendered"]["far_off_share"]
+    row["excess_share_of_all_returns"] = max(0.0, excess) * len(moved.error_m) / total
+    return row
+
+
+def table(found: dict[str, Any]) -> str:
+    """Markdown of what `measure` gave."""
+    lines = [
+        "| what | returns | range m | to its surface: rigid | standing | as if it stood | range: rigid "
+        "| as shown | standing | > 10 cm, rigid | as shown | standing | excess, of all returns |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for row in found["rows"]:
+        distances = " | ".join(_both(row[name]) for name in ("rigid", "standing", "if_it_stood"))
+        errors = " | ".join(_both(row[name]) for name in _SHOWN)
+        shares = " | ".join(f"{row[name]['far_off_share']:.1%}" for name in _SHOWN)
+        flow = ", with a flow" if row["has_flow"] else ""
+        lines.append(
+            f"| {row['name']}{flow} | {row['rigid']['returns']} | {row['range_m']:.1f} | {distances} "
+            f"| {errors} | {shares} | {row['excess_share_of_all_returns']:.3%} |"
+        )
+    return "\n".join(lines)
+
+
+def section(found: dict[str, Any]) -> list[str]:
+    """Lines of docs/lean_ablation.md."""
+    return [
+        f"## What no rigid motion explains: {found['scene']}",
+        "",
+        "From `benchmarks/results/rigidity.json` (`python -m benchmarks.lean.rigidity`). Moving things'",
+        "returns in training scans against what the 4 scans nearest in time show of the same thing, laid over each",
+        "other by its rigid path: median / 90th percentile, in mm, of the distance to its surface, and of",
+        "the error of the range that those scans' surfels answer. `standing`: the same of what stands, at",
+        "the same distances. `as shown`: with a flow, where left-out scans chose one. `excess`: returns",
+        "whose range is off by more than 10 cm, beyond the share of what stands.",
+        f"{found['machine']}; commit {found['commit']}.",
+        "",
+        table(found),
+        "",
+    ]
+
+
+def _both(one: dict[str, float]) -> str:
+    """Median / 90th percentile in millimetres."""
+    return f"{1e3 * one['median_m']:.0f} / {1e3 * one['p90_m']:.0f}"
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scene", default="kitti0005_van_cyclist")
+    arguments = parser.parse_args()
+    found = measure(SceneStore(home=home_from_environment(os.environ), scene=arguments.scene))
+    facts = {"machine": machine(), "commit": commit()} | found
+    RESULTS.write_text(json.dumps(facts, indent=1) + "\n")
+    print(table(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""Seconds and memory of an iteration of the recipe `paper` at full size, written into docs/paper_fidelity.md.
+
+Run ``python -m benchmarks.paper.step [--scene k360_street] [--steps 2]`` on an otherwise idle machine; on a
+machine with a GPU it runs there. It needs NVSF_SCENES and NVSF_HOME as a training does.
+"""
+
+import argparse
+import json
+import resource
+import time
+
+import torch
+
+from benchmarks.common import places
+from benchmarks.common.commit import commit
+from benchmarks.common.markers import write_between
+from benchmarks.paper.ablation import prepared_recording
+from nvsf_core.models.paper.scene import device, training_frames
+from nvsf_core.models.paper.training.step import paper_step
+from nvsf_core.models.paper.training.trainee import PaperTrainee
+from nvsf_core.recipe import PaperRecipe
+from nvsf_core.stages.runner.host import machine
+
+RESULTS = places.RESULTS / "paper_step.json"
+DOCUMENT = places.DOCS / "paper_fidelity.md"
+
+
+def measure(scene: str, steps: int) -> dict[str, object]:
+    """Train `steps` iterations after one that is not timed; nothing of it is kept."""
+    recipe = PaperRecipe(name="paper")
+    _, recording = prepared_recording(scene, recipe)
+    frames = training_frames(recipe, recording)
+    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).to(device())
+    groups = trainee.field.parameter_groups(recipe.optimiser)
+    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    generator = torch.Generator().manual_seed(0)
+    seconds: list[float] = []
+    terms: set[str] = set()
+    for step in range(steps + 1):
+        started = time.perf_counter()
+        optimiser.zero_grad(set_to_none=True)
+        for part in paper_step(trainee, frames, 0, step, generator):
+            part.total.backward()
+            terms |= set(part.terms)
+        optimiser.step()
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        seconds.append(time.perf_counter() - started)
+        print(f"iteration {step}: {seconds[-1]:.1f} s", flush=True)
+    rays = recipe.sampling.rays * 2
+    mean_s = sum(seconds[1:]) / steps
+    gpu_mb = torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else None
+    return {
+        "scene": scene, "iterations": steps, "seconds": mean_s, "rays_per_s": rays / mean_s,
+        "rays": rays, "samples": recipe.sampling.samples, "terms": sorted(terms),
+        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "peak_gpu_mb": gpu_mb,
+        "machine": machine(), "commit": commit(),
+    }  # fmt: skip
+
+
+def table() -> str:
+    """The measured rows as Markdown."""
+    lines = [
+        "| scene | rays x samples | loss terms | s each | rays/s | peak MB | machine | commit |",
+        "| --- | --- | --- | ---: | ---: | ---: | --- | --- |",
+    ]
+    for row in json.loads(RESULTS.read_text()):
+        lines.append(
+            f"| `{row['scene']}` | {row['rays']} x {row['samples']} | {', '.join(row['terms'])} "
+            f"| {row['seconds']:.1f} | {row['rays_per_s']:.0f} "
+            f"| {row['peak_gpu_mb'] or row['peak_memory_mb']:.0f} | {row['machine']} | {row['commit']} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure, keep the row beside those of other machines and scenes, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="k360_street")
+    parser.add_argument("--steps", type=int, default=2)
+    arguments = parser.parse_args()
+    row = measure(arguments.scene, arguments.steps)
+    known = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
+    others = [one for one in known if (one["scene"], one["machine"]) != (row["scene"], row["machine"])]
+    RESULTS.write_text(json.dumps([*others, row], indent=1) + "\n")
+    write_between(DOCUMENT, "paper_step", table())
+    print(table(), end="")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""Write what the finished runs measured: a JSON a recipe, README's results table, and docs/results.md.
+
+Run ``python -m benchmarks.tables.results_table`` after ``make demo`` or ``make train``; ``make bench`` does
+it too. It reads every scene's ``scene_metrics`` under NVSF_HOME, so that no number in a table is typed by
+hand. What was measured elsewhere or earlier stays, unless the same scene, method and seed were measured
+again.
+"""
+
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.common.places import ROOT
+from benchmarks.kernels.voxel_walk_table import walk_table
+from benchmarks.tables.results_document import Row, as_document, by_method, cell, commits_of, error_of, rank
+from benchmarks.tables.targets import OTHER
+from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stores.tables import read_rows
+
+RECIPES = Path("benchmarks", "results", "recipes")
+"""Where in a checkout the finished runs' results lie, a JSON a recipe."""
+BEGIN, END = "<!-- results -->\n", "<!-- end of results -->"
+_SCAN, _IMAGE = "lidar4d_scan", "image"
+_BASELINES = "baselines"
+"""Name of their file."""
+
+
+def collect(home: Path) -> dict[str, list[Row]]:
+    """Recipe to what its runs measured: one row a scene and seed; the baselines' beside the newest run.
+
+    A row's `errors` hold, by split, protocol, region and sensor with strokes between them, each metric's
+    mean over the frames where it is defined, null where it is defined on none.
+    """
+    found: dict[str, list[Row]] = {}
+    # A killed writer leaves hidden folders behind.
+    tables = home.glob("[!.]*/scene_metrics/[!.]*/[!.]*/metrics.parquet")
+    for path in sorted(tables, key=lambda table: table.stat().st_mtime_ns):
+        measured = read_rows(path)
+        means = mean_rows(measured)
+        for scene, method, seed in dict.fromkeys((m["scene"], m["recipe"], m["seed"]) for m in means):
+            mine = [m for m in means if m["recipe"] == method]
+            about = {"scene": scene, "method": method, "seed": seed, "commit": measured[0]["commit"]}
+            # A baseline has no seed: it was measured beside each.
+            file, own = (_BASELINES, {"seed": 0}) if method in BASELINES else (path.parts[-3], {})
+            found.setdefault(file, []).append(about | own | _costs(mine) | {"errors": _errors(mine)})
+    return found
+
+
+def measured_rows(path: Path) -> list[Row]:
+    """The rows of a recipe's file, sorted; none where there is no file."""
+    rows: list[Row] = json.loads(path.read_text())["rows"] if path.is_file() else []
+    return rows
+
+
+def merged(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
+    """Rows of both, sorted; a new row takes the place of the old one of its scene, method and seed."""
+    rows = {(row["scene"], row["seed"], row["method"]): row for row in [*old, *new]}
+    return [rows[key] for key in sorted(rows, key=lambda key: (*key[:2], *rank(key[2])))]
+
+
+def as_markdown(rows: Iterable[Row]) -> str:
+    """The README's table: means over seeds, with the standard deviation where there are several."""
+    lines = [
+        "| scene | method | seeds | CD m² | F | range PSNR dB | hit acc. | image PSNR | train s | sweep s "
+        "| commit |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for (scene, method), mine in by_method(rows).items():
+        cells = [
+            cell([error_of(row, protocol, metric) for row in mine.rows], digits)
+            for protocol, metric, digits in (
+                (_SCAN, "chamfer_m2", 3), (_SCAN, "f_score", 3), (_SCAN, "range_psnr_db", 1),
+                (_SCAN, "hit_accuracy", 3), (_IMAGE, "image_psnr_db", 1),
+            )
+        ]  # fmt: skip
+        cells += [
+            cell([row[name] for row in mine.rows], digits)
+            for name, digits in (("train_seconds", 0), ("render_seconds", 2))
+        ]
+        cells.append(commits_of(mine.rows))
+        lines.append(f"| `{scene}` | `{method}` | {mine.seeds} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def write(home: Path, root: Path) -> str:
+    """Bring `<root>/benchmarks/results/recipes/`, README's table and docs/results.md up to date.
+
+    Returns:
+        The table.
+    """
+    results = root / RECIPES
+    results.mkdir(parents=True, exist_ok=True)
+    for recipe, rows in collect(home).items():
+        target = results / f"{recipe}.json"
+        target.write_text(json.dumps({"rows": merged(measured_rows(target), rows)}, indent=1) + "\n")
+    everything = [row for path in sorted(results.glob("*.json")) for row in measured_rows(path)]
+    sections = [as_document(everything), walk_table(root)]
+    (root / "docs" / "results.md").write_text("\n".join(filter(None, sections)))
+    table = as_markdown(row for row in everything if not row["scene"].startswith(OTHER))
+    readme = root / "README.md"
+    head, rest = readme.read_text().split(BEGIN)
+    _, tail = rest.split(END)
+    machines = "; ".join(sorted({row["machine"] for row in everything}))
+    text = f"{machines}; mean of the catalogue's held-out frames, protocol `{_SCAN}`.\n\n{table}\n"
+    readme.write_text(head + BEGIN + text + END + tail)
+    return table
+
+
+def _costs(means: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What a method took, and how many frames say so."""
+    held_out = {row["protocol"]: row for row in means if row["split"] == HELD_OUT}
+    costs = {name: means[0][name] for name in ("train_seconds", "parameters", "model_mb")}
+    return costs | {
+        "render_seconds": held_out.get(_SCAN, {}).get("render_seconds"),
+        "image_seconds": held_out.get(_IMAGE, {}).get("render_seconds"),
+        "frames": max((row["n_frames"] for row in held_out.values()), default=0),
+        "machine": machine(),
+    }
+
+
+def _errors(means: Iterable[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
+    errors: dict[str, dict[str, float | None]] = {}
+    for row in means:
+        # Of regions only the boxes of moving objects have a table.
+        if row["region"] != ("foreground" if row["protocol"] == "masked" else "all"):
+            continue
+        place = "/".join(row[key] for key in ("split", "protocol", "region", "sensor"))
+        value = row["value"]
+        errors.setdefault(place, {})[row["metric"]] = None if math.isnan(value) else value
+    return errors
+
+
+if __name__ == "__main__":
+    print(write(home_from_environment(os.environ), ROOT))
