@@ -9,13 +9,11 @@ from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.answered_turn import AnsweredTurn
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import put_back_own_vehicle
+from nvsf_core.simulation.scan import AnsweredTurn, put_back_own_vehicle
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.simulation.sweep_simulation import fire_sweep
+from nvsf_core.simulation.sweep_simulation import answers_along, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages.views.lidar import answers_along
 
 SHARE = 4
 """One of so many blocks of columns, and of recorded rays, is scored."""
@@ -93,7 +91,7 @@ def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> 
         pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
         a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
         rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
-        return pano, answers_along(lidar, model, time_s, *rays).range_m
+        return pano, answers_along(model, lidar, time_s, *rays).range_m
 
     return answer
 
@@ -102,18 +100,13 @@ def _quarter_turn(
     lidar: LidarRecording, plan: SweepPlan, model: SceneModel, time_s: float
 ) -> tuple[SweepRays, RayAnswers]:
     """The chosen columns' rays, answered; what corrects a turn is asked about the whole of it."""
-    evidence, sweeps = lidar.evidence, lidar.sweeps
     if model.correct is None:
         rays = quarter_of_rays(lidar, plan, time_s, model.votes)
         answers = answers_along(
-            lidar, model, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
+            model, lidar, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
         )
-        return rays, put_back_own_vehicle(answers, rays, evidence)
-    assert model.lidar is not None
-    rays, answers = fire_sweep(
-        plan, time_s, evidence, model.lidar, sweeps.trajectory, sweeps.period_s, sweeps.table, model.votes,
-        correct=model.correct, as_recorded=model.as_recorded,
-    )  # fmt: skip
+        return rays, put_back_own_vehicle(answers, rays, lidar.evidence)
+    rays, answers = fire_sweep(replace(model, unknown=None), lidar, plan, time_s)
     kept = _in_sectors(rays)
     return _only(rays, kept), RayAnswers(answers.range_m[kept], answers.hit[kept], answers.intensity[kept])
 

@@ -130,11 +130,8 @@ class Judge:
         if model.lidar is None or lidar is None or plan is None:
             return None
         warm_up(lidar, model.lidar)
-        sweeps, started = lidar.sweeps, time.perf_counter()
-        simulate_sweep(
-            plan, float(plan.time_s[0]), lidar.evidence, model.lidar, sweeps.trajectory, sweeps.period_s,
-            sweeps.table, model.votes, correct=model.correct, as_recorded=model.as_recorded,
-        )  # fmt: skip
+        started = time.perf_counter()
+        simulate_sweep(replace(model, unknown=None), lidar, plan, float(plan.time_s[0]))
         return time.perf_counter() - started
 
     def image_seconds(self, model: SceneModel, *, thin: bool) -> float | None:

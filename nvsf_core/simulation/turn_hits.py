@@ -22,8 +22,8 @@ from nvsf_core.recipe import HitsSpec
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
-from nvsf_core.simulation.hit_blend import HitBlend
 from nvsf_core.simulation.lidar_rays import SweepRays
+from nvsf_core.simulation.raydrop import HitBlend
 
 FEATURES = 14
 """Channels that describe a cell."""

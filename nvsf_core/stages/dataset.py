@@ -17,16 +17,15 @@ from typing import Any
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.clouds.open3d_room import write_pcd
-from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.catalogue import ViewEntry
-from nvsf_core.drives.kitti360.writer import write_image
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
-from nvsf_core.simulation.draw import DRAW_SHARPNESS, GRID_ARRAYS, RANGE_NOISE_M, draw_scan
+from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
+from nvsf_core.simulation.sampled_scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.views.files import file_numbers, scans_of, write_images, write_scans
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
@@ -66,7 +65,7 @@ def _run(task: Task) -> StageOutput:
         attrs = read_attrs(rendered / view.name / "model.zarr")
         location = f"dataset/{view.name}/{version}"
         with task.store.publish(location) as folder:
-            scans = _write_scans(folder, view, _scans(task, view, arrays), _numbers(arrays.get("frame")))
+            scans = _write_scans(folder, view, _scans(task, view, arrays), arrays)
             pictures = _write_images(folder, arrays)
             manifest = {
                 **_identity(task, view, version),
@@ -132,16 +131,13 @@ def _scans(task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]) -> lis
         key = f"{task.scene.name} {view.name} {task.config.recipe.identity()} {task.config.seed}"
         words = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
         return [
-            draw_scan(
+            sample_scan(
                 {name: arrays[name][index] for name in GRID_ARRAYS},
                 np.random.default_rng([task.config.draw_seed, index, *words]),
             )
             for index in range(len(arrays[GRID_ARRAYS[0]]))
         ]
-    if "points_m" not in arrays:
-        return []
-    rows = np.concatenate([arrays["points_m"], arrays["intensity"][:, None]], axis=1).astype(np.float32)
-    return np.split(rows, arrays["offsets"][1:-1])
+    return scans_of(arrays)
 
 
 def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -151,39 +147,24 @@ def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
         return {"hits": "as rendered (probability above one half)", "range_noise_m": 0.0}
     return {
         "hits": "drawn from the hit probability",
-        "sharpness": DRAW_SHARPNESS,
+        "sharpness": SAMPLING_SHARPNESS,
         "range_noise_m": RANGE_NOISE_M,
     }
 
 
-def _numbers(frames: np.ndarray | None) -> list[int]:
-    """File numbers: the nearest recorded frame's, or counted from 0 where two share one."""
-    if frames is None:
-        return []
-    if len(np.unique(frames)) == len(frames):
-        return [int(frame) for frame in frames]
-    return list(range(len(frames)))
-
-
 def _write_scans(
-    folder: Path, view: ViewEntry, scans: list[np.ndarray], numbers: list[int]
+    folder: Path, view: ViewEntry, scans: list[np.ndarray], arrays: Mapping[str, np.ndarray]
 ) -> list[dict[str, Any]]:
     """Write each scan in the formats that the view asks for; returns one manifest row a scan."""
-    rows: list[dict[str, Any]] = []
-    for number, scan in zip(numbers[: len(scans)], scans, strict=True):
-        files = {
-            kind: f"velodyne_points/{'data' if kind == 'bin' else kind}/{number:010d}.{kind}"
-            for kind in view.exports
-        }
-        for kind, name in files.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if kind == "bin":
-                scan.astype("<f4").tofile(path)
-            else:
-                {"ply": write_ply, "pcd": write_pcd}[kind](path, scan[:, :3], scan[:, 3])
-        rows.append({"number": number, "files": files, "returns": len(scan)})
-    return rows
+    if not scans:
+        return []
+    numbers = file_numbers(arrays["frame"])
+    return [
+        {"number": number, "files": files, "returns": len(scan)}
+        for number, files, scan in zip(
+            numbers, write_scans(folder, numbers, scans, view.exports), scans, strict=True
+        )
+    ]
 
 
 def _with_poses(scans: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
@@ -201,16 +182,12 @@ def _with_poses(scans: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -
 def _write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
     """Write every rendered picture as PNG; returns one manifest row a picture."""
     rows: list[dict[str, Any]] = []
-    for camera in sorted(name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb")):
-        frames = arrays[f"{camera}_frame"]
-        poses = arrays.get(f"{camera}_camera_to_world")
-        for index, (number, rgb) in enumerate(zip(_numbers(frames), arrays[f"{camera}_rgb"], strict=True)):
-            name = f"{camera}/data_rect/{number:010d}.png"
-            write_image(folder / name, rgb)
-            row = {"camera": camera, "number": number, "file": name, "nearest_frame": int(frames[index])}
-            if poses is not None:
-                row["camera_to_world"] = poses[index].reshape(-1).tolist()
-            rows.append(row)
+    for camera, index, number, file in write_images(folder, arrays):
+        nearest = int(arrays[f"{camera}_frame"][index])
+        row = {"camera": camera, "number": number, "file": file, "nearest_frame": nearest}
+        if f"{camera}_camera_to_world" in arrays:
+            row["camera_to_world"] = arrays[f"{camera}_camera_to_world"][index].reshape(-1).tolist()
+        rows.append(row)
     return rows
 
 

@@ -23,7 +23,14 @@ from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.views.camera import copied_images, image_arrays
-from nvsf_core.stages.views.files import describe_view, export_files, write_method
+from nvsf_core.stages.views.files import (
+    describe_view,
+    file_numbers,
+    scans_of,
+    write_images,
+    write_method,
+    write_scans,
+)
 from nvsf_core.stages.views.lidar import (
     along_recorded_rays,
     copied_scans,
@@ -158,7 +165,9 @@ def _publish(
     """The model's arrays, its files as a driver finds them, and what is said of them."""
     _write(task, recording, view, arrays, MODEL, by_images=by_images)
     folder = task.folder / view.name
-    export_files(folder, arrays, view.plan.frame)
+    if "points_m" in arrays:
+        write_scans(folder, file_numbers(view.plan.frame), scans_of(arrays))
+    write_images(folder, arrays)
     describe_view(output, view.name, folder, arrays)
 
 

@@ -26,7 +26,7 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.device_lock import device_lease
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stores.arrays import read_arrays, write_arrays
-from nvsf_core.stores.checkpoints import load_into, load_tensors, save_tensors
+from nvsf_core.stores.checkpoints import StoredWeights, save_tensors
 from nvsf_core.stores.scene_store import SceneStore, publish_folder
 from nvsf_core.stores.tables import read_rows, write_rows
 from pipelines.schedules import newest_field
@@ -273,7 +273,7 @@ def test_weights_of_another_network_are_refused_by_name(tmp_path: Path) -> None:
     for tensors in wrong:
         save_tensors(path, tensors)
         with pytest.raises(StoreError, match=rf"(?s){path.name}: expected .*delete .* run again"):
-            load_into(network, load_tensors(path)[0], "net.", path)
+            StoredWeights.read(path).load_into(network, "net.")
 
 
 def test_one_scene_that_cannot_be_read_costs_no_other_its_place_in_the_report(tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.answered_turn import AnsweredTurn
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.pano_estimate import QUANTILES, PanoRays, combine_phases, estimate_pano
+from nvsf_core.simulation.scan import AnsweredTurn
 
 SMALL = LinearPano(height=3, width=5)
 PANO = LinearPano(quirks=True)

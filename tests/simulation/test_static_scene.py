@@ -17,7 +17,7 @@ from nvsf_core.rendering.lidar import answer_rays
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer
+from nvsf_core.simulation.ray_renderers import evidence_renderer, field_renderer
 
 
 def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:

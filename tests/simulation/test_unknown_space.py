@@ -8,9 +8,12 @@ import pytest
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
+from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import ask_unknown, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -37,7 +40,7 @@ def answers_half(origin_m, direction, vote, time_s) -> RayAnswers:
     )  # fmt: skip
 
 
-def scene() -> tuple[SceneEvidence, Trajectory]:
+def scene() -> LidarRecording:
     """All firings of the upper two lasers always returned, of the others in two scans of three."""
     is_hit = np.zeros((SCANS, 64, FIRINGS), bool)
     is_hit[:, LASERS] = True
@@ -48,15 +51,17 @@ def scene() -> tuple[SceneEvidence, Trajectory]:
     surfels = build_surfels(0 * place, place, np.full(1, 90.0), np.ones(1), voxel_m=0.2, threads=1)
     own = np.zeros((64, 4), np.float32)
     prior = DropPrior(path.times_s, fraction, is_hit)
-    return SceneEvidence(surfels, prior, LASERS, np.full(SCANS, FIRINGS), own, own), path
+    evidence = SceneEvidence(surfels, prior, LASERS, np.full(SCANS, FIRINGS), own, own)
+    sweeps = Sweeps(
+        arrays={}, is_training=np.ones(SCANS, bool), trajectory=path, period_s=PERIOD_S, table=HDL_64E,
+        elevation_correction_rad=0.0, scene_origin_m=np.zeros(3),
+    )  # fmt: skip
+    return LidarRecording(sweeps=sweeps, evidence=evidence)
 
 
 def fire(plan: SweepPlan, unknown) -> RayAnswers:
-    evidence, path = scene()
-    _, answers = fire_sweep(
-        plan, PERIOD_S, evidence, answers_half, path, PERIOD_S, HDL_64E, SCANS, unknown=unknown
-    )
-    return answers
+    model = SceneModel(lidar=answers_half, camera=None, unknown=unknown, votes=SCANS)
+    return fire_sweep(model, scene(), plan, PERIOD_S)[1]
 
 
 IN_PLACE = SweepPlan("x", np.zeros(1, np.int64), np.array([PERIOD_S]), None, HDL_64E, True)

@@ -12,7 +12,8 @@ from nvsf_core.clouds.ply import read_ply
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.recipe import preset
-from nvsf_core.simulation.draw import draw_scan, sharpen_hits
+from nvsf_core.simulation.raydrop import sharpen_hits
+from nvsf_core.simulation.sampled_scan import sample_scan
 from nvsf_core.stages.dataset import STAGE
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
@@ -178,7 +179,7 @@ def test_an_unknown_export_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_drawn_scan_is_ordered_as_a_driver_records() -> None:
     grid = {name: array[0] for name, array in _grid(1).items()}
-    scan = draw_scan(grid, np.random.default_rng(0))
+    scan = sample_scan(grid, np.random.default_rng(0))
     range_m = np.linalg.norm(scan[:, :3], axis=1)
     elevation = np.arcsin(scan[:, 2] / range_m)
     laser = np.abs(elevation[:, None] - np.linspace(0.05, -0.4, _LASERS)).argmin(axis=1)

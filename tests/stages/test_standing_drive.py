@@ -39,7 +39,7 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     recording = read_recording(run.store)
     view = held_out_view(recording, HELD_OUT)
     assert recording.lidar is not None and view is not None and view.sweeps is not None
-    lidar, plan, sweeps = recording.lidar, view.sweeps, recording.lidar.sweeps
+    lidar, plan = recording.lidar, view.sweeps
     at_rest = lidar.evidence.at_rest
     assert at_rest is not None and len(at_rest.scan) == FRAMES - len(HELD_OUT)
     copied = copied_scans(lidar, plan)
@@ -51,12 +51,9 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     for name, model in models.items():
         assert model.lidar is not None
         made = [
-            simulate_sweep(
-                plan, float(instant), lidar.evidence, model.lidar, sweeps.trajectory, sweeps.period_s,
-                sweeps.table, model.votes,
-            )
+            simulate_sweep(replace(model, correct=None, unknown=None), lidar, plan, float(instant))
             for instant in plan.time_s
-        ]  # fmt: skip
+        ]
         joined = {key: np.concatenate([getattr(one, key) for one in made]) for key in KEYS}
         joined["offsets"] = np.cumsum([0, *(len(one.laser) for one in made)])
         found[name] = _scores(lidar.sweeps.arrays, joined)

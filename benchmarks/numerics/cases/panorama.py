@@ -13,7 +13,8 @@ from nvsf_core.sensors.beam_table import BeamPano
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.project import nearest_in_cells
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.draw import GRID_ARRAYS, draw_scan, sharpen_hits
+from nvsf_core.simulation.raydrop import sharpen_hits
+from nvsf_core.simulation.sampled_scan import GRID_ARRAYS, sample_scan
 
 TITLE = "Panos, grids and drawn scans"
 _PANO = LinearPano()
@@ -142,16 +143,16 @@ def _grid(**changed: float) -> dict[str, np.ndarray]:
 def _drawn() -> Reading:
     """Nothing there, range 0, no hit: no point. The rest is finite, with an intensity of 0 to 1."""
     empty = [
-        len(draw_scan(_grid(**{name: value}), np.random.default_rng(0)))
+        len(sample_scan(_grid(**{name: value}), np.random.default_rng(0)))
         for name, value in (("grid_range_m", math.inf), ("grid_range_m", 0.0), ("grid_hit", 0.0))
     ]
-    full = draw_scan(_grid(grid_intensity=7.0), np.random.default_rng(0))
+    full = sample_scan(_grid(grid_intensity=7.0), np.random.default_rng(0))
     sound = empty == [0, 0, 0] and bool(np.isfinite(full).all()) and float(full[:, 3].max()) <= 1.0
     return Reading(outcome=f"points {empty}, {len(full)}", is_refuted=not sound or len(full) == 0)
 
 
 def _drawn_nan(name: str) -> Reading:
-    return refused(DataError, lambda: draw_scan(_grid(**{name: math.nan}), np.random.default_rng(0)))
+    return refused(DataError, lambda: sample_scan(_grid(**{name: math.nan}), np.random.default_rng(0)))
 
 
 _LINEAR = "sensors.linear_pano.LinearPano"

@@ -8,8 +8,8 @@ from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
+from nvsf_core.simulation.ray_renderers import evidence_renderer
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
-from nvsf_core.simulation.sweep_simulation import evidence_renderer
 
 _DEPTH_SCANS = 10
 """Training scans around a view whose returns give the warped images their depth."""

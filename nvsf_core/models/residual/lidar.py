@@ -16,10 +16,11 @@ from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.answered_turn import AnsweredTurn
-from nvsf_core.simulation.scan import HIT_THRESHOLD
-from nvsf_core.simulation.scene_model import RayRenderer
-from nvsf_core.simulation.sweep_simulation import evidence_renderer, field_renderer, fire_sweep
+from nvsf_core.simulation.ray_renderers import evidence_renderer, field_renderer
+from nvsf_core.simulation.raydrop import rays_return
+from nvsf_core.simulation.scan import AnsweredTurn
+from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
+from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 
 SHOWS_FIELD = "lidar_shows_field"
@@ -109,10 +110,8 @@ def _score(
     sweeps, evidence = lidar.sweeps, lidar.evidence
     time_s = float(evidence.prior.time_s[number])
     plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
-    rays, answers = fire_sweep(
-        plan, time_s, evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table,
-        recipe.evidence.votes, leave_out_s=time_s,
-    )  # fmt: skip
+    model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes)
+    rays, answers = fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
     points_m, intensity, laser = AnsweredTurn.of(rays, answers).scan()
     shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
     found = {
@@ -120,6 +119,6 @@ def _score(
         **range_image_metrics(shown.range_m, truth.range_m),
         **intensity_image_metrics(shown.intensity, truth.intensity),
     }
-    expected = np.isfinite(answers.range_m) & (answers.hit >= HIT_THRESHOLD)
+    expected = np.isfinite(answers.range_m) & rays_return(answers.hit)
     returned = evidence.prior.is_hit[number, rays.laser, evidence.prior.nearest_firing(number, rays.fraction)]
     return [*(found[name].value for name in _METRICS[:-1]), float((expected == returned).mean())]

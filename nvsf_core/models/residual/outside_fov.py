@@ -9,8 +9,9 @@ from nvsf_core.models.baselines.reproject import depth_points
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.image_depth import image_depth
+from nvsf_core.simulation.ray_renderers import image_renderer
 from nvsf_core.simulation.scene_model import RayRenderer
-from nvsf_core.simulation.sweep_simulation import highest_rad, image_renderer
+from nvsf_core.simulation.sweep_simulation import highest_rad
 from nvsf_core.simulation.view_plan import SweepPlan
 
 _MOST_VIEWS = 24

@@ -30,9 +30,10 @@ from nvsf_core.simulation.pano_correction import (
 )
 from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
-from nvsf_core.simulation.scan import HIT_THRESHOLD
-from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, TurnCorrector
-from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
+from nvsf_core.simulation.ray_renderers import field_renderer
+from nvsf_core.simulation.raydrop import cells_return
+from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, TurnCorrector
+from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.loop import TrainingState, make_optimiser
 from nvsf_core.training.session import TrainingSession, fit
@@ -158,26 +159,20 @@ def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[s
 
 
 def pano_renderer(
+    model: SceneModel,
     lidar: LidarRecording,
     spec: PanoSpec,
-    render: RayRenderer,
-    votes: int,
     network: CellNetwork | None,
     corrected: Sequence[str] = (),
-    correct: TurnCorrector | None = None,
-    unknown: RayRenderer | None = None,
 ) -> PanoRenderer:
     """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
 
     Args:
+        model: Answers the sensor's rays.
         lidar: The recording.
         spec: Of the recipe.
-        render: Answers the sensor's rays.
-        votes: Scans that vote.
         network: Trained; None where there is none.
         corrected: What it corrects.
-        correct: Of the model: corrects the turns that the pano is made of.
-        unknown: Of the model.
     """
     panos = recorded_panos(lidar) if network is not None and corrected else None
 
@@ -188,7 +183,7 @@ def pano_renderer(
         mount = invert_pose(recorded) @ pose
         is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
         place = None if is_there else mount
-        estimate = expected_pano(lidar, spec, render, votes, time_s, place, correct=correct, unknown=unknown)
+        estimate = expected_pano(model, lidar, spec, time_s, place)
         if network is None or panos is None or not is_there:
             return phases_alone(estimate)
         neighbours = _neighbours(lidar, panos, spec, estimate, time_s)
@@ -198,25 +193,18 @@ def pano_renderer(
 
 
 def expected_pano(
+    model: SceneModel,
     lidar: LidarRecording,
     spec: PanoSpec,
-    render: RayRenderer,
-    votes: int,
     time_s: float,
     mount: np.ndarray | None,
     *,
-    correct: TurnCorrector | None,
-    unknown: RayRenderer | None = None,
     leave_out_s: float | None = None,
 ) -> PanoEstimate:
     """The pano at a time, from the phases; the training scan at `leave_out_s` does not vote."""
-    sweeps = lidar.sweeps
-    plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, sweeps.table, True)
+    plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, lidar.sweeps.table, True)
     return estimate_pano(
-        lambda phase: fire_sweep(
-            plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table, votes,
-            correct=correct, unknown=unknown, phase=phase, leave_out_s=leave_out_s,
-        ),
+        lambda phase: fire_sweep(model, lidar, plan, time_s, phase=phase, leave_out_s=leave_out_s),
         LinearPano(quirks=True), spec.phases, parts=spec.parts,
     )  # fmt: skip
 
@@ -232,9 +220,8 @@ def leave_out(
     render = field_renderer(
         field, lidar.evidence.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
     )
-    estimate = expected_pano(
-        lidar, recipe.pano, render, recipe.evidence.votes, time_s, None, correct=correct, leave_out_s=time_s
-    )
+    model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes, correct=correct)
+    estimate = expected_pano(model, lidar, recipe.pano, time_s, None, leave_out_s=time_s)
     return LeftOutPano(
         estimate=estimate,
         neighbours=_neighbours(lidar, panos, recipe.pano, estimate, time_s, leave_out_s=time_s),
@@ -278,7 +265,7 @@ def _score(
 ) -> tuple[float, float, float]:
     """Range PSNR in dB, hit accuracy and intensity PSNR in dB, as the protocol `lidar4d` has them."""
     range_m, intensity, hit = shown
-    answered = hit > HIT_THRESHOLD
+    answered = cells_return(hit)
     ranges = range_image_metrics(np.where(answered, range_m, 0.0), truth.true_range_m)
     hits = hit_image_metrics(hit, truth.true_range_m > 0.0)
     bright = intensity_image_metrics(np.where(answered, intensity, 0.0), truth.true_intensity)

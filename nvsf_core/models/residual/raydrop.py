@@ -18,10 +18,11 @@ from nvsf_core.models.residual.training.rays_of_scans import learned_scans
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
-from nvsf_core.simulation.hit_blend import HitBlend, fit_blend, nats
 from nvsf_core.simulation.lidar_rays import SweepRays
-from nvsf_core.simulation.scene_model import TurnCorrector
-from nvsf_core.simulation.sweep_simulation import field_renderer, fire_sweep
+from nvsf_core.simulation.ray_renderers import field_renderer
+from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
+from nvsf_core.simulation.scene_model import SceneModel, TurnCorrector
+from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.loop import TrainingState, make_optimiser
@@ -218,7 +219,5 @@ def _fire(
     moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=number)
     render = field_renderer(field, standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
     plan = SweepPlan("hits", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
-    return fire_sweep(
-        plan, time_s, lidar.evidence, render, sweeps.trajectory, sweeps.period_s, sweeps.table,
-        recipe.evidence.votes, correct=correct, leave_out_s=time_s,
-    )  # fmt: skip
+    model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes, correct=correct)
+    return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)

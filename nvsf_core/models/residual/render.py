@@ -1,6 +1,6 @@
 """The residual recipes: small fields that correct what the LiDAR proves, or replace what it lacks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -18,10 +18,10 @@ from nvsf_core.models.residual.pano import CORRECTED, pano_renderer
 from nvsf_core.models.residual.pose_refinement import corrections_from
 from nvsf_core.models.residual.raydrop import HITS_BLEND, turn_hits
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.recording.drive import Recording
+from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.pano_correction import pano_network
+from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.simulation.sweep_simulation import field_renderer
 from nvsf_core.simulation.turn_hits import hits_network
 
 
@@ -78,35 +78,41 @@ def load(
     torch.set_num_threads(recipe.lidar_training.threads)
     facts = weights.facts
     fields = make_fields(recipe, recording, 0)
-    lidar = camera = correct = pano = unknown = None
+    model = SceneModel(lidar=None, camera=None, votes=recipe.evidence.votes)
     if recording.lidar is not None:
-        unknown = unknown_renderer(recording.lidar)
-    if recording.lidar is not None and not facts.get(SHOWS_FIELD, True):
-        # Its pano is the projection of its scan, as the baseline's.
-        lidar = carrying_renderer(recording.lidar)
-    elif fields.lidar is not None and recording.lidar is not None:
-        weights.load_into(fields.lidar, "lidar.")
-        lidar = field_renderer(
-            fields.lidar,
-            recording.lidar.evidence.standing,
-            recording.lidar.moving(),
-            most=recipe.evidence.lidar_candidates,
-            far_m=recording.lidar.far_m,
-        )
-        if recipe.hits is not None and fields.hits is not None and facts.get(HITS_BLEND):
-            weights.load_into(fields.hits, "hits.")
-            correct = turn_hits(fields.hits, recording.lidar, facts[HITS_BLEND])
-        if recipe.pano is not None:
-            if fields.pano is not None:
-                weights.load_into(fields.pano, "pano.")
-            votes, corrected = recipe.evidence.votes, facts.get(CORRECTED, ())
-            pano = pano_renderer(
-                recording.lidar, recipe.pano, lidar, votes, fields.pano, corrected, correct, unknown
-            )
+        model = replace(model, unknown=unknown_renderer(recording.lidar))
+        if not facts.get(SHOWS_FIELD, True):
+            # Its pano is the projection of its scan, as the baseline's.
+            model = replace(model, lidar=carrying_renderer(recording.lidar))
+        elif fields.lidar is not None:
+            model = _with_lidar(model, recipe, fields, weights, recording.lidar)
     if fields.camera is not None and with_camera:
         weights.load_into(fields.camera, "camera.")
         corrections = corrections_from(facts.get(ALIGNED, {}))
         camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
-    return SceneModel(
-        lidar=lidar, camera=camera, correct=correct, pano=pano, unknown=unknown, votes=recipe.evidence.votes
-    )
+        model = replace(model, camera=camera)
+    return model
+
+
+def _with_lidar(
+    model: SceneModel, recipe: ResidualRecipe, fields: ResidualFields, weights: Weights, lidar: LidarRecording
+) -> SceneModel:
+    """The model with the trained field, and with what corrects its hits and its panos."""
+    assert fields.lidar is not None
+    facts = weights.facts
+    weights.load_into(fields.lidar, "lidar.")
+    render = field_renderer(
+        fields.lidar, lidar.evidence.standing, lidar.moving(), most=recipe.evidence.lidar_candidates,
+        far_m=lidar.far_m,
+    )  # fmt: skip
+    correct = None
+    if fields.hits is not None and facts.get(HITS_BLEND):
+        weights.load_into(fields.hits, "hits.")
+        correct = turn_hits(fields.hits, lidar, facts[HITS_BLEND])
+    model = replace(model, lidar=render, correct=correct)
+    if recipe.pano is None:
+        return model
+    if fields.pano is not None:
+        weights.load_into(fields.pano, "pano.")
+    pano = pano_renderer(model, lidar, recipe.pano, fields.pano, facts.get(CORRECTED, ()))
+    return replace(model, pano=pano)

@@ -12,7 +12,7 @@ from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.answers import RayAnswers
-from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import plan_sweeps, plan_view
@@ -117,11 +117,11 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     # A few lasers tell as much of a whole scan, in a tenth of the time.
     lasers = evidence.lasers[np.unique(np.linspace(0, len(evidence.lasers) - 1, _MOST_LASERS).astype(int))]
     _, answers = fire_sweep(
-        plan, time_s, replace(evidence, lasers=lasers), model.lidar, sweeps.trajectory, sweeps.period_s,
-        sweeps.table, model.votes, leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
-        as_recorded=model.as_recorded,
+        replace(model, correct=None, unknown=None),
+        replace(recording.lidar, evidence=replace(evidence, lasers=lasers)),
+        plan, time_s, leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
     )  # fmt: skip
-    returned = np.isfinite(answers.range_m) & (answers.hit >= HIT_THRESHOLD)
+    returned = np.isfinite(answers.range_m) & rays_return(answers.hit)
     place = f"training frame {int(plan.frame[0])}"
     recorded = _recorded_intensity(sweeps, time_s, lasers)
     rate = float(returned.mean()) - len(recorded) / (len(lasers) * float(norms.firings[middle]))

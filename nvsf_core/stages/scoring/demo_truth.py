@@ -30,7 +30,7 @@ from nvsf_core.metrics.protocols import Scan, near_returns
 from nvsf_core.metrics.range import ray_range_metrics
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
-from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.view_plan import mount_pose
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
@@ -146,7 +146,7 @@ class _Rays:
             truth.world, table, lasers, theta_rad, times_s, mount=mount_pose(view.shift_m, view.yaw_deg),
             own_vehicle=is_recorded,
         )  # fmt: skip
-        self.returns = self.exact.chance >= HIT_THRESHOLD
+        self.returns = rays_return(self.exact.chance)
 
     def points(self, range_m: np.ndarray) -> np.ndarray:
         """(L, F, 3) as recorded."""
@@ -181,7 +181,7 @@ def _against(rays: _Rays, grid: Mapping[str, np.ndarray], exported: Scan) -> dic
     there = rays.returns
     predicted_m = rays.along(grid["grid_range_m"])
     answered = np.isfinite(predicted_m[there])
-    hits = hit_image_metrics((grid["grid_hit"] >= HIT_THRESHOLD).astype(np.float64), there)
+    hits = hit_image_metrics(rays_return(grid["grid_hit"]).astype(np.float64), there)
     true_m = np.where(there, rays.exact.range_m, 0.0)
     return {
         **ray_range_metrics(predicted_m[there], true_m[there]),

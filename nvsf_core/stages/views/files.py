@@ -1,17 +1,23 @@
 """Writing a rendered view: arrays for the metrics, scan and image files as a driver finds them, a picture."""
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nvsf_core.clouds.open3d_room import write_pcd
+from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.kitti360.writer import write_image, write_scan
+from nvsf_core.errors import DataError
 from nvsf_core.reporting.previews import image_preview, range_preview
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
+
+_WRITERS = {"bin": write_scan, "ply": write_ply, "pcd": write_pcd}
 
 
 def write_method(
@@ -43,7 +49,7 @@ def write_method(
         "method": method,
         "recipe": task.config.recipe.name if method == "model" else method,
         "seed": task.config.seed,
-        "cameras": _cameras(arrays),
+        "cameras": cameras_of(arrays),
         "scene_origin_m": scene_origin_m.tolist(),
         "above_lasers_by_images": by_images,
         **_costs(task, method),
@@ -90,32 +96,65 @@ def _number(metadata: dict[str, Any], name: str) -> float:
     return value if isinstance(value, int | float) else math.nan
 
 
-def export_files(folder: Path, arrays: dict[str, np.ndarray], frame: np.ndarray) -> None:
-    """Scans and images as files, as a driver finds them.
+def write_scans(
+    folder: Path, numbers: Sequence[int], scans: Sequence[np.ndarray], kinds: Sequence[str] = ("bin",)
+) -> list[dict[str, str]]:
+    """Write scans as files, as a driver finds them: the one writer, of views and of data sets.
 
     Args:
         folder: Of the view.
-        arrays: What was rendered.
-        frame: (n,) nearest recorded frame of each scan.
+        numbers: Of the files, one a scan.
+        scans: (N, 4) float32 x, y, z in metres in the sensor's frame, intensity 0..1.
+        kinds: `bin`, `ply`, `pcd`.
+
+    Returns:
+        A scan's files by kind, relative to the folder.
+
+    Raises:
+        DataError: A value is not finite.
     """
-    if "points_m" in arrays:
-        for index, number in enumerate(_numbers(frame)):
-            part = slice(int(arrays["offsets"][index]), int(arrays["offsets"][index + 1]))
-            path = folder / "velodyne_points" / "data" / f"{number:010d}.bin"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_scan(path, arrays["points_m"][part], arrays["intensity"][part])
-    for name in _cameras(arrays):
-        for number, rgb in zip(_numbers(arrays[f"{name}_frame"]), arrays[f"{name}_rgb"], strict=True):
-            target = folder / name / "data_rect" / f"{number:010d}.png"
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_image(target, rgb)
+    found = []
+    for number, scan in zip(numbers, scans, strict=True):
+        if not np.isfinite(scan).all():
+            raise DataError(f"{folder}, scan {number}: expected finite returns, found others; render it anew")
+        files = {}
+        for kind in kinds:
+            files[kind] = f"velodyne_points/{'data' if kind == 'bin' else kind}/{number:010d}.{kind}"
+            (folder / files[kind]).parent.mkdir(parents=True, exist_ok=True)
+            _WRITERS[kind](folder / files[kind], scan[:, :3], scan[:, 3])
+        found.append(files)
+    return found
+
+
+def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[str, int, int, str]]:
+    """Write a view's rendered images as PNG.
+
+    Returns:
+        Camera, place among the camera's images, number of the file, and the file relative to the folder.
+    """
+    found = []
+    for name in cameras_of(arrays):
+        numbered = zip(file_numbers(arrays[f"{name}_frame"]), arrays[f"{name}_rgb"], strict=True)
+        for index, (number, rgb) in enumerate(numbered):
+            file = f"{name}/data_rect/{number:010d}.png"
+            write_image(folder / file, rgb)
+            found.append((name, index, number, file))
+    return found
+
+
+def scans_of(arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """The rendered scans of a view, (N, 4) float32 each; none without a LiDAR."""
+    if "points_m" not in arrays:
+        return []
+    rows = np.concatenate([arrays["points_m"], arrays["intensity"][:, None]], axis=1).astype(np.float32)
+    return np.split(rows, arrays["offsets"][1:-1])
 
 
 def describe_view(output: StageOutput, view: str, folder: Path, arrays: dict[str, np.ndarray]) -> None:
     """Numbers, a picture and a check of one view."""
     if "points_m" in arrays:
         _describe_scans(output, view, folder, arrays)
-    for name in _cameras(arrays):
+    for name in cameras_of(arrays):
         output.metadata[f"{view}_{name}_images"] = len(arrays[f"{name}_rgb"])
         seconds = float(np.median(arrays[f"{name}_render_seconds"]))
         output.metadata[f"{view}_{name}_seconds_per_image"] = seconds
@@ -139,11 +178,12 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
     )
 
 
-def _numbers(frame: np.ndarray) -> list[int]:
+def file_numbers(frame: np.ndarray) -> list[int]:
     """File numbers: the nearest recorded frame's, or counted from 0 where two instants share one."""
     is_unique = len(np.unique(frame)) == len(frame)
     return [int(number) for number in (frame if is_unique else range(len(frame)))]
 
 
-def _cameras(arrays: dict[str, np.ndarray]) -> list[str]:
+def cameras_of(arrays: Mapping[str, np.ndarray]) -> list[str]:
+    """Names of the cameras that a view has images of."""
     return sorted(name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb"))

@@ -7,16 +7,10 @@ import numpy as np
 
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.scan import HIT_THRESHOLD, by_lasers, measured_at_rest
+from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
-from nvsf_core.simulation.sweep_simulation import (
-    SimulatedSweep,
-    answer_in_chunks,
-    ask_unknown,
-    simulate_sweep,
-)
+from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answers_along, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.runner.stage import Task
 
@@ -25,28 +19,11 @@ def sweep_arrays(
     task: Task, lidar: LidarRecording, plan: SweepPlan, model: SceneModel, method: str
 ) -> dict[str, np.ndarray]:
     """All sweeps of a view by a model with a LiDAR, joined."""
-    assert model.lidar is not None
     sweeps: list[SimulatedSweep] = []
     seconds = []
-    recorded = lidar.sweeps
     for number, instant in enumerate(plan.time_s):
         started = time.perf_counter()
-        sweeps.append(
-            simulate_sweep(
-                plan,
-                float(instant),
-                lidar.evidence,
-                model.lidar,
-                recorded.trajectory,
-                recorded.period_s,
-                recorded.table,
-                model.votes,
-                correct=model.correct,
-                above=model.above,
-                unknown=model.unknown,
-                as_recorded=model.as_recorded,
-            )
-        )
+        sweeps.append(simulate_sweep(model, lidar, plan, float(instant)))
         seconds.append(time.perf_counter() - started)
         task.progress(
             f"[{task.scene.name}] novel_views: {plan.name}, {method}, sweep {number + 1}/{len(plan.time_s)}, "
@@ -78,7 +55,7 @@ def own_panos(task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRender
     panos = []
     for number, (pose, instant) in enumerate(zip(poses, plan.time_s, strict=True)):
         range_m, intensity, hit = render(pose, float(instant))
-        expected = hit > HIT_THRESHOLD
+        expected = cells_return(hit)
         panos.append((range_m * expected, intensity * expected, hit))
         task.progress(f"[{task.scene.name}] novel_views: {plan.name}, pano {number + 1}/{len(poses)}")
     names = ("pano_range_m", "pano_intensity", "pano_hit")
@@ -96,7 +73,7 @@ def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneMode
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         part = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
         rays = (a[name][part] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
-        answers = answers_along(lidar, model, float(instant), *rays)
+        answers = answers_along(model, lidar, float(instant), *rays)
         ranges.append(answers.range_m)
         intensities.append(answers.intensity)
     return {
@@ -104,40 +81,6 @@ def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneMode
         "ray_range_m": np.concatenate(ranges).astype(np.float32),
         "ray_intensity": np.concatenate(intensities).astype(np.float32),
     }
-
-
-def answers_along(
-    lidar: LidarRecording,
-    model: SceneModel,
-    time_s: float,
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    laser: np.ndarray,
-    fraction: np.ndarray,
-) -> RayAnswers:
-    """Any rays of the recording sensor's sweep at `time_s`, as it records them, by a model with a LiDAR.
-
-    Args:
-        lidar: What was recorded.
-        model: Answers.
-        time_s: The instant of the sweep's pose.
-        origin_m: (r, 3) scene-local.
-        direction: (r, 3) unit, scene-local.
-        laser: (r,) of the recording sensor's table; -1 = unknown.
-        fraction: (r,) sweeps after the pose's instant.
-    """
-    assert model.lidar is not None
-    sweeps, evidence = lidar.sweeps, lidar.evidence
-    known = np.maximum(laser, 0)
-    vote = evidence.prior.vote(known, fraction, evidence.prior.nearest_scans(time_s, model.votes))
-    fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
-    answers = answer_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
-    answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
-    if model.unknown is not None:
-        answers = ask_unknown(answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table)
-    if model.as_recorded:
-        return answers
-    return measured_at_rest(answers, known, fraction, evidence, time_s, sweeps.trajectory, sweeps.period_s)
 
 
 def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from nvsf_core.evidence.images.image_surfels import DepthRays, image_surfels
 from nvsf_core.evidence.static.surfels import Surfels
-from nvsf_core.simulation.sweep_simulation import image_renderer
+from nvsf_core.simulation.ray_renderers import image_renderer
 
 WALL_X_M = 10.0
 FAR_M = 80.0

@@ -20,7 +20,7 @@ from nvsf_core.models.residual.render import make_fields
 from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M
 from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
 from nvsf_core.recording.drive import Recording
-from nvsf_core.simulation.sweep_simulation import field_renderer
+from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
 from nvsf_core.stages.inputs import read_recording
 

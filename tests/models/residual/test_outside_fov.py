@@ -15,7 +15,7 @@ from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recipe import preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.beam_table import firing_grid
-from nvsf_core.simulation.scan import HIT_THRESHOLD
+from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
@@ -66,12 +66,9 @@ def _plan(drive: Recording, entry: ViewEntry) -> SweepPlan:
 
 def _sweep(drive: Recording, above, entry: ViewEntry = VLP_16) -> SimulatedSweep:
     lidar, plan, model = drive.lidar, _plan(drive, entry), reprojection(drive)
-    assert lidar is not None and model.lidar is not None
-    sweeps = lidar.sweeps
-    return simulate_sweep(
-        plan, float(plan.time_s[0]), lidar.evidence, model.lidar, sweeps.trajectory, sweeps.period_s,
-        sweeps.table, model.votes, above=above,
-    )  # fmt: skip
+    assert lidar is not None
+    model = replace(model, above=above, unknown=None)
+    return simulate_sweep(model, lidar, plan, float(plan.time_s[0]))
 
 
 def test_only_lasers_above_all_that_recorded_ask_images(drive: Recording) -> None:
@@ -106,9 +103,9 @@ def test_images_tell_more_of_the_demo_s_truth_than_silence_does(
         DemoWorld(), plan.table, np.arange(plan.table.laser_count), azimuth,
         np.broadcast_to(0.1 * AT + 0.1 * fraction, azimuth.shape), mount=None, own_vehicle=False,
     )  # fmt: skip
-    returns = exact.chance >= HIT_THRESHOLD
+    returns = rays_return(exact.chance)
     silent = both[0].grid["grid_range_m"] == 0.0
-    says = both[1].grid["grid_hit"] >= HIT_THRESHOLD
+    says = rays_return(both[1].grid["grid_hit"])
     assert silent.mean() > 0.2
     right_before, right_now = (returns[silent] == said[silent] for said in (np.zeros_like(says), says))
     assert right_now.mean() > right_before.mean() + 0.03

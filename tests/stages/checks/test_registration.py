@@ -13,7 +13,7 @@ _OPEN3D_LIBRARIES = ("libEGL.so.1", "libGL.so.1", "libX11.so.6")
 _SLIM_RUN = """
 import sys
 from pathlib import Path
-from tests.stages.test_registration_check import street
+from tests.stages.checks.test_registration import street
 from nvsf_core.stages import run_scene
 from nvsf_core.stages.checks.registration import registration_check
 print(registration_check(street(0.0)).detail)

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import torch
-from tests.training.test_camera_step import RECIPE, example
 
 from nvsf_core.models.residual.training.left_out import LeftOut
 from nvsf_core.rendering.camera_view import CameraView
 from nvsf_core.rendering.plane_volume import PlaneVolume, plane_inverses, plane_volume
 from nvsf_core.rendering.warping import plane_rays
+from tests.models.residual.training.test_camera_step import RECIPE, example
 
 
 def _volume(view: CameraView) -> PlaneVolume:

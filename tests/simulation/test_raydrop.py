@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from nvsf_core.simulation.hit_blend import EVEN, HitBlend, fit_blend, nats
+from nvsf_core.simulation.raydrop import EVEN, HitBlend, fit_blend, nats
 
 
 def two_answers(truth: HitBlend, n: int = 60_000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,110 @@
+"""Renderers of LiDAR rays: by a trained field, by evidence alone, by what images prove."""
+
+import numpy as np
+import torch
+
+from nvsf_core.evidence.moving.objects import NearObjects
+from nvsf_core.evidence.static.surfels import Surfels, candidates_of
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.fields.object_surfaces import object_surfaces
+from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.lidar import answer_rays
+from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
+from nvsf_core.simulation.scene_model import RayRenderer
+
+_CHUNK_RAYS = 262144
+_FIELD_RAYS = 8192
+"""Rays that the field answers at once: what it computes of them stays in the caches."""
+
+
+def field_renderer(
+    field: LidarField, surfels: Surfels, moving: NearObjects | None, *, most: int, far_m: float
+) -> RayRenderer:
+    """Answers by the trained field: corrections of what stays, and of each object in its own frame.
+
+    Args:
+        field: Trained.
+        surfels: Of what stays.
+        moving: The scene's moving objects; None where nothing moves, and nobody is asked about motion.
+        most: Candidates a ray.
+        far_m: How far a ray is followed.
+    """
+    places = None if moving is None else field.places(moving.evidence)
+
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
+        objects = None
+        if moving is not None and places is not None:
+            there = moving.at(time_s)
+            objects = object_surfaces(there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m)
+        parts = []
+        for part in _parts(len(vote), _FIELD_RAYS):
+            met = None if objects is None else objects.of(np.arange(part.start, part.stop))
+            batch = surface_batch(
+                surfels, origin_m[part], direction[part], most=most, near_m=NEAR_M, far_m=far_m, objects=met
+            )
+            parts.append(answer_rays(field, batch, torch.from_numpy(vote[part])))
+        return _joined(parts)
+
+    return answer
+
+
+def evidence_renderer(
+    surfels: Surfels, moving: NearObjects | None, *, most: int, far_m: float
+) -> RayRenderer:
+    """Answers by evidence alone: what stays, and each moving object where it is at a ray's time.
+
+    Arguments as of `field_renderer`.
+    """
+
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
+        objects = () if moving is None else moving.at(time_s)
+        return reproject_rays(
+            surfels, origin_m, direction, vote, most=most, far_m=far_m, objects=objects, time_s=time_s
+        )
+
+    return answer
+
+
+def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
+    """Answers by what images prove; how far a ray is stopped is its hit probability.
+
+    Arguments as of `field_renderer`.
+    """
+
+    def answer(
+        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    ) -> RayAnswers:
+        found = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
+        stopped = found.weights.sum(axis=1)
+        return reproject_rays(surfels, origin_m, direction, stopped, most=most, far_m=far_m)
+
+    return answer
+
+
+def answer_in_chunks(
+    render: RayRenderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+) -> RayAnswers:
+    """Answer any number of rays in bounded memory."""
+    rays = (origin_m, direction, vote, time_s)
+    return _joined([render(*(column[part] for column in rays)) for part in _parts(len(vote), _CHUNK_RAYS)])
+
+
+def _parts(rays: int, most: int) -> list[slice]:
+    """Consecutive parts of so many rays; one, though empty, of none."""
+    return [slice(i, min(i + most, rays)) for i in range(0, max(1, rays), most)]
+
+
+def _joined(parts: list[RayAnswers]) -> RayAnswers:
+    if len(parts) == 1:
+        return parts[0]
+    votes = [part.vote for part in parts if part.vote is not None]
+    range_m, hit, intensity = (
+        np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity")
+    )
+    vote = np.concatenate(votes) if len(votes) == len(parts) else None
+    return RayAnswers(range_m, hit, intensity, vote)
