@@ -61,7 +61,7 @@ def _row(sweeps: Sweeps, surfels: Surfels, *, shaped: bool) -> dict[str, Any]:
     """Training returns prove, held-out returns ask; without any held-out scan the training ones ask."""
     a = sweeps.arrays
     of_training = np.repeat(sweeps.is_training, np.diff(a["offsets"]))
-    seen = ~a["is_own_vehicle"] & (a["range_m"] < sweeps.table.max_range_m)
+    seen = sweeps.is_of_world()
     proving = seen & of_training
     asking = seen & ~of_training if (seen & ~of_training).any() else proving
     origin_m, direction = a["origin_m"][asking], a["direction"][asking]

@@ -118,7 +118,7 @@ def ray_grid(lidar: LidarRecording, rays: LidarRays) -> RayGrid:
 def _cells_of(lidar: LidarRecording, number: int, scan: int) -> tuple[np.ndarray, np.ndarray]:
     """Laser rows and firings of a training scan's rays in the order of `training_rays`; rows -1 = unknown."""
     a, evidence, part = lidar.sweeps.arrays, lidar.evidence, lidar.sweeps.returns_of(scan)
-    kept = ~a["is_own_vehicle"][part] & (a["laser"][part] >= 0) & (a["range_m"][part] < lidar.far_m)
+    kept = lidar.sweeps.is_of_world(part) & (a["laser"][part] >= 0)
     row_of = np.full(evidence.prior.laser_count, -1, np.int64)
     row_of[evidence.lasers] = np.arange(len(evidence.lasers))
     _, cells = find_cells(

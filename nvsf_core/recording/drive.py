@@ -35,10 +35,15 @@ class LidarRecording:
             evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
         )
 
-    def moving(self) -> NearObjects | None:
-        """What moves, ready to be asked for about any time; None where nothing does."""
+    def moving(self, *, leave_out: int | None = None) -> NearObjects | None:
+        """What moves, ready to be asked for about any time, as if a training scan were held out.
+
+        None where nothing moves.
+        """
         dynamic = self.evidence.dynamic
-        return None if dynamic is None else NearObjects(dynamic.objects, self.object_votes)
+        if dynamic is None:
+            return None
+        return NearObjects(dynamic.objects, self.object_votes, leave_out=leave_out)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

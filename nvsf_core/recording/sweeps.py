@@ -29,6 +29,15 @@ class Sweeps:
         """Where a scan's returns lie in the flat arrays."""
         return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
 
+    def is_of_world(self, chosen: slice = slice(None)) -> np.ndarray:
+        """(m,) bool: chosen returns that tell of the world, neither of the own vehicle nor beyond the range.
+
+        Nobody else leaves out the own vehicle.
+        """
+        a = self.arrays
+        world: np.ndarray = ~a["is_own_vehicle"][chosen] & (a["range_m"][chosen] < self.table.max_range_m)
+        return world
+
     def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
         """(m,) float32 intensity of chosen returns as an average laser would have recorded it."""
         laser = self.arrays["laser"][chosen]

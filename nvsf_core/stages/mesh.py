@@ -55,8 +55,7 @@ def _run(task: Task) -> StageOutput:
 
 def _make(sweeps: Sweeps) -> Mesh:
     a = sweeps.arrays
-    used = np.repeat(sweeps.is_training, np.diff(a["offsets"])) & ~a["is_own_vehicle"]
-    used &= a["range_m"] < sweeps.table.max_range_m
+    used = np.repeat(sweeps.is_training, np.diff(a["offsets"])) & sweeps.is_of_world()
     direction = a["direction"][used]
     return poisson_mesh(
         a["origin_m"][used] + direction * a["range_m"][used, None],

@@ -85,7 +85,7 @@ def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) ->
 def returns_of_scan(sweeps: Sweeps, scan: int) -> tuple[np.ndarray, np.ndarray]:
     """A scan's returns (m, 3) scene-local, without the own vehicle's, and when each was fired (m,)."""
     a, part = sweeps.arrays, sweeps.returns_of(scan)
-    seen = ~a["is_own_vehicle"][part]
+    seen = sweeps.is_of_world(part)
     points = a["origin_m"][part][seen] + a["direction"][part][seen] * a["range_m"][part][seen, None]
     fired_s = float(a["time_s"][scan]) + a["sweep_fraction"][part][seen].astype(np.float64) * sweeps.period_s
     return points, fired_s

@@ -18,6 +18,7 @@ from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.models.residual.training.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.training.left_out import LeftOut
+from nvsf_core.models.selection.holdout import compare, validation_numbers
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.answers import RenderedImage
@@ -37,6 +38,7 @@ from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.training.loop import TrainingState, make_optimiser
 from nvsf_core.training.session import TrainingSession, fit
 
+_METRICS = {"psnr_db": True}
 LEARNED = "learned_cameras"
 """Name of the fact: cameras whose networks beat `reproject` on left-out images."""
 ALIGNED = "camera_corrections"
@@ -71,7 +73,7 @@ def train_camera(
         left_out(given, name, index, shown[name], recipe.camera)
         for name in usable
         for index in range(_images(recording, name))
-        if index not in judges(_images(recording, name), recipe.camera)
+        if index not in validation_images(_images(recording, name), recipe.camera)
     ]
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
@@ -106,22 +108,26 @@ def _verdict(
     aligned with the others, whose poses would know their pixels; afterwards all are.
     """
     recording = given.given
-    silent = {name: judges(_images(recording, name), spec) for name in shown}
+    silent = {name: validation_images(_images(recording, name), spec) for name in shown}
     aligned = aligned_by(given.world, align_drive(given.world, list(shown) if spec.aligned else [], silent))
     metadata: dict[str, Scalar] = {}
     learned, better = [], []
     for name, images in shown.items():
-        shown_db = judge(networks, given, name, images, spec)
-        warped_db = judge_reproject(recording, name, spec)
+        candidates = {
+            "learned": _by_networks(networks, given, name, images, spec),
+            "reproject": _by_warping(recording, name),
+        }
         if name in aligned.corrections:
-            aligned_db = judge(networks, aligned, name, images, spec)
-            metadata[f"{name}_judged_aligned_gain_db"] = aligned_db - shown_db
-            if aligned_db > shown_db:
-                shown_db = aligned_db
+            candidates["aligned"] = _by_networks(networks, aligned, name, images, spec)
+        found, ours = compare(_METRICS, silent[name], candidates), "learned"
+        if "aligned" in candidates:
+            gain_db = found.of("aligned", "psnr_db") - found.of("learned", "psnr_db")
+            metadata[f"{name}_judged_aligned_gain_db"] = gain_db
+            if found.wins("aligned", "learned"):
+                ours = "aligned"
                 better.append(name)
-        is_better = shown_db > warped_db
-        metadata[f"{name}_judged_psnr_db"] = shown_db
-        metadata[f"{name}_judged_reproject_psnr_db"] = warped_db
+        is_better = found.wins(ours, "reproject")
+        metadata |= found.figures({ours: f"{name}_judged_", "reproject": f"{name}_judged_reproject_"})
         metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
         if is_better:
             learned.append(name)
@@ -154,47 +160,44 @@ def camera_renderer(
     return render
 
 
-def judges(images: int, spec: CameraSpec) -> range:
+def validation_images(images: int, spec: CameraSpec) -> range:
     """Numbers of the training images that are never learned from; at least one, never all."""
-    return range(min(spec.judge_every // 3, images // 2), images, spec.judge_every)
+    return validation_numbers(images, spec.judge_every, spec.judge_every // 3)
 
 
-def judge(
+def _by_networks(
     networks: CameraEnsemble, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
-) -> float:
-    """Mean PSNR in dB of the judges' images as the networks show them."""
+) -> Callable[[int], list[float]]:
+    """Scores of a left-out image as the networks show it."""
 
-    def show(index: int) -> RenderedImage:
-        return render_view(networks, _left_out_view(drive, camera, index, images_shown, spec), spec)
+    def score(index: int) -> list[float]:
+        view = _left_out_view(drive, camera, index, images_shown, spec)
+        return _scores(drive.given, camera, index, render_view(networks, view, spec))
 
-    return _judged(drive.given, camera, spec, show)
+    return score
 
 
-def judge_reproject(recording: Recording, camera: str, spec: CameraSpec) -> float:
-    """Mean PSNR in dB of the judges' images as `reproject` shows them."""
+def _by_warping(recording: Recording, camera: str) -> Callable[[int], list[float]]:
+    """Scores of a left-out image as `reproject` shows it."""
     one = recording.cameras[camera]
     images = one.training
 
-    def show(index: int) -> RenderedImage:
+    def score(index: int) -> list[float]:
         others = np.arange(len(images.rgb)) != index
         points = depth_points(recording, float(one.training_time_s[index]), leave_out=True)
-        return render_by_warping(
+        shown = render_by_warping(
             images.pose[index], images.pinhole, points,
             images.rgb[others], images.pose[others], source_valid=images.valid,
         )  # fmt: skip
+        return _scores(recording, camera, index, shown)
 
-    return _judged(recording, camera, spec, show)
+    return score
 
 
-def _judged(
-    recording: Recording, camera: str, spec: CameraSpec, show: Callable[[int], RenderedImage]
-) -> float:
+def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage) -> list[float]:
+    """PSNR in dB of a shown training image, where it was recorded."""
     images = recording.cameras[camera].training
-    scores = [
-        psnr(show(index).rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value
-        for index in judges(len(images.rgb), spec)
-    ]
-    return float(np.mean(scores))
+    return [psnr(shown.rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value]
 
 
 def left_out(

@@ -1,18 +1,17 @@
 """The residual recipes' LiDAR: its field, judged by training scans that it was never shown."""
 
-import math
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.metrics.intensity import intensity_image_metrics
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.metrics.range import range_image_metrics
+from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
@@ -25,32 +24,13 @@ from nvsf_core.simulation.view_plan import SweepPlan
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on left-out scans."""
-_METRICS = ("chamfer_m2", "f_score", "range_psnr_db", "intensity_psnr_db", "hit_accuracy")
+_METRICS = {
+    "chamfer_m2": False, "f_score": True, "range_psnr_db": True, "intensity_psnr_db": True,
+    "hit_accuracy": True,
+}  # fmt: skip
+"""As in `lidar4d_scan`, and whether higher is better; but hits are those of the firings: a pano's cells hide
+false returns behind nearer ones."""
 _PANO = LinearPano(quirks=True)
-
-
-@dataclass(frozen=True, slots=True)
-class _Scores:
-    """Of one renderer, means over the judges, as in `lidar4d_scan`; but hits are those of the firings."""
-
-    chamfer_m2: float
-    f_score: float
-    range_psnr_db: float
-    intensity_psnr_db: float
-    hit_accuracy: float
-    """Share of firings of which it is rightly said whether they return: a pano's cells hide false returns
-    behind nearer ones."""
-
-    def beats(self, other: "_Scores") -> bool:
-        """Whether it is better in most of the five; what is undefined is not better."""
-        wins = (
-            self.chamfer_m2 < other.chamfer_m2,
-            self.f_score > other.f_score,
-            self.range_psnr_db > other.range_psnr_db,
-            self.intensity_psnr_db > other.intensity_psnr_db,
-            self.hit_accuracy > other.hit_accuracy,
-        )
-        return sum(wins) > len(wins) // 2
 
 
 def judge(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording) -> tuple[bool, dict[str, Scalar]]:
@@ -62,37 +42,33 @@ def judge(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording) -> t
     left_out = lidar.evidence.left_out
     if left_out is None:
         return True, {"lidar_shows": "field: too few scans to judge it by"}
-    scores = []
-    for number in left_out.judges.tolist():
-        renderers = _renderers(field, recipe, lidar, left_out, number)
-        truth = _recorded(lidar, number)
-        scores.append([_score(render, recipe, lidar, number, truth) for render in renderers])
-    ours, reproject = (_Scores(*values) for values in np.mean(scores, axis=0).tolist())
-    shows_field = ours.beats(reproject)
-    metadata: dict[str, Scalar] = {
-        "lidar_shows": "field" if shows_field else "reproject: learning did not beat it"
-    }
-    for name in _METRICS:
-        for whose, found in (("", ours), ("reproject_", reproject)):
-            value = getattr(found, name)
-            metadata[f"lidar_judged_{whose}{name}"] = "undefined" if math.isnan(value) else value
-    return shows_field, metadata
 
+    def score(number: int, *, by_field: bool) -> list[float]:
+        render = _renderer(field, recipe, lidar, left_out, number, by_field=by_field)
+        return _score(render, recipe, lidar, number, _recorded(lidar, number))
 
-def _renderers(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence, number: int
-) -> tuple[RayRenderer, RayRenderer]:
-    """The field's and the baseline's, as they would be without a training scan."""
-    dynamic = lidar.evidence.dynamic
-    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=number)
-    return (
-        field_renderer(
-            field, left_out.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
-        ),
-        evidence_renderer(
-            left_out.for_rendering, moving, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
-        ),
+    found = compare(
+        _METRICS,
+        left_out.judges.tolist(),
+        {"field": partial(score, by_field=True), "reproject": partial(score, by_field=False)},
     )
+    shows_field = found.wins("field", "reproject")
+    figures = found.figures({"field": "lidar_judged_", "reproject": "lidar_judged_reproject_"})
+    shown = "field" if shows_field else "reproject: learning did not beat it"
+    return shows_field, {"lidar_shows": shown, **figures}
+
+
+def _renderer(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence, number: int,
+    *, by_field: bool,
+) -> RayRenderer:  # fmt: skip
+    """The field's or the baseline's, as it would be without a training scan."""
+    moving = lidar.moving(leave_out=number)
+    if by_field:
+        most = recipe.evidence.lidar_candidates
+        return field_renderer(field, left_out.standing, moving, most=most, far_m=lidar.far_m)
+    most = EvidenceSpec().lidar_candidates
+    return evidence_renderer(left_out.for_rendering, moving, most=most, far_m=lidar.far_m)
 
 
 def _recorded(lidar: LidarRecording, number: int) -> PanoImage:
@@ -106,7 +82,7 @@ def _recorded(lidar: LidarRecording, number: int) -> PanoImage:
 def _score(
     render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int, truth: PanoImage
 ) -> list[float]:
-    """The values of `_Scores` of a training scan that is simulated without its own votes."""
+    """The values of `_METRICS` of a training scan that is simulated without its own votes."""
     sweeps, evidence = lidar.sweeps, lidar.evidence
     time_s = float(evidence.prior.time_s[number])
     plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
@@ -121,4 +97,4 @@ def _score(
     }
     expected = np.isfinite(answers.range_m) & rays_return(answers.hit)
     returned = evidence.prior.is_hit[number, rays.laser, evidence.prior.nearest_firing(number, rays.fraction)]
-    return [*(found[name].value for name in _METRICS[:-1]), float((expected == returned).mean())]
+    return [*(found[name].value for name in list(_METRICS)[:-1]), float((expected == returned).mean())]

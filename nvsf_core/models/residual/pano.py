@@ -1,7 +1,7 @@
 """The residual recipes' pano: expected over the firings' phases, and corrected by a small network."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,6 @@ import torch
 
 from nvsf_core._types import Scalar
 from nvsf_core.errors import RecipeError
-from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.se3 import invert_pose
@@ -17,6 +16,7 @@ from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.intensity import intensity_image_metrics
 from nvsf_core.metrics.range import range_image_metrics
 from nvsf_core.models.residual.training.cell_step import CellExample, cell_step
+from nvsf_core.models.selection.holdout import compare, validation_numbers
 from nvsf_core.recipe import PanoSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
@@ -38,6 +38,7 @@ from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.loop import TrainingState, make_optimiser
 from nvsf_core.training.session import TrainingSession, fit
 
+_METRICS = {"psnr_db": True, "hit_accuracy": True, "intensity_psnr_db": True}
 CORRECTED = "pano_corrected"
 """Name of the fact: parts of the pano that the network shows better than the phases do."""
 _TYPICAL_RANGE_M, _LEAST_COST = 20.0, 0.2
@@ -107,7 +108,7 @@ def train_pano(
     for scan in scans.tolist():
         left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
         session.say("pano", f"expected {len(left_out)} of {len(scans)}")
-    judged = judges(len(left_out), spec)
+    judged = validation_numbers(len(left_out), spec.judge_every, spec.judge_every // 2)
     examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
     generator = torch.Generator().manual_seed(session.seed * 5 + 3)
     state = TrainingState(network, make_optimiser(network, training), generator)
@@ -124,11 +125,6 @@ def train_pano(
     )
 
 
-def judges(panos: int, spec: PanoSpec) -> range:
-    """Numbers of the panos that are never learned from; at least one, never all."""
-    return range(min(spec.judge_every // 2, panos // 2), panos, spec.judge_every)
-
-
 def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
     """What the network does better than the phases, part by part, and the figures that say so.
 
@@ -136,23 +132,21 @@ def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[s
     the intensity image's.
     """
 
-    def scored(*parts: str) -> tuple[float, float, float]:
-        found = [
-            _score(corrected_pano(network, one.estimate, one.neighbours, parts), one) for one in left_out
-        ]
-        range_db, hits, intensity_db = np.mean(found, axis=0).tolist()
-        return range_db, hits, intensity_db
+    def corrects(*parts: str) -> Callable[[LeftOutPano], tuple[float, float, float]]:
+        return lambda one: _score(corrected_pano(network, one.estimate, one.neighbours, parts), one)
 
-    phases = scored()
-    hit, brightness = (scored(part) for part in PARTS)
-    wins = (hit[0] > phases[0] and hit[1] >= phases[1], brightness[2] > phases[2])
-    corrected = [part for part, is_better in zip(PARTS, wins, strict=True) if is_better]
-    shown = scored(*corrected)
-    names = ("psnr_db", "hit_accuracy", "intensity_psnr_db")
-    metadata: dict[str, Scalar] = {
-        f"pano_judged_{whose}{name}": value
-        for whose, values in (("", shown), ("phases_", phases))
-        for name, value in zip(names, values, strict=True)
+    hit, brightness = PARTS
+    candidates = {"phases": corrects(), hit: corrects(hit), brightness: corrects(brightness)}
+    found = compare(_METRICS, left_out, candidates)
+    loses_no_hits = found.of(hit, "hit_accuracy") >= found.of("phases", "hit_accuracy")
+    wins = {
+        hit: found.is_better(hit, "psnr_db", "phases") and loses_no_hits,
+        brightness: found.is_better(brightness, "intensity_psnr_db", "phases"),
+    }
+    corrected = [part for part in PARTS if wins[part]]
+    shown = compare(_METRICS, left_out, {"shown": corrects(*corrected)})
+    metadata = {
+        **shown.figures({"shown": "pano_judged_"}), **found.figures({"phases": "pano_judged_phases_"})
     }
     metadata["pano_corrected"] = ", ".join(corrected) or "nothing: learning did not beat the phases"
     return metadata, corrected
@@ -215,8 +209,7 @@ def leave_out(
 ) -> LeftOutPano:  # fmt: skip
     """A training pano (`scan` counts training scans) as the field and all other scans' votes have it."""
     assert recipe.pano is not None
-    dynamic, time_s = lidar.evidence.dynamic, float(panos.time_s[scan])
-    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=scan)
+    time_s, moving = float(panos.time_s[scan]), lidar.moving(leave_out=scan)
     render = field_renderer(
         field, lidar.evidence.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
     )

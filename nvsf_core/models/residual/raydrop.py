@@ -8,13 +8,13 @@ import numpy as np
 import torch
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.residual.training.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.training.rays_of_scans import learned_scans
+from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.answers import RayAnswers
@@ -64,6 +64,10 @@ class JudgedTurn:
         """Mean cross-entropy of logits (r,), of the answered firings."""
         return nats(logit[self.is_answered], self.returned[self.is_answered])
 
+    def scores(self, logit: np.ndarray) -> list[float]:
+        """Accuracy and cross-entropy of logits (r,)."""
+        return [self.accuracy(logit), self.nats(logit)]
+
 
 def train_hits(
     session: TrainingSession, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
@@ -111,19 +115,19 @@ def blend_in_rotation(judged: Sequence[JudgedTurn]) -> tuple[HitBlend | None, di
 
     Each of at least two judges is told by a blend that was fitted on the others; what is shown, on all.
     """
-    alone = [one.accuracy(one.ray_head_logit) for one in judged]
-    blended = []
-    for number, one in enumerate(judged):
-        others = [other for place, other in enumerate(judged) if place != number]
-        blended.append(_fitted(others).logit(one.network_logit, one.ray_head_logit))
-    accuracy = [one.accuracy(logit) for one, logit in zip(judged, blended, strict=True)]
-    is_better = float(np.mean(accuracy)) > float(np.mean(alone))
+    def blended(number: int) -> list[float]:
+        one, others = judged[number], [other for place, other in enumerate(judged) if place != number]
+        return one.scores(_fitted(others).logit(one.network_logit, one.ray_head_logit))
+
+    found = compare(
+        {"accuracy": True, "nats": False},
+        range(len(judged)),
+        {"blend": blended, "ray head": lambda number: judged[number].scores(judged[number].ray_head_logit)},
+    )
+    is_better = found.is_better("blend", "accuracy", "ray head")
     blend = _fitted(judged)
     metadata: dict[str, Scalar] = {
-        "hits_judged_accuracy": float(np.mean(accuracy)),
-        "hits_judged_ray_head_accuracy": float(np.mean(alone)),
-        "hits_judged_nats": float(np.mean([one.nats(x) for one, x in zip(judged, blended, strict=True)])),
-        "hits_judged_ray_head_nats": float(np.mean([one.nats(one.ray_head_logit) for one in judged])),
+        **found.figures({"blend": "hits_judged_", "ray head": "hits_judged_ray_head_"}),
         "hits_blend": f"{blend.network:.2f} network {blend.ray_head:+.2f} ray head {blend.offset:+.2f}",
         "hits_shown": "network and ray head" if is_better else "ray head: learning did not beat it",
     }
@@ -214,9 +218,9 @@ def _fire(
     correct: TurnCorrector | None,
 ) -> tuple[SweepRays, RayAnswers]:  # fmt: skip
     """A training scan as the field, some evidence of what stays, and all other scans have it."""
-    sweeps, dynamic = lidar.sweeps, lidar.evidence.dynamic
+    sweeps = lidar.sweeps
     time_s = float(lidar.evidence.prior.time_s[number])
-    moving = None if dynamic is None else NearObjects(dynamic.objects, lidar.object_votes, leave_out=number)
+    moving = lidar.moving(leave_out=number)
     render = field_renderer(field, standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
     plan = SweepPlan("hits", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
     model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes, correct=correct)

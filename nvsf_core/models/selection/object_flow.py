@@ -3,6 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.models.selection.holdout import is_sure
 from nvsf_core.models.selection.range_error import mean_range_error_m
 
 _JUDGES = 12
@@ -15,8 +16,6 @@ _RESOLVED_M = 30.0
 """Farther away 64 lasers lie over 20 cm apart on a thing: it shows no limbs."""
 _WORST_M = 0.5
 """What a ray is at most off by in the score."""
-_SURE = 2.0
-"""Standard errors by which the mean gain over the judges must exceed none."""
 
 
 def choose_flow(objects: tuple[ObjectEvidence, ...]) -> tuple[ObjectEvidence, ...]:
@@ -37,7 +36,7 @@ def _bends(one: ObjectEvidence) -> bool:
     if np.mean(gains) <= 0.0:
         return False
     gains += [_gain_m(one, int(scan)) for scan in judges[order[_FIRST_JUDGES:]]]
-    return bool(np.mean(gains) > _SURE * np.std(gains, ddof=1) / np.sqrt(len(gains)))
+    return is_sure(gains)
 
 
 def _judges(one: ObjectEvidence) -> np.ndarray:

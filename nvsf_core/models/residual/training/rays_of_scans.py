@@ -61,7 +61,7 @@ def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> 
     """A scan's returns but for the own vehicle's, and when each was fired."""
     sweeps, a = lidar.sweeps, lidar.sweeps.arrays
     part = sweeps.returns_of(scan)
-    kept = ~a["is_own_vehicle"][part] & (a["laser"][part] >= 0) & (a["range_m"][part] < lidar.far_m)
+    kept = lidar.sweeps.is_of_world(part) & (a["laser"][part] >= 0)
     fraction = a["sweep_fraction"][part][kept]
     rays = LidarRays(
         a["origin_m"][part][kept], a["direction"][part][kept], a["range_m"][part][kept],

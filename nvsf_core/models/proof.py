@@ -1,0 +1,120 @@
+"""What a drive's training sweeps prove: static and moving surfaces, ray drop, the own vehicle."""
+
+import numpy as np
+
+from nvsf_core._types import Scalar
+from nvsf_core.evidence.moving.detection import find_moving
+from nvsf_core.evidence.moving.dynamic import DynamicEvidence
+from nvsf_core.evidence.moving.objects import prove_objects
+from nvsf_core.evidence.moving.rigid_path import MovingObjects
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior, find_cells
+from nvsf_core.evidence.raydrop.stationary_scans import AtRest, keep_scans, scans_at_rest
+from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
+from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.static.unobserved import unknown_beside
+from nvsf_core.models.selection.object_flow import choose_flow
+from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
+from nvsf_core.recording.sweeps import Sweeps, training_returns
+
+_THREADS = 2
+
+
+def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
+    """The evidence, and how well each size of voxel answered training scans that were left out."""
+    a = sweeps.arrays
+    lengths = np.diff(a["offsets"])
+    of_training = np.repeat(sweeps.is_training, lengths)
+    used = of_training & sweeps.is_of_world()
+    training = np.flatnonzero(sweeps.is_training)
+    prior = build_drop_prior(
+        a["laser"][of_training], a["firing"][of_training], a["sweep_fraction"][of_training],
+        np.concatenate([[0], np.cumsum(lengths[training])]), a["firings"][training], a["time_s"][training],
+        lasers=sweeps.table.laser_count, nominal_firings=sweeps.table.firings_per_turn,
+    )  # fmt: skip
+    firings = np.where(a["firings"][training] > 0, a["firings"][training], sweeps.table.firings_per_turn)
+    lasers = np.unique(a["laser"][of_training])
+    returns = training_returns(sweeps)
+    moving = find_moving(returns)
+    stays = np.ones(len(used), bool)
+    stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
+    rays = ScanRays(
+        origin_m=a["origin_m"][used], direction=a["direction"][used], range_m=a["range_m"][used],
+        intensity=sweeps.even_intensity(used), scan=np.repeat(np.arange(sweeps.count), lengths)[used],
+        stays=stays[used],
+    )  # fmt: skip
+    choice = choose_voxel_m(
+        rays, silent=training[prior.is_silent], far_m=float(sweeps.table.max_range_m), threads=_THREADS
+    )
+    best_m = FIELD_VOXEL_M if choice is None else choice.best_m
+    surfels = build_surfels(
+        rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M, threads=_THREADS
+    )
+    dynamic = None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays)
+    standing = surfels if dynamic is None else dynamic.background
+    evidence = SceneEvidence(
+        surfels=surfels,
+        prior=prior,
+        lasers=lasers[lasers >= 0].astype(np.int16),
+        firings=firings.astype(np.int32),
+        own_range_m=a["own_vehicle_range_m"],
+        own_intensity=a["own_vehicle_intensity"],
+        dynamic=dynamic,
+        at_rest=_keep_at_rest(sweeps, of_training, prior),
+        rendered=rays.surfels(best_m, _THREADS, shaped=True),
+        left_out=None if choice is None else _without_judges(choice, training),
+        unknown=unknown_beside(standing, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
+    )  # fmt: skip
+    tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
+    for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
+        tried[f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm"] = error_m
+    return evidence, tried
+
+
+def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:
+    """What stays without the judges, in the fields' voxels and in the chosen ones; `training` (n,) scans."""
+    return LeftOutEvidence(
+        judges=np.searchsorted(training, choice.judges),
+        standing=choice.standing,
+        rendered=choice.rendered[choice.best_m],
+    )
+
+
+def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> AtRest | None:
+    """What was measured where the sensor stood or crawled, by known lasers; None where it never did."""
+    scans = scans_at_rest(prior.time_s, sweeps.trajectory)
+    scans = scans[~prior.is_silent[scans]]
+    if len(scans) == 0:
+        return None
+    a, training = sweeps.arrays, np.flatnonzero(sweeps.is_training)
+    lengths = np.diff(a["offsets"])[training]
+    _, cells = find_cells(
+        a["laser"][of_training], a["firing"][of_training], a["sweep_fraction"][of_training],
+        np.concatenate([[0], np.cumsum(lengths)]), a["firings"][training],
+        nominal_firings=sweeps.table.firings_per_turn,
+    )  # fmt: skip
+    laser, range_m = a["laser"][of_training], a["range_m"][of_training]
+    return keep_scans(scans, prior, cells, laser, range_m, a["intensity"][of_training])
+
+
+def _prove_motion(
+    sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects, of_training: np.ndarray, rays: ScanRays
+) -> DynamicEvidence:
+    """What moves and the scene without it.
+
+    Args:
+        sweeps: All scans.
+        returns: Of the training scans.
+        moving: Which of them are of which moving object.
+        of_training: (N,) bool, returns of training scans.
+        rays: Those that evidence is made of.
+    """
+    a = sweeps.arrays
+    objects = prove_objects(
+        moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
+        sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
+    )  # fmt: skip
+    return DynamicEvidence(
+        background=rays.surfels(FIELD_VOXEL_M, _THREADS, shaped=False),
+        objects=choose_flow(objects),
+    )
