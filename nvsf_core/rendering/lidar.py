@@ -9,7 +9,7 @@ from torch import Tensor
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch
 from nvsf_core.kernels.composite import composite_rays
-from nvsf_core.numerics import require_finite
+from nvsf_core.numerics import probability_logit, require_finite
 from nvsf_core.rendering.answers import RayAnswers
 
 _VOTE_LIMIT = 0.02
@@ -67,8 +67,8 @@ def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
     weights, summary, median, vote = composite_rays(
         logit, range_m, features, batch.facts, batch.first, batch.vote, vote
     )
-    prior_hit = torch.logit(vote.clamp(_VOTE_LIMIT, 1 - _VOTE_LIMIT))
-    prior_intensity = torch.logit(summary[:, -1].clamp(0.01, 0.99))
+    prior_hit = probability_logit(vote, _VOTE_LIMIT)
+    prior_intensity = probability_logit(summary[:, -1], 0.01)
     hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
     total = summary[:, features.shape[1]]
     return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, vote)

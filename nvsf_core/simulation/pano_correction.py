@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.numerics import probability_logit
 from nvsf_core.recipe import PanoSpec
 from nvsf_core.simulation.pano_estimate import PanoEstimate
 from nvsf_core.simulation.pano_neighbours import Neighbours
@@ -29,9 +30,10 @@ def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:
     near_m, median_m, far_m = estimate.range_m
     height, width = estimate.hit.shape
     level = np.broadcast_to(np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None], (height, width))
+    limited = np.clip(estimate.hit, _HIT_LIMIT, 1.0 - _HIT_LIMIT)
     columns = [
         estimate.hit - 0.5,
-        np.log(_limited(estimate.hit) / (1.0 - _limited(estimate.hit))) / 4.0,
+        np.log(limited / (1.0 - limited)) / 4.0,
         estimate.hit > 0.0,
         median_m / 40.0,
         np.log1p(median_m) / 2.0 - 1.0,
@@ -53,13 +55,12 @@ def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:
 
 def hit_prior(estimate: PanoEstimate) -> Tensor:
     """(h, w) logit of the expected hit; cells without any ray have no return to show."""
-    return torch.logit(torch.from_numpy(_limited(estimate.hit)))
+    return probability_logit(torch.from_numpy(estimate.hit), _HIT_LIMIT)
 
 
 def intensity_prior(estimate: PanoEstimate) -> Tensor:
     """(h, w) logit of the expected intensity."""
-    limited = np.clip(estimate.intensity, _INTENSITY_LIMIT, 1.0 - _INTENSITY_LIMIT)
-    return torch.logit(torch.from_numpy(limited))
+    return probability_logit(torch.from_numpy(estimate.intensity), _INTENSITY_LIMIT)
 
 
 @torch.no_grad()
@@ -83,8 +84,3 @@ def corrected_pano(
 def phases_alone(estimate: PanoEstimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Range in metres, intensity and hit probability (h, w) without a network."""
     return estimate.median_m, estimate.intensity, estimate.hit
-
-
-def _limited(hit: np.ndarray) -> np.ndarray:
-    limited: np.ndarray = np.clip(hit, _HIT_LIMIT, 1.0 - _HIT_LIMIT)
-    return limited

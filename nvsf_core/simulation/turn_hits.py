@@ -18,6 +18,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.kernels.seen_again import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
+from nvsf_core.numerics import probability_logit
 from nvsf_core.recipe import HitsSpec
 from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
@@ -101,7 +102,7 @@ def hit_logits(
     cells = turn_cells(turns, rays, answers, near)
     learned = cells.vote_logit + network(cells.features[None])[0, 0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
-    return back.numpy(), torch.logit(torch.from_numpy(answers.hit), eps=_HIT_LIMIT).numpy()
+    return back.numpy(), probability_logit(torch.from_numpy(answers.hit), _HIT_LIMIT).numpy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,7 @@ def turn_cells(turns: RecordedTurns, rays: SweepRays, answers: RayAnswers, near:
     return TurnCells(
         column=column,
         features=torch.gather(stacked, 2, column.expand(FEATURES, -1, -1)),
-        vote_logit=torch.logit(torch.gather(vote, 1, column), eps=_VOTE_LIMIT),
+        vote_logit=probability_logit(torch.gather(vote, 1, column), _VOTE_LIMIT),
         is_answered=torch.gather(torch.from_numpy(is_answered).reshape(lasers, firings), 1, column),
     )
 

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from nvsf_core._types import Scalar
+from nvsf_core.drives.catalogue import has_data
 from nvsf_core.drives.kitti360.validation import Drive, read_drive
+from nvsf_core.errors import NoDataError
 from nvsf_core.reporting.previews import path_preview
 from nvsf_core.stages.runner.stage import Check, Progress, Stage, StageOutput, Task
 from nvsf_core.stores.tables import write_rows
@@ -40,6 +42,12 @@ _JUMP_M_S = 700.0
 
 
 def _run(task: Task) -> StageOutput:
+    if not has_data(task.scene):
+        entry = task.scene
+        raise NoDataError(
+            f"scene {entry.name}: expected scans or images of frames {entry.first_frame} to "
+            f"{entry.last_frame} of {entry.sequence} under {entry.root}, found none; correct its root, or set NVSF_KITTI360_ROOT"
+        )
     drive = read_drive(task.scene, _sparse(task.progress, task.scene.name))
     _write(task.folder, drive)
     (task.folder / "path.png").write_bytes(_path_picture(drive))

@@ -75,6 +75,17 @@ def read_part(path: Path, rows: slice, *names: str) -> dict[str, np.ndarray]:
         return _read(_open(path), path, names, rows)
 
 
+def array_layouts(path: Path) -> dict[str, np.ndarray]:
+    """Name to an array of the stored one's type and shape that takes no memory; no chunk is read.
+
+    Raises:
+        StoreError: The group is absent or damaged.
+    """
+    with _reading(path):
+        stored = dict(_open(path).arrays())
+    return {name: np.broadcast_to(np.empty((), one.dtype), one.shape) for name, one in stored.items()}
+
+
 def array_names(path: Path, kind: str) -> list[str]:
     """Names of the arrays of one kind, `f` floating or `i` integer, without reading any.
 

@@ -45,6 +45,18 @@ def read_table(path: Path) -> dict[str, list[Any]]:
     return columns
 
 
+def column_kinds(path: Path) -> dict[str, str]:
+    """Name to type of a table's columns, in the contract's words; no row is read.
+
+    Raises:
+        StoreError: There is no such table, or it is damaged.
+    """
+    try:
+        return {field.name: _short(field.type) for field in pq.read_schema(path)}
+    except Exception as error:
+        raise foreign(path, f"expected a Parquet table, found it damaged ({error!r:.300})") from error
+
+
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Read a table row by row, each row a dict.
 

@@ -1,8 +1,8 @@
 """Laws of the guarded operations and of compositing, over generated inputs of their whole domains."""
 
 import math
+from functools import partial
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -20,8 +20,8 @@ LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
 SINGLE = TOLERANCES[torch.float32]
 EPS = torch.finfo(torch.float32).eps
 UNARY = {
-    name: getattr(numerics, name)
-    for name in ("safe_exp", "safe_log", "safe_sqrt", "log1mexp", "softplus_inverse", "probability_logit")
+    "safe_exp": numerics.safe_exp,
+    "probability_logit": partial(numerics.probability_logit, margin=0.003),
 }
 TYPES = (torch.float64, torch.float32, torch.bfloat16, torch.float16)
 any_float = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -54,39 +54,10 @@ def test_all_of_them_ascend(name: str, a: float, b: float) -> None:
 
 
 @LAW
-@given(st.floats(-14.0, 14.0))
-def test_the_logarithm_undoes_the_exponential(x: float) -> None:
-    y = numerics.safe_log(numerics.safe_exp(_tensor([x]))).item()
-    assert abs(y - np.float32(x)) <= SINGLE.elementwise_ulp * EPS * max(1.0, abs(x))
-
-
-@LAW
-@given(st.floats(1e-3, 1e3))
-def test_the_square_undoes_the_root(x: float) -> None:
-    root = numerics.safe_sqrt(_tensor([x]).double())
-    assert root.square().item() == pytest.approx(np.float32(x), rel=8 * 2.0**-52)
-
-
-@LAW
-@given(st.floats(1e-12, 1e12))
-def test_softplus_undoes_its_inverse(y: float) -> None:
-    again = torch.nn.functional.softplus(numerics.softplus_inverse(_tensor([y], torch.float64)), threshold=60)
-    assert again.item() == pytest.approx(y, rel=1e-10)
-
-
-@LAW
 @given(st.floats(0.0, 1.0))
 def test_the_logit_is_odd_about_a_half(p: float) -> None:
-    one, other = numerics.probability_logit(_tensor([p, 1.0 - p], torch.float64))
+    one, other = numerics.probability_logit(_tensor([p, 1.0 - p], torch.float64), 0.003)
     assert one.item() == pytest.approx(-other.item(), abs=1e-9)
-
-
-@LAW
-@given(any_float, any_float)
-def test_a_quotient_keeps_its_sign_and_its_bound(a: float, b: float) -> None:
-    quotient = numerics.safe_div(_tensor([a]), _tensor([b])).item()
-    assert abs(quotient) <= numerics.GRADIENT_LIMIT * 1.0001
-    assert quotient * a * (-1.0 if b < 0 else 1.0) >= 0.0
 
 
 @pytest.mark.parametrize("dtype", TYPES, ids=str)

@@ -258,6 +258,7 @@ def run_stage(
     started = time.perf_counter()
     with store.publish(location) as folder:
         output = stage.run(task(folder))
+        _require_contract(stage, scene, location, folder)
         record = {
             "fingerprint": fingerprint,
             "version": stage.version,
@@ -270,6 +271,23 @@ def run_stage(
         write_document(folder / RECORD_NAME, record)
     progress(f"[{scene.name}] {stage.name}: done in {record['seconds']:.1f} s")
     return _outcome(stage, store.path(location), record, skipped=False)
+
+
+def _require_contract(stage: Stage, scene: SceneEntry, location: str, folder: Path) -> None:
+    """Refuse to publish what readers would not take.
+
+    Raises:
+        StoreError: An array or a column is not what the data contract says.
+    """
+    # Loads zarr and pyarrow, which importing this module must not.
+    from nvsf_core.stores.contract_check import contract_faults
+
+    faults = contract_faults(stage.name, location, folder)
+    if faults:
+        raise StoreError(
+            f"scene {scene.name}, stage {stage.name}: not published, for {len(faults)} of its arrays or "
+            f"columns are not what docs/data_contract.md says: {'; '.join(faults[:3])}; correct either"
+        )
 
 
 def made_from(stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerprints: dict[str, str]) -> str:

@@ -1,0 +1,49 @@
+"""What a stage made against the data contract, before it is published; no data is read."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from nvsf_core.stores.arrays import array_layouts
+from nvsf_core.stores.schemas import CONTRACT, FileSpec, column_faults, violations
+from nvsf_core.stores.tables import column_kinds
+
+
+def contract_faults(stage: str, location: str, folder: Path) -> list[str]:
+    """What the files of a stage's folder break of the contract, one sentence each; [] = nothing.
+
+    A file that is absent breaks nothing: which there are depends on the drive's sensors and on the views.
+
+    Args:
+        stage: Its name.
+        location: Where its output will lie below the scene's folder, for example `field/lean/0`.
+        folder: Where it lies now.
+
+    Raises:
+        StoreError: A file cannot be read.
+    """
+    depth = len(location.split("/"))
+    return [
+        f"{path.relative_to(folder)}: {fault}"
+        for spec in CONTRACT
+        if spec.stage == stage
+        for path in sorted(folder.glob("/".join(_patterns(spec)[depth:])))
+        for fault in _faults(spec, path)
+    ]
+
+
+def _patterns(spec: FileSpec) -> list[str]:
+    """The parts of a path; `<recipe>` stands for any name."""
+    return [re.sub("<[a-z]+>", "*", part) for part in spec.path.split("/")]
+
+
+def _faults(spec: FileSpec, path: Path) -> Iterator[str]:
+    if spec.kind == "zarr":
+        arrays = array_layouts(path)
+        # A drive without the sensor leaves the group empty.
+        yield from violations(spec, arrays) if arrays else ()
+        return
+    columns = column_kinds(path)
+    yield from (f"column {field.name}: expected {field.dtype}, found nothing" for field in spec.fields
+                if field.name not in columns and not field.optional)  # fmt: skip
+    yield from column_faults(spec, columns)
