@@ -46,7 +46,8 @@ def _run(task: Task) -> StageOutput:
         entry = task.scene
         raise NoDataError(
             f"scene {entry.name}: expected scans or images of frames {entry.first_frame} to "
-            f"{entry.last_frame} of {entry.sequence} under {entry.root}, found none; correct its root, or set NVSF_KITTI360_ROOT"
+            f"{entry.last_frame} of {entry.sequence} under {entry.root}, found none; correct its root, or "
+            "set NVSF_KITTI360_ROOT"
         )
     drive = read_drive(task.scene, _sparse(task.progress, task.scene.name))
     _write(task.folder, drive)
