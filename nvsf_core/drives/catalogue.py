@@ -48,7 +48,7 @@ def home_from_environment(environ: Mapping[str, str]) -> Path:
 
 
 def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, ...]:
-    """The catalogue that NVSF_SCENES (default: the checkout's `scenes.toml`) and NVSF_KITTI360_ROOT ask for.
+    """The catalogue that NVSF_SCENES (default: the project's `scenes.toml`) and NVSF_KITTI360_ROOT ask for.
 
     Raises:
         DataError: See `load_catalogue`.
@@ -56,12 +56,18 @@ def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, 
     parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
     named = [_expanded(part, "NVSF_SCENES") for part in parts if part]
     root = environ.get("NVSF_KITTI360_ROOT")
-    default = Path(__file__).resolve().parents[2] / "scenes.toml"
     return load_catalogue(
-        named or [default],
+        named or [_own_catalogue()],
         _expanded(root, "NVSF_KITTI360_ROOT") if root else None,
         home=home_from_environment(environ),
     )
+
+
+def _own_catalogue() -> Path:
+    """The project's catalogue: beside the package in a checkout, in the package where it was installed."""
+    package = Path(__file__).resolve().parents[1]
+    beside = package.parent / "scenes.toml"
+    return beside if (package.parent / "pyproject.toml").is_file() else package / "scenes.toml"
 
 
 def _expanded(text: str, what: str) -> Path:

@@ -62,7 +62,7 @@ def test_readme_tree_equals_the_disk(repo):
 
 
 def _is_shown(path: Path) -> bool:
-    return path.name != "__init__.py" and not path.name.startswith((".", "__pycache__"))
+    return path.suffix != ".typed" and path.name != "__init__.py" and path.name[:2] not in ("__", ".")
 
 
 def test_every_dependency_says_why(repo):

@@ -1,0 +1,128 @@
+"""The command `nvsf`: what make and Dagster do, for those who installed the package."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+
+import click
+
+from nvsf_core.errors import NvsfError
+
+_TEMPLATE = "dagster.yaml"
+
+
+class _Ours(click.Group):
+    """Says an error of ours in one line, without a stack trace."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run the command that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except NvsfError as error:
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(cls=_Ours, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="nvsf")
+def main() -> None:
+    """Recorded drive in, measured synthetic drive out.
+
+    Outputs lie under NVSF_HOME (default: .nvsf here); NVSF_SCENES names catalogues of your own.
+    """
+
+
+@main.command()
+def demo() -> None:
+    """Write the embedded drive, train it with the recipe quick, and measure what it shows."""
+    sys.exit(_run_job(["demo"], "quick", 0))
+
+
+@main.command()
+@click.argument("scenes", nargs=-1)
+@click.option("--recipe", default="", help="Preset; default: the catalogue's choice, else lean.")
+@click.option("--seed", default=0, show_default=True, help="Of training.")
+def train(scenes: Sequence[str], recipe: str, seed: int) -> None:
+    """Train SCENES (default: all that have data) from their drives to their data sets and the report."""
+    sys.exit(_run_job(scenes, recipe, seed))
+
+
+@main.command()
+@click.argument("scene")
+@click.option("--recipe", default="", help="Preset; default: the catalogue's choice, else lean.")
+@click.option("--seed", default=0, show_default=True, help="Of training.")
+def view(scene: str, recipe: str, seed: int) -> None:
+    """Render the views that the catalogue asks of SCENE, and say where their files lie.
+
+    What is up to date is not made again: add a [[view]] to the catalogue, and only that is new.
+    """
+    from nvsf_core.stages import find_scene, run_scene
+
+    entry = find_scene(scene)
+    outcomes = {one.stage: one for one in run_scene(entry, recipe=recipe or None, seed=seed)}
+    for name in ("test", *(asked.name for asked in entry.views)):
+        folder = outcomes["novel_views"].path / name
+        click.echo(f"{name}: {folder}" if folder.is_dir() else f"{name}: not rendered")
+
+
+@main.command()
+def report() -> None:
+    """Make the offline HTML page over everything measured under NVSF_HOME."""
+    from assets.report import write_benchmark_report
+    from nvsf_core.drives.catalogue import home_from_environment
+
+    click.echo(write_benchmark_report(home_from_environment(os.environ)))
+
+
+@main.command()
+def scenes() -> None:
+    """List the catalogue: which scenes have data here, and what was trained of them."""
+    from nvsf_core.drives.catalogue import catalogue_from_environment, has_data, home_from_environment
+    from nvsf_core.stores.scene_store import published
+
+    home = home_from_environment(os.environ)
+    for entry in catalogue_from_environment(os.environ):
+        trained = [folder.parent for folder in published(home / entry.name / "field", "*/*/stage.json")]
+        made = ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
+        there = made if has_data(entry) or entry.name == "demo" else f"no data at {entry.root}"
+        click.echo(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
+
+
+@main.command()
+def doctor() -> None:
+    """Say what of this machine is missing, and what that costs."""
+    from pipelines.doctor import examine
+
+    findings = examine(os.environ)
+    for finding in findings:
+        click.echo(f"{'ok     ' if finding.is_fine else 'MISSING'} {finding.subject}: {finding.words}")
+    sys.exit(1 if any(finding.is_needed and not finding.is_fine for finding in findings) else 0)
+
+
+def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
+    """Dagster's job over the scenes, in a process of its own, as `make train` runs it; its exit code."""
+    from nvsf_core.drives.catalogue import home_from_environment
+
+    home = home_from_environment(os.environ)
+    chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
+    place = Path(os.environ.get("DAGSTER_HOME") or home / "dagster").absolute()
+    environment = os.environ | chosen | {
+        "DAGSTER_HOME": str(place), "DAGSTER_MODULE_NAME": "pipelines.definitions",
+    }  # fmt: skip
+    dagster = [sys.executable, "-m", "dagster"]
+    if not (place / _TEMPLATE).is_file():
+        place.mkdir(parents=True, exist_ok=True)
+        with resources.as_file(_instance_template()) as template:
+            shutil.copy(template, place / _TEMPLATE)
+        # Initialised by one process: two that meet an empty DAGSTER_HOME race for its tables.
+        subprocess.run([*dagster, "instance", "info"], env=environment, stdout=subprocess.DEVNULL, check=True)
+    return subprocess.run([*dagster, "job", "execute", "-j", "train_all_scenes"], env=environment).returncode
+
+
+def _instance_template() -> resources.abc.Traversable:
+    """Of Dagster's instance: in the checkout, else in the wheel."""
+    here = resources.files("pipelines")
+    return beside if (beside := here.joinpath("..", _TEMPLATE)).is_file() else here.joinpath(_TEMPLATE)

@@ -1,0 +1,101 @@
+"""What of a machine is missing, and what that costs."""
+
+import importlib.util
+import os
+import platform
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from nvsf_core.clouds.open3d_room import load_open3d
+from nvsf_core.drives.catalogue import catalogue_from_environment, has_data, home_from_environment
+from nvsf_core.errors import NvsfError
+from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
+from nvsf_core.stores.scene_store import require_home
+
+_FREE_GB = 5.0
+"""A scene's outputs take about half of that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at."""
+
+    subject: str
+    is_fine: bool
+    words: str
+    is_needed: bool = False
+    """Whether nothing runs without it."""
+
+
+def examine(environ: Mapping[str, str]) -> list[Finding]:
+    """Look at everything; nothing is written but an empty file that is removed again."""
+    return [_machine(), _gpu(), _home(environ), _catalogue(environ), _open3d(), _lpips(), _executors()]
+
+
+def _machine() -> Finding:
+    words = f"{os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+    if platform.system() != "Linux":
+        return Finding("machine", False, f"{words}; only Linux is tested: locks may not hold elsewhere")
+    return Finding("machine", True, words)
+
+
+def _gpu() -> Finding:
+    import torch
+
+    if torch.cuda.is_available():
+        return Finding("GPU", True, f"{torch.cuda.get_device_name()}, torch {torch.__version__}")
+    words = f"none that torch {torch.__version__} can use; lean and quick need none, paper takes days without"
+    return Finding("GPU", False, words)
+
+
+def _home(environ: Mapping[str, str]) -> Finding:
+    place = home_from_environment(environ)
+    try:
+        place = require_home(place)
+    except NvsfError as error:
+        return Finding("NVSF_HOME", False, str(error), is_needed=True)
+    there = next(folder for folder in (place, *place.parents) if folder.is_dir())
+    free_gb = shutil.disk_usage(there).free / 1e9
+    words = f"{place}, {free_gb:.0f} GB free"
+    if free_gb < _FREE_GB:
+        return Finding("NVSF_HOME", False, f"{words}; {_FREE_GB:.0f} GB are needed for a few scenes")
+    return Finding("NVSF_HOME", True, words)
+
+
+def _catalogue(environ: Mapping[str, str]) -> Finding:
+    try:
+        entries = catalogue_from_environment(environ)
+        there = [entry.name for entry in entries if has_data(entry)]
+    except NvsfError as error:
+        return Finding("catalogue", False, str(error), is_needed=True)
+    words = f"{len(entries)} scenes, with data here: {', '.join(there) or 'none (nvsf demo writes its own)'}"
+    return Finding("catalogue", True, words)
+
+
+def _open3d() -> Finding:
+    try:
+        load_open3d()
+    except NvsfError as error:
+        cost = "Without it no mesh baseline, no .pcd, no registration check"
+        return Finding("open3d", False, f"{error}. {cost}")
+    return Finding("open3d", True, "the mesh baseline, .pcd files and the registration check run")
+
+
+def _lpips() -> Finding:
+    try:
+        path: Path | None = find_weights()
+    except NvsfError as error:
+        return Finding("LPIPS weights", False, str(error))
+    if path is None:
+        words = f"not found: set {WEIGHTS_VARIABLE} to {WEIGHTS_NAME}. Without them LPIPS is `not run`"
+        return Finding("LPIPS weights", False, words)
+    return Finding("LPIPS weights", True, str(path))
+
+
+def _executors() -> Finding:
+    known = {"ray": "dagster_ray", "k8s": "dagster_k8s"}
+    there = [name for name, module in known.items() if importlib.util.find_spec(module) is not None]
+    words = f"in_process, multiprocess{''.join(', ' + name for name in there)}"
+    return Finding("executors", True, f"{words}; pip install 'nvsf[ray]' or 'nvsf[k8s]' adds others")

@@ -1,0 +1,56 @@
+"""The command `nvsf` says what there is, what is missing, and what went wrong in one line."""
+
+import os
+
+import pytest
+from click.testing import CliRunner
+
+from pipelines.cli import main
+from pipelines.doctor import examine
+
+
+@pytest.fixture
+def ask(tiny_catalogue, tmp_path, monkeypatch):
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    return lambda *words: CliRunner().invoke(main, words)
+
+
+def test_its_commands_are_listed(ask):
+    said = ask("--help")
+    assert said.exit_code == 0
+    for command in ("demo", "train", "view", "report", "scenes", "doctor"):
+        assert f"  {command} " in said.output
+
+
+def test_scenes_are_listed_with_what_is_there(ask):
+    said = ask("scenes").output.splitlines()
+    assert any(line.startswith("tiny ") and line.endswith("not trained") for line in said)
+    assert any(line.startswith("absent ") and "no data at " in line for line in said)
+
+
+def test_the_doctor_looks_at_everything_and_nothing_that_is_needed_is_missing_here(ask):
+    said = ask("doctor")
+    subjects = {finding.subject for finding in examine(os.environ)}
+    assert said.exit_code == 0, said.output
+    assert {"machine", "GPU", "NVSF_HOME", "catalogue", "open3d", "LPIPS weights", "executors"} == subjects
+    assert all(f" {subject}: " in said.output for subject in subjects)
+    assert not (list(os.scandir(os.environ["NVSF_HOME"])) if os.path.isdir(os.environ["NVSF_HOME"]) else [])
+
+
+def test_a_catalogue_that_cannot_be_read_is_what_the_doctor_says(ask, monkeypatch, tmp_path):
+    monkeypatch.setenv("NVSF_SCENES", str(tmp_path / "nowhere.toml"))
+    said = ask("doctor")
+    assert said.exit_code == 1 and "MISSING catalogue: " in said.output
+
+
+def test_an_unknown_scene_is_one_line(ask):
+    said = ask("view", "nobody")
+    assert said.exit_code == 1 and "no scene 'nobody'" in said.output and "Traceback" not in said.output
+
+
+def test_the_report_is_made_of_what_is_there(ask):
+    said = ask("report")
+    assert said.exit_code == 0, said.output
+    assert said.output.strip().endswith("home/benchmark_report/index.html")
+    assert os.path.isfile(said.output.strip())
