@@ -54,7 +54,7 @@ def test_readme_tree_equals_the_disk(repo):
     block = re.search(r"<!-- tree -->\n```\n(.*?)```", readme, re.DOTALL)
     assert block, "README.md: expected a tree between `<!-- tree -->` and the end of its code block"
     named = {line.split()[0] for line in block.group(1).splitlines()}
-    tops = {"assets", "benchmarks", "deploy", "docs", "nvsf_core", "pipelines", "tests"}
+    tops = {"assets", "benchmarks", "deploy", "docs", "examples", "nvsf_core", "pipelines", "tests"}
     core = {f"nvsf_core/{path.name}" for path in (repo / "nvsf_core").iterdir() if _is_shown(path)}
     assert named == {f"{name}/" for name in tops} | {f"{name}/" if "." not in name else name for name in core}
     missing = sorted(name for name in tops if not (repo / name).is_dir())
@@ -62,7 +62,7 @@ def test_readme_tree_equals_the_disk(repo):
 
 
 def _is_shown(path: Path) -> bool:
-    return path.suffix != ".typed" and path.name != "__init__.py" and path.name[:2] not in ("__", ".")
+    return path.suffix != ".typed" and path.name != "__init__.py" and not path.name.startswith((".", "__"))
 
 
 def test_every_dependency_says_why(repo):
