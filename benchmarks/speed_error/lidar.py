@@ -7,7 +7,7 @@ import numpy as np
 
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.scan import AnsweredTurn, put_back_own_vehicle

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks, DepthNetwork, RefineNetwork
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor
 from nvsf_core.rendering.plane_volume import (
     DepthBelief,
@@ -16,6 +15,7 @@ from nvsf_core.rendering.plane_volume import (
     plane_volume,
     volume_features,
 )
+from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.sources import look_up
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 

@@ -10,7 +10,7 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.numerics import probability_logit, require_finite
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 
 _VOTE_LIMIT = 0.02
 

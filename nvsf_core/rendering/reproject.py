@@ -11,9 +11,9 @@ from nvsf_core.evidence.static.surfels import (
     Surfels,
     candidates_of,
 )
-from nvsf_core.kernels.proven_answers import answer_by_surfels
+from nvsf_core.kernels.surfel_rendering import answer_by_surfels
 from nvsf_core.rendering.accumulate import weighted_median_index
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 
 NEAR_M = 0.9
 """Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""

@@ -19,7 +19,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.splat import splat_depth
-from nvsf_core.rendering.answers import RenderedImage
+from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.warping import (
     plane_rays,
     ray_length,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.lidar_rays import SweepRays
 

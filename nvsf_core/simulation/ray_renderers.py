@@ -8,8 +8,8 @@ from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.fields.surface_batch import surface_batch
-from nvsf_core.rendering.answers import RayAnswers
 from nvsf_core.rendering.lidar import answer_rays
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.simulation.scene_model import RayRenderer
 

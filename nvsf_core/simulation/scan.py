@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.evidence.raydrop.stationary_scans import FiredRays, answer_at_rest
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays

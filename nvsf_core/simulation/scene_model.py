@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.rendering.answers import RayAnswers, RenderedImage
+from nvsf_core.rendering.rendered import RayAnswers, RenderedImage
 from nvsf_core.simulation.lidar_rays import SweepRays
 
 VOTES = 6

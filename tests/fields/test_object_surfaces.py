@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving.object_votes import ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import ObjectVotes
 from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.raydrop.prior import DropPrior

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nvsf_core import kernels
 
-_ASK = "import numba, nvsf_core.kernels.proven_answers as p; print(numba.config.CACHE_DIR, p.__file__)"
+_ASK = "import numba, nvsf_core.kernels.surfel_rendering as p; print(numba.config.CACHE_DIR, p.__file__)"
 
 
 def _where(root: Path) -> str:

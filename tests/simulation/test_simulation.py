@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.errors import MissingFrameError
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.simulation.lidar_rays import sweep_rays

@@ -10,7 +10,7 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.simulation.scene_model import SceneModel

@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.clouds.mesh import Mesh, MeshRays, mesh_rays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recording.drive import Recording
-from nvsf_core.rendering.answers import RayAnswers, RenderedImage
+from nvsf_core.rendering.rendered import RayAnswers, RenderedImage
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel

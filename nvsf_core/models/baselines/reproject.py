@@ -6,7 +6,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.answers import RenderedImage
+from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.ray_renderers import evidence_renderer
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel

@@ -11,7 +11,7 @@ from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.rendering.answers import RayAnswers, RenderedImage
+from nvsf_core.rendering.rendered import RayAnswers, RenderedImage
 from nvsf_core.rendering.scaled_rays import ScaledRays, camera_rays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
 from nvsf_core.sensors.linear_pano import LinearPano

@@ -21,7 +21,6 @@ from nvsf_core.models.residual.training.left_out import LeftOut
 from nvsf_core.models.selection.holdout import compare, validation_numbers
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
-from nvsf_core.rendering.answers import RenderedImage
 from nvsf_core.rendering.camera_view import (
     CameraView,
     ShownImages,
@@ -32,6 +31,7 @@ from nvsf_core.rendering.camera_view import (
 )
 from nvsf_core.rendering.image_alignment import PoseCorrection
 from nvsf_core.rendering.learned_warp import render_view
+from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer

@@ -17,13 +17,13 @@ from nvsf_core.models.residual.training.rays_of_scans import learned_scans
 from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.simulation.lidar_rays import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
+from nvsf_core.simulation.raydrop_grid import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.scene_model import SceneModel, TurnCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
-from nvsf_core.simulation.turn_hits import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.loop import TrainingState, make_optimiser
 from nvsf_core.training.session import TrainingSession, fit

@@ -21,8 +21,8 @@ from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.pano_correction import pano_network
 from nvsf_core.simulation.ray_renderers import field_renderer
+from nvsf_core.simulation.raydrop_grid import hits_network
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.simulation.turn_hits import hits_network
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

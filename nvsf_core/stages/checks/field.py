@@ -11,7 +11,7 @@ from torch import Tensor
 from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep

@@ -13,7 +13,7 @@ from nvsf_core.models.residual.lidar import SHOWS_FIELD, judge
 from nvsf_core.models.residual.render import make_fields
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.field import load_trained

@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
-from nvsf_core.evidence.moving.object_votes import ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import ObjectVotes
 from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.raydrop.prior import DropPrior

@@ -9,7 +9,7 @@ import torch
 
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.checks.field import check_loss, check_rendering, check_weights
 from nvsf_core.stages.inputs import read_recording

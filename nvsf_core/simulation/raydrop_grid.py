@@ -17,10 +17,10 @@ from torch import Tensor
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.cell_network import CellNetwork
-from nvsf_core.kernels.seen_again import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
+from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
 from nvsf_core.numerics import probability_logit
 from nvsf_core.recipe import HitsSpec
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays

@@ -9,12 +9,12 @@ import torch
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.recipe import HitsSpec, TrainingSpec
-from nvsf_core.rendering.answers import RayAnswers
+from nvsf_core.rendering.rendered import RayAnswers
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.raydrop import EVEN, HitBlend
-from nvsf_core.simulation.turn_hits import RecordedTurns, TurnHits, hits_network, turn_cells
+from nvsf_core.simulation.raydrop_grid import RecordedTurns, TurnHits, hits_network, turn_cells
 
 LASERS, FIRINGS, SCANS, PERIOD_S = np.arange(0, 64, 4), 300, 3, 0.1
 SPEC = HitsSpec(channels=8, layers=1, training=TrainingSpec(steps=1, rays=1))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.kernels.grid_votes import share_of_scans
+from nvsf_core.kernels.grid_hit_priors import share_of_scans
 
 ELEVATION = np.deg2rad(np.array([2.0, 1.0, 0.0, -1.0]))
 FIRINGS = 360

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.kernels.seen_again import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
+from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_rays import sweep_rays

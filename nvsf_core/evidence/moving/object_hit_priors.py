@@ -8,7 +8,7 @@ import numpy as np
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
-from nvsf_core.kernels.grid_votes import share_of_scans
+from nvsf_core.kernels.grid_hit_priors import share_of_scans
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
