@@ -11,7 +11,7 @@ import dagster as dg
 from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, Check, Outcome, Stage, run_named_stage
-from nvsf_core.stages.runner.stage import NOT_RUN, Law, UnsoundOutputError
+from nvsf_core.stages.runner.stage import NOT_RUN, NamedCheck, UnsoundOutputError
 from nvsf_core.stores.pictures import read_picture
 
 CHECK_NAME = "output_is_sound"
@@ -114,7 +114,7 @@ def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> 
     return [whole, *(_verdict(law, found[law.name], scene) for law in stage.laws if law.name in found)]
 
 
-def _verdict(law: Law, check: Check | None, scene: str) -> dict[str, Any]:
+def _verdict(law: NamedCheck, check: Check | None, scene: str) -> dict[str, Any]:
     """One law's: value and limit are numbers, so that the UI plots them over time."""
     if check is None:
         reason = f"{NOT_RUN}: this output was made before the check was"

@@ -16,7 +16,7 @@ import numpy as np
 
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.world import DemoWorld
-from nvsf_core.evidence.moving.detection import STANDING_M, find_moving
+from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.static.ground import build_ground
@@ -48,9 +48,9 @@ def main() -> None:
         if sweeps is None:
             continue
         returns = training_returns(sweeps)
-        find_moving(returns)
+        find_moving_objects(returns)
         started, busy = time.perf_counter(), time.process_time()
-        moving = find_moving(returns)
+        moving = find_moving_objects(returns)
         wall_s, cpu_s = time.perf_counter() - started, time.process_time() - busy
         seconds.append(
             f"{scene}: {wall_s:.1f} s ({cpu_s:.1f} s of CPU) for {returns.scan_count} training scans of "
@@ -75,7 +75,7 @@ def _demo_rows(
     met = np.concatenate([scan.instance for scan in scans])
     to_street = np.linalg.inv(world.street_to_world)
     height = (returns.point_m + sweeps.scene_origin_m) @ to_street[2, :3] + to_street[2, 3]
-    standing = (height > STANDING_M) & ~returns.is_own_vehicle
+    standing = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     rows = []
     truth = np.zeros(len(met), bool)
     for mover in world.street.movers:
@@ -104,7 +104,7 @@ def _box_rows(
     frames = sweeps.arrays["frame"][sweeps.is_training]
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
     within = (range_m > NEAREST_M) & (range_m < FARTHEST_M) & ~returns.is_own_vehicle
-    standing = within & (build_ground(returns.point_m[within]).above(returns.point_m) > STANDING_M)
+    standing = within & (build_ground(returns.point_m[within]).above(returns.point_m) > ABOVE_GROUND_M)
     rows = []
     for object_id in sorted({box["object_id"] for box in boxes}):
         own, centres, instants = np.zeros(len(standing), bool), [], []

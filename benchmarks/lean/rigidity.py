@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from benchmarks.common import places
 from benchmarks.common.commit import commit
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.evidence.moving.detection import STANDING_M
+from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M
 from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
 from nvsf_core.evidence.static.ground import build_ground
 from nvsf_core.evidence.static.planes import PLANE_POINTS
@@ -116,7 +116,7 @@ def _range_error_m(
     return np.where(np.isfinite(error), error, np.nan)
 
 
-class Standing(NamedTuple):
+class AboveGround(NamedTuple):
     """Returns of what stands, as high above the ground as people and vehicles are; (n, 2) each."""
 
     distance_m: np.ndarray
@@ -125,7 +125,7 @@ class Standing(NamedTuple):
     """Range error of what these scans' surfels answer, and range."""
 
 
-def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> Standing:
+def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> AboveGround:
     """Figures of what stands; what moves is left out, and what is near its path."""
     sweeps = read_sweeps(store)
     assert sweeps is not None
@@ -138,7 +138,7 @@ def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> 
     for one in objects:
         local = one.path.to_object(returns.point_m.astype(np.float64), returns.time_s)
         stands &= ~np.all((local > one.path.low_m - 0.3) & (local < one.path.high_m + 0.3), axis=1)
-    used = stands & (height_m > STANDING_M) & (height_m < _HIGHEST_M)
+    used = stands & (height_m > ABOVE_GROUND_M) & (height_m < _HIGHEST_M)
     used &= (a["range_m"] > _NEAR_M) & (a["range_m"] < _FAR_M)
     random, distances, errors = np.random.default_rng(0), [np.zeros((0, 2))], [np.zeros((0, 2))]
     for k in range(returns.scan_count):
@@ -157,7 +157,7 @@ def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> 
             )  # fmt: skip
             off_m = _range_error_m(surfels, *(a[name][mine] for name in ("origin_m", "direction", "range_m")))
             errors.append(np.stack([off_m, a["range_m"][mine]], axis=1))
-    return Standing(np.concatenate(distances), np.concatenate(errors))
+    return AboveGround(np.concatenate(distances), np.concatenate(errors))
 
 
 def figures(distance_m: np.ndarray) -> dict[str, float]:
@@ -183,7 +183,7 @@ class Moved(NamedTuple):
 
     distance_m: np.ndarray
     """(n,) to its surface, by its rigid path."""
-    still_m: np.ndarray
+    static_m: np.ndarray
     """(n,) to its surface as if it had stood still."""
     range_m: np.ndarray
     """(n,)."""
@@ -208,10 +208,10 @@ def measure(store: SceneStore) -> dict[str, Any]:
         moved, range_m = object_distances_m(one, is_moved=True)
         if len(moved) == 0:
             continue
-        still_m = object_distances_m(one, is_moved=False)[0]
+        static_m = object_distances_m(one, is_moved=False)[0]
         error_m, error_range_m = object_range_errors_m(replace(one, flow_m=None))
         flowing_m = error_m if one.flow_m is None else object_range_errors_m(one)[0]
-        found = Moved(moved, still_m, range_m, error_m, error_range_m, flowing_m)
+        found = Moved(moved, static_m, range_m, error_m, error_range_m, flowing_m)
         size_m = one.path.high_m - one.path.low_m
         kind = "vehicle" if size_m[:2].max() >= VEHICLE_M else "person"
         kinds.setdefault(kind, []).append(found)
@@ -227,10 +227,10 @@ def measure(store: SceneStore) -> dict[str, Any]:
     return {"scene": store.scene, "returns": total, "rows": rows}
 
 
-def _row(name: str, moved: Moved, standing: Standing, total: int) -> dict[str, Any]:
+def _row(name: str, moved: Moved, standing: AboveGround, total: int) -> dict[str, Any]:
     row: dict[str, Any] = {
         "name": name, "range_m": float(np.median(moved.range_m)),
-        "rigid": figures(moved.distance_m), "if_it_stood": figures(moved.still_m),
+        "rigid": figures(moved.distance_m), "if_it_stood": figures(moved.static_m),
         "standing": figures(like(standing.distance_m, moved.range_m)),
         "rendered": figures(moved.error_m), "flowing": figures(moved.flowing_m),
         "standing_rendered": figures(like(standing.error_m, moved.error_range_m)),

@@ -166,13 +166,13 @@ class VariantStep:
         count, shape = self.recipe.lidar_training.rays, self.grid.ray.shape
         if not self.variant.patches:
             assert self.errors is not None
-            row, column = self.errors.draw_pixels(0, count, generator)
+            row, column = self.errors.sample_pixels(0, count, generator)
             return row.numpy(), column.numpy()
         patches = count // (PATCH[0] * PATCH[1])
         if self.errors is None:
             corners = uniform_corners(shape, PATCH, patches, generator)
         else:
-            corners = self.errors.draw_patches(0, patches, PATCH, generator)
+            corners = self.errors.sample_patches(0, patches, PATCH, generator)
         row, column = patch_pixels(*corners, PATCH, shape)
         return row.flatten().numpy(), column.flatten().numpy()
 

@@ -123,9 +123,7 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
             folder=Path(folder),
             progress=say_on_stderr,
         )
-        trained = train_on_frames(
-            recipe, scene.recording, scene.frames, StageSession(task, work)
-        )
+        trained = train_on_frames(recipe, scene.recording, scene.frames, StageSession(task, work))
     model = _model(recipe, scene, trained)
     rows = rows_of(_scored(scene, model, recipe), scene.run.scene.name, recipe.name, seed)
     scene.run.store.drop_work_dir(f"ablation/{recipe.name}/{seed}")

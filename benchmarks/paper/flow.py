@@ -27,7 +27,7 @@ from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.models.paper.training.flow import train_flow
 from nvsf_core.recipe import FlowSpec, PaperRecipe
-from nvsf_core.recipe.paper import AuthorsSlips, GridSpec
+from nvsf_core.recipe.paper import GridSpec, ReferenceQuirks
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import (
@@ -102,7 +102,7 @@ def demo_motions() -> tuple[list[TrueMotion], Bounds]:
     return true_motions(sweeps, truth, bounds), bounds
 
 
-def learned(flow: FlowField, bounds: Bounds, count: int, slips: AuthorsSlips) -> Displacements:
+def learned(flow: FlowField, bounds: Bounds, count: int, slips: ReferenceQuirks) -> Displacements:
     """What is applied to points: through the unit cube, as `SceneField` does it."""
     cube_m = bounds.edge_m * slips.bound
 

@@ -4,7 +4,6 @@ Run ``python -m benchmarks.paper.parameters`` after a change of the recipe or of
 table too.
 """
 
-
 import torch
 
 from benchmarks.common.markers import write_between

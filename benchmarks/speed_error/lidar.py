@@ -7,12 +7,12 @@ import numpy as np
 
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.scan import AnsweredTurn, put_back_own_vehicle
+from nvsf_core.simulation.scan import RenderedSweep, put_back_own_vehicle
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.simulation.sweep_simulation import answers_along, fire_sweep
+from nvsf_core.simulation.sweep_simulation import fire_sweep, render_along
 from nvsf_core.simulation.view_plan import SweepPlan
 
 SHARE = 4
@@ -87,28 +87,26 @@ def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> 
 
     def answer(number: int) -> tuple[PanoImage, np.ndarray]:
         frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
-        points, intensity, laser = AnsweredTurn.of(*_quarter_turn(lidar, plan, model, time_s)).scan()
+        points, intensity, laser = RenderedSweep.of(*_quarter_turn(lidar, plan, model, time_s)).scan()
         pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
         a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
         rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
-        return pano, answers_along(model, lidar, time_s, *rays).range_m
+        return pano, render_along(model, lidar, time_s, *rays).range_m
 
     return answer
 
 
 def _quarter_turn(
     lidar: LidarRecording, plan: SweepPlan, model: SceneModel, time_s: float
-) -> tuple[SweepRays, RayAnswers]:
+) -> tuple[SweepRays, RenderedRays]:
     """The chosen columns' rays, answered; what corrects a turn is asked about the whole of it."""
     if model.correct is None:
         rays = quarter_of_rays(lidar, plan, time_s, model.votes)
-        answers = answers_along(
-            model, lidar, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
-        )
+        answers = render_along(model, lidar, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction)
         return rays, put_back_own_vehicle(answers, rays, lidar.evidence)
     rays, answers = fire_sweep(replace(model, unknown=None), lidar, plan, time_s)
     kept = _in_sectors(rays)
-    return _only(rays, kept), RayAnswers(answers.range_m[kept], answers.hit[kept], answers.intensity[kept])
+    return _only(rays, kept), RenderedRays(answers.range_m[kept], answers.hit[kept], answers.intensity[kept])
 
 
 def recorded(lidar: LidarRecording, frame: int) -> tuple[Scan, np.ndarray]:

@@ -36,7 +36,7 @@ from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.checkpoints import StageSession
-from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.run import (
@@ -170,7 +170,7 @@ def _run_baseline(setting: Setting, judge: Judge, name: str) -> tuple[dict[str, 
 def _run_recipe(
     setting: Setting, recording: Recording, judge: Judge, asked: Recipe, seed: int
 ) -> tuple[dict[str, Any], list[Point]]:
-    with tempfile.TemporaryDirectory() as name, device_lease(setting.home / ".leases", setting.progress):
+    with tempfile.TemporaryDirectory() as name, device_lock(setting.home / ".leases", setting.progress):
         folder = Path(name)
         recipe = _with_time(setting, recording, asked, seed)
         is_paper = isinstance(recipe, PaperRecipe)

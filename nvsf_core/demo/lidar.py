@@ -25,7 +25,7 @@ from nvsf_core.demo.street import Material
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 
-__all__ = ["MAX_RANGE_M", "RANGE_NOISE_M", "DemoScan", "ExactAnswers", "exact_answers", "simulate_scan"]
+__all__ = ["MAX_RANGE_M", "RANGE_NOISE_M", "DemoScan", "ExactRays", "exact_rays", "simulate_scan"]
 
 MAX_RANGE_M = 80.0
 """Nothing farther is recorded."""
@@ -70,7 +70,7 @@ class DemoScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExactAnswers:
+class ExactRays:
     """What L lasers x F firings would meet, without noise, mixed pixels or chance; all (L, F)."""
 
     range_m: np.ndarray
@@ -81,7 +81,7 @@ class ExactAnswers:
     """float64, expected, 0..0.99."""
 
 
-def exact_answers(
+def exact_rays(
     world: DemoWorld,
     table: LaserTable,
     lasers: np.ndarray,
@@ -90,7 +90,7 @@ def exact_answers(
     *,
     mount: np.ndarray | None,
     own_vehicle: bool,
-) -> ExactAnswers:
+) -> ExactRays:
     """The truth for any sensor on the recording car's path, at any time.
 
     Args:
@@ -113,7 +113,7 @@ def exact_answers(
     present = range_m < MAX_RANGE_M
     distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
     reflectivity = _reflectivity(material)
-    return ExactAnswers(
+    return ExactRays(
         range_m=range_m,
         chance=present * _return_chance(distance, material, reflectivity, cosine),
         intensity=np.clip(_shine(distance, reflectivity, cosine), 0.0, 0.99),

@@ -6,7 +6,7 @@ import numpy as np
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.raydrop.stationary_scans import AtRest
+from nvsf_core.evidence.raydrop.stationary_scans import StationaryScans
 from nvsf_core.evidence.static.surfels import Surfels
 
 _RENDERED, _UNKNOWN = "rendered_", "unknown_"
@@ -60,7 +60,7 @@ class SceneEvidence:
     """(lasers, cells) float32."""
     dynamic: DynamicEvidence | None = None
     """What moves, and the scene without it; None where nothing was seen to move."""
-    at_rest: AtRest | None = None
+    at_rest: StationaryScans | None = None
     """What was measured where the sensor stood or crawled; None where it never did."""
     rendered: Surfels | None = None
     """Of what stays, with shapes, in voxels of the size that suits the renderer that learns nothing; None =
@@ -68,7 +68,7 @@ class SceneEvidence:
     left_out: LeftOutEvidence | None = None
     """For judging what is learned of the scene; None where there are too few scans to leave any out."""
     unknown: Surfels | None = None
-    """Voxels beside what stays of which no ray tells anything: `unknown_beside`; None where there is none."""
+    """Voxels beside static ones that no ray observed: `unobserved_beside`; None where there are none."""
 
     @property
     def standing(self) -> Surfels:
@@ -101,7 +101,7 @@ class SceneEvidence:
         return SceneEvidence(
             surfels=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
-            dynamic=DynamicEvidence.from_arrays(a), at_rest=AtRest.from_arrays(a),
+            dynamic=DynamicEvidence.from_arrays(a), at_rest=StationaryScans.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
             unknown=_surfels(_UNKNOWN, a),
         )  # fmt: skip

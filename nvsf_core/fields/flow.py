@@ -10,7 +10,7 @@ from nvsf_core.encodings.lagrange import NODES, cubic_basis
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.layers import bias_free
 from nvsf_core.kernels import GridLayout, hash_grid_encode
-from nvsf_core.recipe import AuthorsSlips, FlowSpec
+from nvsf_core.recipe import FlowSpec, ReferenceQuirks
 
 _LAST_LAYER_STD = 1e-3
 """Of the last layer's weights: the flow starts near 0."""
@@ -64,7 +64,7 @@ class FlowField(nn.Module):
         return both[:, :3], both[:, 3:]
 
 
-def applied(displacement: Tensor, slips: AuthorsSlips) -> Tensor:
+def applied(displacement: Tensor, slips: ReferenceQuirks) -> Tensor:
     """A displacement in scaled units as one in the unit cube, which spans ``2 * bound`` scaled units.
 
     The authors add it unchanged (`slips.flow_unit`): 2 * bound times too far.

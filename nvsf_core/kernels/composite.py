@@ -18,7 +18,7 @@ RANGE_UNIT_M = 50.0
 N_MEANS = 4
 _COSINE, _BRIGHTNESS = 1, 4
 _LEAST_TOTAL = float(np.finfo(np.float32).eps)
-OWN_VOTE_SHARE = 0.3
+OWN_PRIOR_SHARE = 0.3
 """Of a ray's weight: where surfaces with votes of their own have as much, the ray ends among them.
 A wheel that most rays pass by would vanish from a scan whose every ray takes its likeliest end."""
 
@@ -34,7 +34,7 @@ def _seen_and_left(logit):  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, cache=True)
-def _forward(first, logit, range_m, features, facts, surface_vote, vote):  # type: ignore[no-untyped-def]
+def _forward(first, logit, range_m, features, facts, surface_hit_prior, vote):  # type: ignore[no-untyped-def]
     n, width = len(first) - 1, features.shape[1]
     weights = np.empty(len(logit), np.float32)
     summary = np.zeros((n, width + N_MEANS), np.float32)
@@ -53,9 +53,9 @@ def _forward(first, logit, range_m, features, facts, surface_vote, vote):  # typ
                 distance += weight * range_m[i]
                 cosine += weight * facts[i, _COSINE]
                 brightness += weight * facts[i, _BRIGHTNESS]
-                if surface_vote[i] >= 0.0:
+                if surface_hit_prior[i] >= 0.0:
                     moving += weight
-                    own_vote += weight * surface_vote[i]
+                    own_vote += weight * surface_hit_prior[i]
                 for c in range(width):
                     summary[ray, c] += np.float32(weight) * features[i, c]
             divisor = max(total, _LEAST_TOTAL)
@@ -63,12 +63,12 @@ def _forward(first, logit, range_m, features, facts, surface_vote, vote):  # typ
             summary[ray, width + 1] = distance / divisor / RANGE_UNIT_M
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
-            is_own = moving > 0.0 and moving >= OWN_VOTE_SHARE * total
+            is_own = moving > 0.0 and moving >= OWN_PRIOR_SHARE * total
             asked[ray] = own_vote / moving if is_own else vote[ray]
             half, so_far = 0.5 * (moving if is_own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
-                if is_own and surface_vote[i] < 0.0:
+                if is_own and surface_hit_prior[i] < 0.0:
                     continue
                 so_far += weights[i]
                 if so_far >= half:
@@ -114,13 +114,13 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor,
-        surface_vote: Tensor, vote: Tensor,
+        surface_hit_prior: Tensor, vote: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         given = (logit, range_m, features, facts)
         arrays = [tensor.detach().contiguous().numpy() for tensor in given]
         weights, summary, median, asked = (
             torch.from_numpy(array)
-            for array in _forward(first.numpy(), *arrays, surface_vote.numpy(), vote.numpy())
+            for array in _forward(first.numpy(), *arrays, surface_hit_prior.numpy(), vote.numpy())
         )
         ctx.save_for_backward(*given, first, weights, summary)
         ctx.mark_non_differentiable(median, asked)
@@ -137,7 +137,7 @@ class _Composite(torch.autograd.Function):
 
 
 def composite_rays(
-    logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor, surface_vote: Tensor,
+    logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor, surface_hit_prior: Tensor,
     vote: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     """Weights, summaries and median surfaces of n rays with m surfaces in all; differentiable.
@@ -148,16 +148,16 @@ def composite_rays(
         features: (m, d) float32.
         facts: (m, 6) float32 as of `list_surfaces`; constant.
         first: (n + 1,) int64: where each ray's surfaces begin.
-        surface_vote: (m,) float32, negative where the surface has none of its own.
+        surface_hit_prior: (m,) float32, negative where the surface has none of its own.
         vote: (n,) float32.
 
     Returns:
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
         of the ray's weight up to it (of a ray without surfaces its `first`), of the surfaces with votes of
-        their own alone where these have at least `OWN_VOTE_SHARE` of it; votes (n,): the surfaces' mean where
-        those with votes of their own decide where the ray ends, else `vote`.
+        their own alone where these have at least `OWN_PRIOR_SHARE` of it; votes (n,): the surfaces' mean
+        where those with votes of their own decide where the ray ends, else `vote`.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
-        logit, range_m, features, facts, first, surface_vote, vote
+        logit, range_m, features, facts, first, surface_hit_prior, vote
     )
     return found

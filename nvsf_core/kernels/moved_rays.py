@@ -15,7 +15,7 @@ def _turned_up(x, y, z, cos_a, sin_a, cos_up, sin_up):  # type: ignore[no-untype
 
 
 @njit(parallel=True, cache=True)
-def move_turn(  # type: ignore[no-untyped-def]
+def move_sweep(  # type: ignore[no-untyped-def]
     origin_m, direction, azimuth_rad, angle_rad, mount, rotation, position_m
 ):
     """Rays of l lasers x f firings in the scene.

@@ -40,7 +40,7 @@ class Lasers(NamedTuple):
     """How far recorded directions are turned up on their way into the world."""
 
 
-class Turn(NamedTuple):
+class SweepGrid(NamedTuple):
     """One recorded turn."""
 
     rotation: np.ndarray
@@ -55,7 +55,7 @@ class Turn(NamedTuple):
     """(rows, >= f) float32."""
 
 
-def see_again(points_m: np.ndarray, lasers: Lasers, turn: Turn, found: np.ndarray) -> None:
+def look_up_scans(points_m: np.ndarray, lasers: Lasers, turn: SweepGrid, found: np.ndarray) -> None:
     """Add to `found` (n, 5) float32 what a turn says of points (n, 3) float32, scene-local.
 
     Points that are not finite are passed by. Angles are right to 0.0002, a tenth of a firing's.

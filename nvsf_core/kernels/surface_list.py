@@ -32,7 +32,7 @@ def list_surfaces(  # type: ignore[no-untyped-def]
     origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
     means, normals, precisions, opacities, missed_share, stop_transmittance, most, hits, intensities,
     met, met_first, met_range_m, met_opacity, met_cosine, met_planar, met_hits, met_intensity, met_place_m,
-    met_vote,
+    met_hit_prior,
 ):  # fmt: skip
     """Surfaces of n rays: `find_candidates` of what stands, and those of moving objects, merged by range.
 
@@ -96,6 +96,6 @@ def list_surfaces(  # type: ignore[no-untyped-def]
                     )  # fmt: skip
                     for axis in range(3):
                         point_m[at, axis] = met_place_m[own, axis]
-                    vote[at] = met_vote[own]
+                    vote[at] = met_hit_prior[own]
                     own += 1
     return first, range_m, logit, facts, point_m, vote

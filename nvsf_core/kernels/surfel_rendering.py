@@ -10,7 +10,7 @@ _HANDS = 16
 
 
 @njit(parallel=True, cache=True)
-def answer_by_surfels(  # type: ignore[no-untyped-def]
+def render_by_surfels(  # type: ignore[no-untyped-def]
     origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
     means, normals, precisions, opacities, intensities, missed_share, stop_transmittance, most,
 ):  # fmt: skip

@@ -26,7 +26,7 @@ from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.protocols import (
     MAX_RANGE_M,
     PanoImage,
-    RayAnswers,
+    RenderedRays,
     Scan,
     lidar4d,
     near_returns,
@@ -92,9 +92,9 @@ def lidar4d_regions(
 
 def masked_regions(
     predicted: Scan,
-    answers: RayAnswers,
+    answers: RenderedRays,
     truth: Scan,
-    truth_rays: RayAnswers,
+    truth_rays: RenderedRays,
     n_lasers: int,
     boxes_to_lidar: np.ndarray,
 ) -> dict[str, Mapping[str, Measure]]:
@@ -237,7 +237,7 @@ def _pixels_inside(
     return inside
 
 
-def _along_rays(answers: RayAnswers, truth: RayAnswers, which: np.ndarray) -> dict[str, Measure]:
+def _along_rays(answers: RenderedRays, truth: RenderedRays, which: np.ndarray) -> dict[str, Measure]:
     answered = np.isfinite(answers.range_m[which])
     return {
         **ray_range_metrics(answers.range_m[which], truth.range_m[which]),

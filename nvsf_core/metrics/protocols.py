@@ -50,7 +50,7 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RayAnswers:
+class RenderedRays:
     """What lies along the recorded returns' own rays, all (R,)."""
 
     range_m: np.ndarray
@@ -95,7 +95,7 @@ def lidar4d(
 
 
 def raw(
-    predicted: Scan, answers: RayAnswers, truth: Scan, truth_rays: RayAnswers, n_lasers: int
+    predicted: Scan, answers: RenderedRays, truth: Scan, truth_rays: RenderedRays, n_lasers: int
 ) -> Mapping[str, Measure]:
     """Metrics of the protocol `raw`, of one frame.
 

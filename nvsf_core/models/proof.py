@@ -3,16 +3,16 @@
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.moving.detection import find_moving
+from nvsf_core.evidence.moving.detection import find_moving_objects
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior, find_cells
-from nvsf_core.evidence.raydrop.stationary_scans import AtRest, keep_scans, scans_at_rest
+from nvsf_core.evidence.raydrop.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
-from nvsf_core.evidence.static.unobserved import unknown_beside
+from nvsf_core.evidence.static.unobserved import unobserved_beside
 from nvsf_core.models.selection.object_flow import choose_flow
 from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
 from nvsf_core.recording.sweeps import Sweeps, training_returns
@@ -35,7 +35,7 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     firings = np.where(a["firings"][training] > 0, a["firings"][training], sweeps.table.firings_per_turn)
     lasers = np.unique(a["laser"][of_training])
     returns = training_returns(sweeps)
-    moving = find_moving(returns)
+    moving = find_moving_objects(returns)
     stays = np.ones(len(used), bool)
     stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
     rays = ScanRays(
@@ -63,7 +63,7 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         at_rest=_keep_at_rest(sweeps, of_training, prior),
         rendered=rays.surfels(best_m, _THREADS, shaped=True),
         left_out=None if choice is None else _without_judges(choice, training),
-        unknown=unknown_beside(standing, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
+        unknown=unobserved_beside(standing, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
     for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
@@ -80,9 +80,9 @@ def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidenc
     )
 
 
-def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> AtRest | None:
+def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> StationaryScans | None:
     """What was measured where the sensor stood or crawled, by known lasers; None where it never did."""
-    scans = scans_at_rest(prior.time_s, sweeps.trajectory)
+    scans = find_stationary_scans(prior.time_s, sweeps.trajectory)
     scans = scans[~prior.is_silent[scans]]
     if len(scans) == 0:
         return None

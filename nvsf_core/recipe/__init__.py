@@ -2,7 +2,6 @@
 
 from nvsf_core.recipe.base import Recipe
 from nvsf_core.recipe.paper import (
-    AuthorsSlips,
     EncoderSpec,
     FlowSpec,
     GradientLossSpec,
@@ -13,6 +12,7 @@ from nvsf_core.recipe.paper import (
     PaperRecipe,
     PaperSampling,
     PlanesSpec,
+    ReferenceQuirks,
     RefinementSpec,
     TimeGridSpec,
 )
@@ -34,7 +34,6 @@ __all__ = [
     "ABLATION",
     "ENCODINGS",
     "MOST_SEED",
-    "AuthorsSlips",
     "CameraSpec",
     "EncoderSpec",
     "EvidenceSpec",
@@ -52,6 +51,7 @@ __all__ = [
     "PaperSampling",
     "PlanesSpec",
     "Recipe",
+    "ReferenceQuirks",
     "RefinementSpec",
     "ResidualRecipe",
     "TimeGridSpec",

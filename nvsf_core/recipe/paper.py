@@ -202,7 +202,7 @@ class PaperOptimiser:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AuthorsSlips:
+class ReferenceQuirks:
     """What the released code does and the paper does not say; each off by default."""
 
     flow_unit: bool = False
@@ -240,4 +240,4 @@ class PaperRecipe(Recipe):
     losses: PaperLosses = PaperLosses()
     optimiser: PaperOptimiser = PaperOptimiser()
     refinement: RefinementSpec = RefinementSpec()
-    slips: AuthorsSlips = AuthorsSlips()
+    slips: ReferenceQuirks = ReferenceQuirks()

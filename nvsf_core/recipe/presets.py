@@ -7,7 +7,6 @@ from nvsf_core.errors import RecipeError
 from nvsf_core.names import LONGEST_NAME
 from nvsf_core.recipe.base import Recipe
 from nvsf_core.recipe.paper import (
-    AuthorsSlips,
     EncoderSpec,
     FlowSpec,
     GradientLossSpec,
@@ -17,6 +16,7 @@ from nvsf_core.recipe.paper import (
     PaperRecipe,
     PaperSampling,
     PlanesSpec,
+    ReferenceQuirks,
     RefinementSpec,
     TimeGridSpec,
 )
@@ -51,7 +51,7 @@ _PAPER_AUTHORS = replace(
     name="paper_authors",
     # Half of the sums over clouds of 8192 points, not their means.
     losses=PaperLosses(flow=4096.0, gradient=0.1, chamfer=1.0, flow_magnitude=1.0),
-    slips=AuthorsSlips(
+    slips=ReferenceQuirks(
         flow_unit=True,
         neighbour_times=True,
         bound=2.0,

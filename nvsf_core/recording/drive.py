@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.moving.object_hit_priors import ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.images import CameraRecording
@@ -28,10 +28,10 @@ class LidarRecording:
         return float(self.sweeps.table.max_range_m)
 
     @property
-    def object_votes(self) -> ObjectVotes:
+    def object_hit_priors(self) -> ObjectHitPriors:
         """Tells how often the scans saw a place on a moving object return."""
         sweeps, evidence = self.sweeps, self.evidence
-        return ObjectVotes(
+        return ObjectHitPriors(
             evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
         )
 
@@ -43,7 +43,7 @@ class LidarRecording:
         dynamic = self.evidence.dynamic
         if dynamic is None:
             return None
-        return NearObjects(dynamic.objects, self.object_votes, leave_out=leave_out)
+        return NearObjects(dynamic.objects, self.object_hit_priors, leave_out=leave_out)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

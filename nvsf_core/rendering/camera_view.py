@@ -40,7 +40,7 @@ class ShownImages:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovingThing:
+class MovingPoints:
     """A moving object as a view needs it."""
 
     points_m: np.ndarray
@@ -144,10 +144,10 @@ def shown_images(
 
 
 def moving_pixels(
-    pose: np.ndarray, pinhole: Pinhole, still_m: np.ndarray, things_m: Sequence[np.ndarray]
+    pose: np.ndarray, pinhole: Pinhole, static_m: np.ndarray, things_m: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Pixels (H, W) bool of a recorded image that may show what moves, from points at its instant."""
-    return view_label(pose, pinhole, [still_m, *things_m], _SHADOW_PX) > 0
+    return view_label(pose, pinhole, [static_m, *things_m], _SHADOW_PX) > 0
 
 
 def camera_view(
@@ -159,7 +159,7 @@ def camera_view(
     spec: CameraSpec,
     *,
     leave_out: int | None = None,
-    things: Sequence[MovingThing] = (),
+    things: Sequence[MovingPoints] = (),
 ) -> CameraView:
     """Choose sources of a view and look at the LiDAR's depth from it.
 

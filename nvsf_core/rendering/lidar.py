@@ -10,7 +10,7 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.numerics import probability_logit, require_finite
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 
 _VOTE_LIMIT = 0.02
 
@@ -75,7 +75,7 @@ def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
 
 
 @torch.no_grad()
-def answer_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RayAnswers:
+def render_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RenderedRays:
     """The weighted median surface, the hit probability and the intensity of each ray.
 
     Where moving objects have 3 tenths of the weight the median is theirs alone.
@@ -88,7 +88,7 @@ def answer_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RayAnsw
     answered = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
     range_m[answered] = rays.range_m[rays.median[answered]]
-    return RayAnswers(
+    return RenderedRays(
         range_m=range_m.numpy(),
         hit=torch.where(answered, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),

@@ -6,7 +6,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, slots=True)
-class RayAnswers:
+class RenderedRays:
     """Answers of r rays."""
 
     range_m: np.ndarray

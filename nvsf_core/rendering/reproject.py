@@ -11,9 +11,9 @@ from nvsf_core.evidence.static.surfels import (
     Surfels,
     candidates_of,
 )
-from nvsf_core.kernels.surfel_rendering import answer_by_surfels
+from nvsf_core.kernels.surfel_rendering import render_by_surfels
 from nvsf_core.rendering.accumulate import weighted_median_index
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 
 NEAR_M = 0.9
 """Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""
@@ -29,7 +29,7 @@ def reproject_rays(
     far_m: float,
     objects: tuple[ObjectSurfels, ...] = (),
     time_s: np.ndarray | None = None,
-) -> RayAnswers:
+) -> RenderedRays:
     """Answer rays (r, 3), scene-local, from evidence alone.
 
     The range is the weighted median candidate's; `vote` (r,) is the prior's share of returns and becomes
@@ -63,9 +63,9 @@ def _answers_of_what_stands(
     *,
     most: int,
     far_m: float,
-) -> RayAnswers:
+) -> RenderedRays:
     index = surfels.index
-    range_m, intensity = answer_by_surfels(
+    range_m, intensity = render_by_surfels(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
         NEAR_M,
@@ -84,7 +84,7 @@ def _answers_of_what_stands(
         most,
     )
     hit = np.where(np.isfinite(range_m), vote, 0.0).astype(np.float32)
-    return RayAnswers(range_m=range_m, hit=hit, intensity=intensity)
+    return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
 
 
 def _answers_with_objects(

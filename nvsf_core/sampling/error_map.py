@@ -97,7 +97,7 @@ class ErrorMap(nn.Module):
         largest = torch.zeros_like(cells).scatter_reduce(0, cell, value, "amax")
         cells.copy_(torch.where(largest > 0.0, _KEPT * cells + (1.0 - _KEPT) * largest, cells))
 
-    def draw_patches(
+    def sample_patches(
         self, frame: int, count: int, patch: tuple[int, int], generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Upper left corners (count,), (count,) of patches, in proportion to the frame's cells.
@@ -119,7 +119,7 @@ class ErrorMap(nn.Module):
         columns = (cell_column * self.cell_px + jitter[1]).clamp_max(width - patch[1])
         return rows, columns
 
-    def draw_pixels(self, frame: int, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    def sample_pixels(self, frame: int, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Pixels (count,), (count,): as patches of one pixel, but only such as may be drawn.
 
         The jitter is even over the drawable pixels of the drawn cell.

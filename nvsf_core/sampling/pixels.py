@@ -12,7 +12,7 @@ from nvsf_core.sampling.patches import patch_pixels, uniform_corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnPixels:
+class SampledPixels:
     """The pixels of one step."""
 
     rows: Tensor
@@ -55,7 +55,7 @@ def uniform_pixels(
     return pixel // shape[1], pixel % shape[1]
 
 
-def draw_lidar_pixels(
+def sample_lidar_pixels(
     sampling: PaperSampling,
     epoch: int,
     frame: int,
@@ -63,7 +63,7 @@ def draw_lidar_pixels(
     generator: torch.Generator,
     *,
     wrap: bool = False,
-) -> DrawnPixels:
+) -> SampledPixels:
     """The pano pixels of one step.
 
     `sampling.heuristic` and `sampling.patches` act in every second epoch (`is_second_epoch`), each for
@@ -86,16 +86,16 @@ def draw_lidar_pixels(
     # A patch that wraps may begin in every column, as one that is a single column wide may.
     within = (patch[0], 1) if wrap else patch
     if heuristic:
-        corners = error_map.draw_patches(frame, count, within, generator)
+        corners = error_map.sample_patches(frame, count, within, generator)
     else:
         corners = uniform_corners((height, width), within, count, generator)
     rows, columns = patch_pixels(*corners, patch, (height, width), wrap=wrap)
-    return DrawnPixels(rows.flatten(), columns.flatten(), patch)
+    return SampledPixels(rows.flatten(), columns.flatten(), patch)
 
 
-def draw_camera_pixels(
+def sample_camera_pixels(
     sampling: PaperSampling, epoch: int, frame: int, error_map: ErrorMap, generator: torch.Generator
-) -> DrawnPixels:
+) -> SampledPixels:
     """The image pixels of one step: by the error map in every second epoch, evenly otherwise."""
     heuristic = sampling.heuristic and is_second_epoch(epoch)
     return _draw_single(heuristic, sampling.rays, frame, error_map, generator)
@@ -103,10 +103,10 @@ def draw_camera_pixels(
 
 def _draw_single(
     heuristic: bool, count: int, frame: int, error_map: ErrorMap, generator: torch.Generator
-) -> DrawnPixels:
+) -> SampledPixels:
     if heuristic:
-        rows, columns = error_map.draw_pixels(frame, count, generator)
+        rows, columns = error_map.sample_pixels(frame, count, generator)
     else:
         height, width = error_map.drawable.shape
         rows, columns = uniform_pixels((height, width), count, generator, error_map.drawable)
-    return DrawnPixels(rows, columns, None)
+    return SampledPixels(rows, columns, None)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.kernels.moved_rays import move_turn
+from nvsf_core.kernels.moved_rays import move_sweep
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
@@ -62,7 +62,7 @@ def sweep_rays(
     lasers = lasers.astype(np.int64)
     azimuth = azimuth[lasers]
     fired = sensor_rays(table, azimuth, lasers[:, None])
-    origin, direction = move_turn(
+    origin, direction = move_sweep(
         *fired, azimuth, table.elevation_correction_rad,
         np.eye(4) if mount is None else np.ascontiguousarray(mount, np.float64), rotation, position,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.lidar_rays import SweepRays
 
@@ -19,7 +19,7 @@ QUANTILES = (0.15, 0.5, 0.85)
 """Shares of a cell's mixture at which it is asked for a range: a near one, the median, a far one."""
 _MOST_HIT = 1.0 - 1e-7
 
-Fire = Callable[[float], tuple[SweepRays, RayAnswers]]
+Fire = Callable[[float], tuple[SweepRays, RenderedRays]]
 """From a phase of the firings, 0..1, to a turn's rays and their answers."""
 
 
@@ -77,7 +77,9 @@ def estimate_pano(fire: Fire, pano: LinearPano, phases: int, *, parts: int = 1) 
     return combine_phases(found, pano)
 
 
-def rays_in_cells(pano: LinearPano, rays: SweepRays, answers: RayAnswers, turn_rad: float = 0.0) -> PanoRays:
+def rays_in_cells(
+    pano: LinearPano, rays: SweepRays, answers: RenderedRays, turn_rad: float = 0.0
+) -> PanoRays:
     """A turn's rays where its points would be recorded, turned to the left by an angle."""
     known = np.isfinite(answers.range_m) & (answers.hit > 0.0)
     points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * answers.range_m[known, None]

@@ -8,8 +8,8 @@ from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.object_surfaces import object_surfaces
 from nvsf_core.fields.surface_batch import surface_batch
-from nvsf_core.rendering.lidar import answer_rays
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.lidar import render_rays
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.simulation.scene_model import RayRenderer
 
@@ -34,7 +34,7 @@ def field_renderer(
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-    ) -> RayAnswers:
+    ) -> RenderedRays:
         objects = None
         if moving is not None and places is not None:
             there = moving.at(time_s)
@@ -45,7 +45,7 @@ def field_renderer(
             batch = surface_batch(
                 surfels, origin_m[part], direction[part], most=most, near_m=NEAR_M, far_m=far_m, objects=met
             )
-            parts.append(answer_rays(field, batch, torch.from_numpy(vote[part])))
+            parts.append(render_rays(field, batch, torch.from_numpy(vote[part])))
         return _joined(parts)
 
     return answer
@@ -61,7 +61,7 @@ def evidence_renderer(
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-    ) -> RayAnswers:
+    ) -> RenderedRays:
         objects = () if moving is None else moving.at(time_s)
         return reproject_rays(
             surfels, origin_m, direction, vote, most=most, far_m=far_m, objects=objects, time_s=time_s
@@ -78,7 +78,7 @@ def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-    ) -> RayAnswers:
+    ) -> RenderedRays:
         found = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
         stopped = found.weights.sum(axis=1)
         return reproject_rays(surfels, origin_m, direction, stopped, most=most, far_m=far_m)
@@ -86,9 +86,9 @@ def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
     return answer
 
 
-def answer_in_chunks(
+def render_in_chunks(
     render: RayRenderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-) -> RayAnswers:
+) -> RenderedRays:
     """Answer any number of rays in bounded memory."""
     rays = (origin_m, direction, vote, time_s)
     return _joined([render(*(column[part] for column in rays)) for part in _parts(len(vote), _CHUNK_RAYS)])
@@ -99,7 +99,7 @@ def _parts(rays: int, most: int) -> list[slice]:
     return [slice(i, min(i + most, rays)) for i in range(0, max(1, rays), most)]
 
 
-def _joined(parts: list[RayAnswers]) -> RayAnswers:
+def _joined(parts: list[RenderedRays]) -> RenderedRays:
     if len(parts) == 1:
         return parts[0]
     votes = [part.vote for part in parts if part.vote is not None]
@@ -107,4 +107,4 @@ def _joined(parts: list[RayAnswers]) -> RayAnswers:
         np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity")
     )
     vote = np.concatenate(votes) if len(votes) == len(parts) else None
-    return RayAnswers(range_m, hit, intensity, vote)
+    return RenderedRays(range_m, hit, intensity, vote)

@@ -17,10 +17,19 @@ from torch import Tensor
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.cell_network import CellNetwork
-from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
+from nvsf_core.kernels.scan_lookup import (
+    BESIDE,
+    EMPTY,
+    SAME,
+    SHINE,
+    THROUGH,
+    Lasers,
+    SweepGrid,
+    look_up_scans,
+)
 from nvsf_core.numerics import probability_logit
 from nvsf_core.recipe import HitsSpec
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays
@@ -36,7 +45,7 @@ _MOMENTS = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedTurns:
+class RecordedSweeps:
     """The training scans in the grid of lasers and firings, and how their sensor moved."""
 
     prior: DropPrior
@@ -68,8 +77,8 @@ class RecordedTurns:
                 beside = found.copy()
             rotation, position = self.trajectory.at(self.prior.time_s[scan] + moments * self.period_s)
             fraction = self.prior.fraction[scan][: self.prior.firings_of(scan)]
-            turn = Turn(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
-            see_again(points_m, lasers, turn, found)
+            turn = SweepGrid(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
+            look_up_scans(points_m, lasers, turn, found)
         return beside, found
 
 
@@ -79,15 +88,15 @@ def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
 
 
 @dataclass(frozen=True, slots=True)
-class TurnHits:
+class SweepRaydrop:
     """Corrects the hits of the recording sensor's own turns."""
 
     network: CellNetwork
     """Trained."""
-    turns: RecordedTurns
+    turns: RecordedSweeps
     blend: HitBlend
 
-    def __call__(self, rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+    def __call__(self, rays: SweepRays, answers: RenderedRays, near: np.ndarray) -> RenderedRays:
         """The same answers with other hits; `near` (k,) are the scans that vote, nearest in time first."""
         both = hit_logits(self.network, self.turns, rays, answers, near)
         hit = expit(self.blend.logit(*both)).astype(np.float32)
@@ -96,31 +105,33 @@ class TurnHits:
 
 @torch.no_grad()
 def hit_logits(
-    network: CellNetwork, turns: RecordedTurns, rays: SweepRays, answers: RayAnswers, near: np.ndarray
+    network: CellNetwork, turns: RecordedSweeps, rays: SweepRays, answers: RenderedRays, near: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What network and ray head say of each ray of a turn: logits (r,) float32 of a return."""
-    cells = turn_cells(turns, rays, answers, near)
-    learned = cells.vote_logit + network(cells.features[None])[0, 0]
+    cells = sweep_cells(turns, rays, answers, near)
+    learned = cells.prior_logit + network(cells.features[None])[0, 0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
     return back.numpy(), probability_logit(torch.from_numpy(answers.hit), _HIT_LIMIT).numpy()
 
 
 @dataclass(frozen=True, slots=True)
-class TurnCells:
+class SweepCells:
     """A turn of the recording sensor, as the network is told of it; one azimuth is one column."""
 
     column: Tensor
     """(l, f) int64: which firing of its laser a cell is."""
     features: Tensor
     """(FEATURES, l, f) float32, each about -1..1."""
-    vote_logit: Tensor
+    prior_logit: Tensor
     """(l, f) float32: of the share of scans that returned."""
     is_answered: Tensor
     """(l, f) bool: whether a return can be expected at all."""
 
 
-def turn_cells(turns: RecordedTurns, rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> TurnCells:
-    """What is told of a turn's cells; arguments as of `TurnHits`. The ray head's hits are not asked.
+def sweep_cells(
+    turns: RecordedSweeps, rays: SweepRays, answers: RenderedRays, near: np.ndarray
+) -> SweepCells:
+    """What is told of a turn's cells; arguments as of `SweepRaydrop`. The ray head's hits are not asked.
 
     Raises:
         ShapeError: The answers do not tell the votes.
@@ -156,10 +167,10 @@ def turn_cells(turns: RecordedTurns, rays: SweepRays, answers: RayAnswers, near:
     column = torch.from_numpy(_upright(turns.table, rays))
     stacked = torch.from_numpy(np.stack(channels).astype(np.float32)).reshape(FEATURES, lasers, firings)
     vote = torch.from_numpy(answers.vote).reshape(lasers, firings)
-    return TurnCells(
+    return SweepCells(
         column=column,
         features=torch.gather(stacked, 2, column.expand(FEATURES, -1, -1)),
-        vote_logit=probability_logit(torch.gather(vote, 1, column), _VOTE_LIMIT),
+        prior_logit=probability_logit(torch.gather(vote, 1, column), _VOTE_LIMIT),
         is_answered=torch.gather(torch.from_numpy(is_answered).reshape(lasers, firings), 1, column),
     )
 

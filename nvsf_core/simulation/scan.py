@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nvsf_core.evidence.raydrop.stationary_scans import FiredRays, answer_at_rest
+from nvsf_core.evidence.raydrop.stationary_scans import FiredRays, look_up_stationary
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays
@@ -17,15 +17,15 @@ _TYPICAL_OWN_RANGE_M = 2.0
 """Where a laser's ray is taken to meet the own vehicle when its azimuth is looked up."""
 
 
-def measured_at_rest(
-    answers: RayAnswers,
+def measured_when_stationary(
+    answers: RenderedRays,
     laser: np.ndarray,
     fraction: np.ndarray,
     lidar: LidarRecording,
     instant_s: float,
     *,
     leave_out: int | None = None,
-) -> RayAnswers:
+) -> RenderedRays:
     """Let rays (laser, fraction: (r,)) of the recording sensor's sweep that were fired before say so.
 
     The same `answers` where the sensor never stood or crawled; the training scan `leave_out` is silent.
@@ -34,15 +34,17 @@ def measured_at_rest(
     if evidence.at_rest is None:
         return answers
     rays = FiredRays(laser, fraction, answers.range_m, answers.hit, answers.intensity)
-    return RayAnswers(
-        *answer_at_rest(
+    return RenderedRays(
+        *look_up_stationary(
             evidence.at_rest, evidence.prior, rays, instant_s, sweeps.trajectory, sweeps.period_s,
             leave_out=leave_out,
         )
     )  # fmt: skip
 
 
-def by_lasers(answers: RayAnswers, laser: np.ndarray, table: LaserTable, *, as_recorded: bool) -> RayAnswers:
+def by_lasers(
+    answers: RenderedRays, laser: np.ndarray, table: LaserTable, *, as_recorded: bool
+) -> RenderedRays:
     """Answers in the terms of a stored scan: intensities with their laser's gain, ranges without its bias.
 
     Args:
@@ -60,7 +62,7 @@ def by_lasers(answers: RayAnswers, laser: np.ndarray, table: LaserTable, *, as_r
     return replace(answers, intensity=np.clip(answers.intensity * gain, 0.0, 1.0).astype(np.float32))
 
 
-def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEvidence) -> RayAnswers:
+def put_back_own_vehicle(answers: RenderedRays, rays: SweepRays, evidence: SceneEvidence) -> RenderedRays:
     """Let rays that met the recording car in most training scans meet it again."""
     cells = evidence.own_range_m.shape[1]
     # Most lasers look over the car: theirs are not asked.
@@ -82,15 +84,15 @@ def put_back_own_vehicle(answers: RayAnswers, rays: SweepRays, evidence: SceneEv
     range_m[met] = np.sqrt(inside[is_own]) - along[is_own]
     hit[met] = 1.0
     intensity[met] = evidence.own_intensity[laser[is_own], cell[is_own]]
-    return RayAnswers(range_m=range_m, hit=hit, intensity=intensity)
+    return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AnsweredTurn:
+class RenderedSweep:
     """r answered rays of a turn, in the sensor's own frame at each firing."""
 
     rays: SweepRays
-    answers: RayAnswers
+    answers: RenderedRays
     is_known: np.ndarray
     """(r,) bool: the ray has an answer at all."""
     point_m: np.ndarray
@@ -103,7 +105,7 @@ class AnsweredTurn:
     """(r,) float64 of the point, from the sensor's centre."""
 
     @staticmethod
-    def of(rays: SweepRays, answers: RayAnswers) -> "AnsweredTurn":
+    def of(rays: SweepRays, answers: RenderedRays) -> "RenderedSweep":
         """Points and angles of all rays, computed once."""
         known = np.isfinite(answers.range_m)
         range_m = np.where(known, answers.range_m, 0.0)
@@ -111,7 +113,7 @@ class AnsweredTurn:
         x, y, z = np.ascontiguousarray(point.T)
         level_m2 = x * x + y * y
         elevation = np.arctan2(z, np.sqrt(level_m2))
-        return AnsweredTurn(
+        return RenderedSweep(
             rays, answers, known, point, np.sqrt(level_m2 + z * z), np.arctan2(y, x), elevation
         )
 

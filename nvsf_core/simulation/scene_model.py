@@ -6,10 +6,10 @@ from typing import Protocol
 import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.rendering.rendered import RayAnswers, RenderedImage
+from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.simulation.lidar_rays import SweepRays
 
-VOTES = 6
+PRIOR_SCANS = 6
 """Training scans whose drops vote, for a model that does not say how many it was trained with."""
 
 
@@ -18,8 +18,8 @@ class RayRenderer(Protocol):
 
     def __call__(
         self, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray, /
-    ) -> RayAnswers:
-        """Answer r rays, as many as fit into memory at once (`answer_in_chunks` sees to that).
+    ) -> RenderedRays:
+        """Answer r rays, as many as fit into memory at once (`render_in_chunks` sees to that).
 
         Args:
             origin_m: (r, 3) float32 scene-local.
@@ -29,10 +29,10 @@ class RayRenderer(Protocol):
         """
 
 
-class TurnCorrector(Protocol):
+class SweepCorrector(Protocol):
     """Corrects a whole turn of the recording sensor: rays beside each other tell more than each alone."""
 
-    def __call__(self, rays: SweepRays, answers: RayAnswers, near: np.ndarray, /) -> RayAnswers:
+    def __call__(self, rays: SweepRays, answers: RenderedRays, near: np.ndarray, /) -> RenderedRays:
         """Corrected answers.
 
         Args:
@@ -76,7 +76,7 @@ class SceneModel:
     """None where the drive has no LiDAR."""
     camera: ImageRenderer | None
     """None where the drive has no camera."""
-    correct: TurnCorrector | None = None
+    correct: SweepCorrector | None = None
     """None where each ray's answer stands by itself."""
     pano: PanoRenderer | None = None
     """None where a pano is the projection of the simulated scan, and not a view of its own."""
@@ -86,7 +86,7 @@ class SceneModel:
     unknown: RayRenderer | None = None
     """Answers rays of the recording sensor in its own place that `lidar` has no answer for, though all scans
     that vote returned there. None where such a ray does not return."""
-    votes: int = VOTES
+    votes: int = PRIOR_SCANS
     """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""
     as_recorded: bool = False
     """Whether its LiDAR answers what lasers record, their own errors included: then neither those errors nor

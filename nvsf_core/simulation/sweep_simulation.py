@@ -6,12 +6,12 @@ import numpy as np
 
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
-from nvsf_core.simulation.ray_renderers import answer_in_chunks
-from nvsf_core.simulation.scan import AnsweredTurn, by_lasers, measured_at_rest, put_back_own_vehicle
+from nvsf_core.simulation.ray_renderers import render_in_chunks
+from nvsf_core.simulation.scan import RenderedSweep, by_lasers, measured_when_stationary, put_back_own_vehicle
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -40,7 +40,7 @@ def simulate_sweep(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float
 ) -> SimulatedSweep:
     """Fire one sweep of the plan's sensor around `time_s` and record what comes back; as `fire_sweep`."""
-    turn = AnsweredTurn.of(*fire_sweep(model, lidar, plan, time_s))
+    turn = RenderedSweep.of(*fire_sweep(model, lidar, plan, time_s))
     points, intensity, laser = turn.scan()
     pano = LinearPano(quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
@@ -57,7 +57,7 @@ def fire_sweep(
     *,
     phase: float = 0.5,
     leave_out_s: float | None = None,
-) -> tuple[SweepRays, RayAnswers]:
+) -> tuple[SweepRays, RenderedRays]:
     """All rays of one sweep of the plan's sensor, answered; the own vehicle is put back.
 
     Args:
@@ -79,9 +79,9 @@ def fire_sweep(
         plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s, mount=plan.mount, phase=phase
     )
     voters = lasers if plan.is_recorded_sensor else _similar_lasers(plan.table, sweeps.table, evidence)
-    vote = evidence.prior.vote_of_turn(voters, rays.fraction[:firings], near).reshape(-1)
+    vote = evidence.prior.hit_prior_of_sweep(voters, rays.fraction[:firings], near).reshape(-1)
     fired_s = time_s + rays.fraction * sweeps.period_s
-    answers = answer_in_chunks(model.lidar, rays.origin_m, rays.direction, vote, fired_s)
+    answers = render_in_chunks(model.lidar, rays.origin_m, rays.direction, vote, fired_s)
     if model.above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
         asked = np.flatnonzero(is_above & ~np.isfinite(answers.range_m))
@@ -92,18 +92,18 @@ def fire_sweep(
     if model.correct is not None and is_in_place:
         answers = model.correct(rays, answers, near)
     if model.unknown is not None and is_in_place:
-        answers = ask_unknown(
+        answers = ask_unobserved(
             answers, model.unknown, rays.origin_m, rays.direction, vote, fired_s, rays.laser, plan.table
         )
     if is_in_place and not model.as_recorded:
         own = None if leave_out_s is None else int(np.abs(evidence.prior.time_s - leave_out_s).argmin())
-        answers = measured_at_rest(answers, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
+        answers = measured_when_stationary(answers, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
     if plan.is_recorded_sensor:
         answers = put_back_own_vehicle(answers, rays, evidence)
     return rays, answers
 
 
-def answers_along(
+def render_along(
     model: SceneModel,
     lidar: LidarRecording,
     time_s: float,
@@ -111,7 +111,7 @@ def answers_along(
     direction: np.ndarray,
     laser: np.ndarray,
     fraction: np.ndarray,
-) -> RayAnswers:
+) -> RenderedRays:
     """Any rays of the recording sensor's sweep at `time_s`, as it records them, by a model with a LiDAR.
 
     Args:
@@ -128,13 +128,15 @@ def answers_along(
     known = np.maximum(laser, 0)
     vote = evidence.prior.vote(known, fraction, evidence.prior.nearest_scans(time_s, model.votes))
     fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
-    answers = answer_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
+    answers = render_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
     answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
     if model.unknown is not None:
-        answers = ask_unknown(answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table)
+        answers = ask_unobserved(
+            answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table
+        )
     if model.as_recorded:
         return answers
-    return measured_at_rest(answers, known, fraction, lidar, time_s)
+    return measured_when_stationary(answers, known, fraction, lidar, time_s)
 
 
 def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
@@ -143,8 +145,8 @@ def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
     return float(looked.max()) if len(looked) else np.inf
 
 
-def ask_unknown(
-    answers: RayAnswers,
+def ask_unobserved(
+    answers: RenderedRays,
     unknown: RayRenderer,
     origin_m: np.ndarray,
     direction: np.ndarray,
@@ -152,7 +154,7 @@ def ask_unknown(
     time_s: np.ndarray,
     laser: np.ndarray,
     table: LaserTable,
-) -> RayAnswers:
+) -> RenderedRays:
     """Let `SceneModel.unknown` answer rays (r, 3) that met nothing though all scans that vote returned there.
 
     Args:
@@ -172,7 +174,7 @@ def ask_unknown(
     return _with(answers, asked, by_lasers(found, laser[asked], table, as_recorded=False))
 
 
-def _with(answers: RayAnswers, asked: np.ndarray, found: RayAnswers) -> RayAnswers:
+def _with(answers: RenderedRays, asked: np.ndarray, found: RenderedRays) -> RenderedRays:
     """The same answers, but for rays (k,) `asked`, which another renderer found."""
     columns = {name: getattr(answers, name).copy() for name in ("range_m", "hit", "intensity")}
     for name, column in columns.items():

@@ -1,6 +1,5 @@
 """Stage `evidence`: what the training sweeps prove about the scene."""
 
-
 import numpy as np
 
 from nvsf_core._types import Scalar

@@ -9,7 +9,7 @@ from nvsf_core.models.family import Trained, family_of
 from nvsf_core.recipe import recipe_from_json
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.checks.field import LAWS, check_loss, check_rendering, check_weights
+from nvsf_core.stages.checks.field import NAMED_CHECKS, check_loss, check_rendering, check_weights
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.divergence import go_on
@@ -108,5 +108,5 @@ STAGE = Stage(
     version="13",
     run=_run,
     per_recipe=True,
-    laws=LAWS,
+    laws=NAMED_CHECKS,
 )

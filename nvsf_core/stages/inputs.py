@@ -71,8 +71,10 @@ def read_recording(store: SceneStore) -> Recording:
     posed = [row for row in rows if row["pose_valid"]]
     origin_m = np.array(read_document(frames / "drive.json")["scene_origin_m"], np.float64)
     sweeps, evidence = read_sweeps(store), read_evidence(store)
-    lidar = None if sweeps is None or evidence is None else LidarRecording(
-        sweeps=sweeps, evidence=evidence, read_panos=lambda: _read_panos(store)
+    lidar = (
+        None
+        if sweeps is None or evidence is None
+        else LidarRecording(sweeps=sweeps, evidence=evidence, read_panos=lambda: _read_panos(store))
     )
     cameras = _read_cameras(store, rows, origin_m)
     if lidar is None and not cameras:

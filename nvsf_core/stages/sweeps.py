@@ -16,7 +16,7 @@ from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_ti
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
-from nvsf_core.stages.checks.registration import LAW, ORDER_LAW, check_registration
+from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
@@ -309,5 +309,5 @@ STAGE = Stage(
     reads_drive=True,
     check=check_registration,
     check_version="3",
-    laws=(LAW, ORDER_LAW),
+    laws=(FRAME_CHECK, ORDER_CHECK),
 )

@@ -12,7 +12,7 @@ from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.fields.flow import FlowField
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.recipe.paper import AuthorsSlips, FlowSpec, GridSpec
+from nvsf_core.recipe.paper import FlowSpec, GridSpec, ReferenceQuirks
 
 BOUNDS = Bounds(centre_m=(3.0, -2.0, 1.0), half_m=50.0)
 COUNT = 3
@@ -30,7 +30,7 @@ def flow() -> FlowField:
     return field
 
 
-def motion_of(flow: FlowField, slips: AuthorsSlips, frame: int = 1) -> TrueMotion:
+def motion_of(flow: FlowField, slips: ReferenceQuirks, frame: int = 1) -> TrueMotion:
     """Points whose true motion is just what the field says in scaled units."""
     points_m = np.random.default_rng(frame).uniform(-40.0, 40.0, (60, 3)).astype(np.float32)
     with torch.no_grad():
@@ -42,7 +42,7 @@ def motion_of(flow: FlowField, slips: AuthorsSlips, frame: int = 1) -> TrueMotio
 
 @pytest.mark.parametrize("bound", [1.0, 2.0])
 def test_the_flow_is_applied_in_its_own_unit_and_by_the_slip_two_bound_times_too_far(flow, bound):
-    slips = AuthorsSlips(bound=bound)
+    slips = ReferenceQuirks(bound=bound)
     motion = motion_of(flow, slips)
     assert np.linalg.norm(motion.following_m, axis=1).min() > 0.01
     right = learned(flow, BOUNDS, COUNT, slips)(motion)
@@ -54,7 +54,7 @@ def test_the_flow_is_applied_in_its_own_unit_and_by_the_slip_two_bound_times_too
 
 
 def test_errors_are_by_surface_and_only_towards_frames_of_the_drive(flow):
-    slips = AuthorsSlips()
+    slips = ReferenceQuirks()
     motions = [motion_of(flow, slips, frame) for frame in range(COUNT)]
     exact = errors_m(motions, learned(flow, BOUNDS, COUNT, slips))
     assert max(row["mean_epe_m"] for row in exact) < 1e-4
@@ -73,7 +73,7 @@ def test_errors_are_by_surface_and_only_towards_frames_of_the_drive(flow):
 
 
 def test_the_nearest_point_in_time_is_one_of_the_neighbours_cloud(flow):
-    motions = [motion_of(flow, AuthorsSlips(), frame) for frame in range(COUNT)]
+    motions = [motion_of(flow, ReferenceQuirks(), frame) for frame in range(COUNT)]
     forward, backward = nearest_in_time(motions)(motions[0])
     assert np.isnan(backward).all()
     gap = np.linalg.norm((motions[0].points_m + forward)[:, None] - motions[1].cloud_m, axis=2)

@@ -11,18 +11,18 @@ from benchmarks.paper import gradient_mask
 from benchmarks.paper.parameters import counts, table
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recipe.paper import (
-    AuthorsSlips,
     EncoderSpec,
     GradientLossSpec,
     PaperLosses,
     PaperOptimiser,
     PaperSampling,
+    ReferenceQuirks,
     RefinementSpec,
 )
 
 LINES = (Path(__file__).parents[2] / "docs" / "paper_fidelity.md").read_text().splitlines()
 PARTS = {
-    "slips": AuthorsSlips,
+    "slips": ReferenceQuirks,
     "gradient": GradientLossSpec,
     "sampling": PaperSampling,
     "optimiser": PaperOptimiser,
@@ -51,7 +51,7 @@ def test_every_switch_has_a_row(part):
 def test_every_loss_and_every_slip_has_a_row_of_its_own():
     cells = first_cells()
     assert [name for name in fields(PaperLosses) if f"`{name}`" not in cells] == []
-    assert [name for name in fields(AuthorsSlips) if f"`slips.{name}`" not in cells] == []
+    assert [name for name in fields(ReferenceQuirks) if f"`slips.{name}`" not in cells] == []
 
 
 def test_every_part_of_the_recipe_is_named():

@@ -9,7 +9,7 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
-from nvsf_core.rendering.lidar import answer_rays, render_lidar
+from nvsf_core.rendering.lidar import render_lidar, render_rays
 from nvsf_core.rendering.reproject import reproject_rays
 
 BOUNDS = Bounds(centre_m=(0.0, 0.0, 0.0), half_m=20.0)
@@ -40,7 +40,7 @@ def test_an_untrained_field_answers_as_the_evidence_does(scene) -> None:
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
     batch = surface_batch(surfels, origin, direction, most=8, near_m=0.5, far_m=50.0)
     vote = np.linspace(0.1, 0.9, 64).astype(np.float32)
-    learned = answer_rays(field, batch, torch.from_numpy(vote))
+    learned = render_rays(field, batch, torch.from_numpy(vote))
     proven = reproject_rays(surfels, origin, direction, vote, most=8, far_m=50.0)
     assert np.allclose(learned.range_m, proven.range_m, atol=1e-4)
     assert np.allclose(learned.hit, proven.hit, atol=1e-5)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving.object_hit_priors import ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.raydrop.prior import DropPrior
@@ -15,7 +15,7 @@ from nvsf_core.fields.object_surfaces import ObjectSurfaces, join_surfaces, obje
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
-from nvsf_core.rendering.lidar import answer_rays
+from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
@@ -68,7 +68,7 @@ def plate_at(dynamic: DynamicEvidence, time_s: float, leave_out: int | None = No
     fraction = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     prior = DropPrior(instants, fraction, np.tile(is_hit, (SCANS, 1, 1)))
     still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
-    votes = ObjectVotes(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+    votes = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
     (plate,) = objects_at(dynamic.objects, time_s, votes, leave_out=leave_out)
     return (plate,)
 
@@ -96,7 +96,7 @@ def dense(surfaces: ObjectSurfaces) -> np.ndarray:
 def test_an_untrained_field_answers_on_objects_as_the_evidence_does(dynamic, view) -> None:
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
     vote = np.random.default_rng(4).uniform(0.3, 0.9, len(view[0])).astype(np.float32)
-    learned = answer_rays(field, batch_of(dynamic, view, field), torch.from_numpy(vote))
+    learned = render_rays(field, batch_of(dynamic, view, field), torch.from_numpy(vote))
     proven = reproject_rays(
         dynamic.background, *view[:2], vote, most=24, far_m=50.0, objects=plate_at(dynamic, 0.25),
         time_s=view[2],

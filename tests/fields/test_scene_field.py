@@ -11,7 +11,6 @@ from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.recipe import (
-    AuthorsSlips,
     EncoderSpec,
     FlowSpec,
     GridSpec,
@@ -19,6 +18,7 @@ from nvsf_core.recipe import (
     PaperRecipe,
     PaperSampling,
     PlanesSpec,
+    ReferenceQuirks,
     TimeGridSpec,
 )
 
@@ -169,16 +169,18 @@ def test_without_camera_rays_nothing_of_the_camera_is_built() -> None:
 def test_the_authors_flow_goes_two_bounds_too_far() -> None:
     displacement = torch.tensor([[0.1, -0.2, 0.3]])
     for bound in (1.0, 2.0):
-        slip = applied(displacement, AuthorsSlips(flow_unit=True, bound=bound))
-        assert torch.allclose(slip, 2 * bound * applied(displacement, AuthorsSlips(bound=bound)))
+        slip = applied(displacement, ReferenceQuirks(flow_unit=True, bound=bound))
+        assert torch.allclose(slip, 2 * bound * applied(displacement, ReferenceQuirks(bound=bound)))
     x01 = _points()
     moved = dict(enumerate(_field().neighbours(x01, 2)))
-    slipped = dict(enumerate(_field(replace(SMALL, slips=AuthorsSlips(flow_unit=True))).neighbours(x01, 2)))
+    slipped = dict(
+        enumerate(_field(replace(SMALL, slips=ReferenceQuirks(flow_unit=True))).neighbours(x01, 2))
+    )
     assert torch.allclose(slipped[0][0] - x01, 2 * (moved[0][0] - x01), atol=1e-6)
 
 
 def test_neighbours_have_the_times_of_their_frames_and_under_the_slip_others() -> None:
-    slipped = _field(replace(SMALL, slips=AuthorsSlips(neighbour_times=True)))
+    slipped = _field(replace(SMALL, slips=ReferenceQuirks(neighbour_times=True)))
     assert [t for _, t in _field().neighbours(_points(), 3)] == [1.0, 0.5]
     assert [t for _, t in slipped.neighbours(_points(), 3)] == [pytest.approx(0.8), pytest.approx(0.4)]
     assert [t for _, t in _field().neighbours(_points(), 0)] == [0.25]
@@ -244,6 +246,6 @@ def test_the_same_generator_draws_the_same_field() -> None:
     torch.manual_seed(0)
     for a, b in zip(first.parameters(), again.parameters(), strict=True):
         assert torch.equal(a, b)
-    alike = SceneField(replace(SMALL, slips=AuthorsSlips(identical_tables=True)), FRAMES, _generator())
+    alike = SceneField(replace(SMALL, slips=ReferenceQuirks(identical_tables=True)), FRAMES, _generator())
     assert torch.equal(alike.encoders[0].static_hash.table, alike.encoders[1].static_hash.table)
     assert not torch.equal(first.encoders[0].static_hash.table, first.encoders[1].static_hash.table)

@@ -23,7 +23,7 @@ from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.checkpoints import StoredWeights, save_tensors
@@ -350,7 +350,7 @@ def test_what_takes_the_locks_place_is_named(tmp_path: Path, done: Callable[[Pat
     (tmp_path / "locks").mkdir()
     done(tmp_path / "locks" / "cpu.lock")
     refused = pytest.raises(StoreError, match=r"cpu\.lock: expected a lock file")
-    with refused, device_lease(tmp_path / "locks", lambda line: None):
+    with refused, device_lock(tmp_path / "locks", lambda line: None):
         pass
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.kernels.composite import OWN_VOTE_SHARE, composite_rays
+from nvsf_core.kernels.composite import OWN_PRIOR_SHARE, composite_rays
 from nvsf_core.rendering.weights import weights_from_opacity_logits
 
 COUNTS = np.array([0, 1, 5, 24, 3, 0, 2, 12] * 40)
@@ -49,9 +49,9 @@ def by_torch(logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor) ->
     return weights[mask()], summary
 
 
-def composited(*surfaces: Tensor, surface_vote: Tensor | None = None) -> tuple[Tensor, ...]:
+def composited(*surfaces: Tensor, surface_hit_prior: Tensor | None = None) -> tuple[Tensor, ...]:
     first = torch.from_numpy(np.concatenate([[0], np.cumsum(COUNTS)]))
-    own = torch.full((SURFACES,), -1.0) if surface_vote is None else surface_vote
+    own = torch.full((SURFACES,), -1.0) if surface_hit_prior is None else surface_hit_prior
     return composite_rays(*surfaces, first, own, torch.full((RAYS,), 0.25))
 
 
@@ -97,9 +97,9 @@ def test_the_median_is_the_first_surface_with_half_of_the_weight() -> None:
 def test_only_rays_that_end_on_what_moves_ask_it() -> None:
     surfaces = some_surfaces()
     own = torch.where(torch.rand(SURFACES, generator=torch.Generator().manual_seed(2)) < 0.5, 0.75, -1.0)
-    weights, _, _, votes = composited(*surfaces, surface_vote=own)
+    weights, _, _, votes = composited(*surfaces, surface_hit_prior=own)
     on_own = padded(weights * (own >= 0)).sum(dim=1)
-    moving = (on_own > 0.0) & (on_own >= OWN_VOTE_SHARE * padded(weights).sum(dim=1))
+    moving = (on_own > 0.0) & (on_own >= OWN_PRIOR_SHARE * padded(weights).sum(dim=1))
     assert 20 < moving.sum() < RAYS - 20
     assert torch.allclose(votes, torch.where(moving, 0.75, 0.25))
 
@@ -117,16 +117,16 @@ def test_a_ray_ends_on_what_moves_where_that_has_a_fifth_of_its_weight() -> None
     surfaces = some_surfaces()
     is_own = torch.rand(SURFACES, generator=torch.Generator().manual_seed(3)) < 0.3
     _, _, likeliest, _ = composited(*surfaces)
-    weights, _, median, _ = composited(*surfaces, surface_vote=torch.where(is_own, 0.75, -1.0))
+    weights, _, median, _ = composited(*surfaces, surface_hit_prior=torch.where(is_own, 0.75, -1.0))
     begin, decided = 0, 0
     for ray, count in enumerate(COUNTS):
         part = slice(begin, begin + int(count))
         own = np.where(is_own[part].numpy(), weights[part].numpy().astype(np.float64), 0.0)
         begin += int(count)
         share = own.sum() / max(float(weights[part].sum()), 1e-30)
-        if share < OWN_VOTE_SHARE - 1e-6:
+        if share < OWN_PRIOR_SHARE - 1e-6:
             assert median[ray] == likeliest[ray]
-        elif share > OWN_VOTE_SHARE + 1e-6:
+        elif share > OWN_PRIOR_SHARE + 1e-6:
             chosen = int(median[ray]) - part.start
             assert own[chosen] > 0.0
             assert own[: chosen + 1].sum() >= 0.5 * own.sum() - 1e-7

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH, Lasers, Turn, see_again
+from nvsf_core.kernels.scan_lookup import (
+    BESIDE,
+    EMPTY,
+    SAME,
+    SHINE,
+    THROUGH,
+    Lasers,
+    SweepGrid,
+    look_up_scans,
+)
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_rays import sweep_rays
@@ -22,7 +31,7 @@ def trajectory(speed_m_s: float) -> Trajectory:
     return Trajectory(times, poses, np.zeros(3))
 
 
-def recorded(speed_m_s: float) -> tuple[np.ndarray, Lasers, Turn]:
+def recorded(speed_m_s: float) -> tuple[np.ndarray, Lasers, SweepGrid]:
     """Points (l * f, 3) along a turn's own rays, and the turn that recorded each."""
     path, time_s = trajectory(speed_m_s), 0.2
     rays = sweep_rays(HDL_64E, ROWS, FIRINGS, path, time_s, PERIOD_S)
@@ -37,12 +46,12 @@ def recorded(speed_m_s: float) -> tuple[np.ndarray, Lasers, Turn]:
     rotation, position = path.at(time_s + ((np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5) * PERIOD_S)
     shine = rng.uniform(0.0, 1.0, (len(ROWS), FIRINGS)).astype(np.float32)
     fraction = rays.fraction[:FIRINGS].astype(np.float32)
-    return points_m, lasers, Turn(rotation, position, fraction, range_m.reshape(-1, FIRINGS), shine)
+    return points_m, lasers, SweepGrid(rotation, position, fraction, range_m.reshape(-1, FIRINGS), shine)
 
 
-def asked(points_m: np.ndarray, lasers: Lasers, turn: Turn) -> np.ndarray:
+def asked(points_m: np.ndarray, lasers: Lasers, turn: SweepGrid) -> np.ndarray:
     found = np.zeros((len(points_m), 5), np.float32)
-    see_again(points_m, lasers, turn, found)
+    look_up_scans(points_m, lasers, turn, found)
     return found
 
 
@@ -81,5 +90,5 @@ def test_points_that_nobody_looked_at_say_nothing_and_answers_add_up() -> None:
     assert not asked(rest, lasers, turn).any()
     found = asked(points_m, lasers, turn)
     twice = found.copy()
-    see_again(points_m, lasers, turn, twice)
+    look_up_scans(points_m, lasers, turn, twice)
     assert np.array_equal(twice, 2.0 * found)

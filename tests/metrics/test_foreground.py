@@ -12,7 +12,7 @@ from nvsf_core.metrics.foreground import (
     masked_range_regions,
     masked_regions,
 )
-from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d
+from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d
 from nvsf_core.sensors.linear_pano import LinearPano
 
 PANO = LinearPano(height=16, width=64, quirks=True)
@@ -33,8 +33,8 @@ def _scan(object_shift_m: float = 0.0, seed: int = 0) -> Scan:
     return Scan(points_m=points, intensity=np.full(1400, 0.5, np.float32), laser=laser)
 
 
-def _rays(scan: Scan) -> RayAnswers:
-    return RayAnswers(range_m=np.linalg.norm(scan.points_m, axis=1), intensity=scan.intensity)
+def _rays(scan: Scan) -> RenderedRays:
+    return RenderedRays(range_m=np.linalg.norm(scan.points_m, axis=1), intensity=scan.intensity)
 
 
 def test_a_perfect_answer_is_perfect_in_both_regions_and_they_share_all_returns() -> None:

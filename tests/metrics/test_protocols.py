@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d, project_scan, raw
+from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d, project_scan, raw
 from nvsf_core.sensors.linear_pano import LinearPano
 
 PANO = LinearPano(height=16, width=64, quirks=True)
@@ -24,8 +24,8 @@ def _scan(n: int = 800, seed: int = 0) -> Scan:
     )
 
 
-def _rays(scan: Scan) -> RayAnswers:
-    return RayAnswers(range_m=np.linalg.norm(scan.points_m, axis=1), intensity=scan.intensity)
+def _rays(scan: Scan) -> RenderedRays:
+    return RenderedRays(range_m=np.linalg.norm(scan.points_m, axis=1), intensity=scan.intensity)
 
 
 def test_the_recorded_scan_itself_is_a_perfect_answer() -> None:
@@ -81,7 +81,7 @@ def test_returns_beyond_80_m_count_on_neither_side() -> None:
 def test_an_empty_prediction_is_measured_and_not_a_crash() -> None:
     scan = _scan()
     nothing = Scan(points_m=np.zeros((0, 3), np.float32), intensity=np.zeros(0), laser=np.zeros(0, np.int16))
-    silent = RayAnswers(range_m=np.full(800, np.inf), intensity=np.zeros(800))
+    silent = RenderedRays(range_m=np.full(800, np.inf), intensity=np.zeros(800))
     found = raw(nothing, silent, scan, _rays(scan), 4)
     assert found["range_missing"].value == 1.0
     assert math.isnan(found["intensity_rmse"].value)

@@ -86,9 +86,7 @@ def test_masked_source_pixels_do_not_answer() -> None:
     valid = np.ones((64, 128), dtype=bool)
     valid[:, :40] = False
     image = photograph(pose(0.0))[None]
-    view = render_by_warping(
-        pose(0.0), CAMERA, wall_points(), image, pose(0.0)[None], source_valid=valid
-    )
+    view = render_by_warping(pose(0.0), CAMERA, wall_points(), image, pose(0.0)[None], source_valid=valid)
     np.testing.assert_array_equal(view.answered, valid)
 
 

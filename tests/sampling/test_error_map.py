@@ -64,7 +64,7 @@ def test_huge_errors_do_not_overflow() -> None:
 def test_pixels_of_wrong_cells_are_drawn_more_often_and_none_twice_a_round() -> None:
     error_map = ErrorMap(1, 16, 16, 2)
     error_map.errors[0, :4] = 1000.0
-    rows, columns = error_map.draw_pixels(0, 32, generator())
+    rows, columns = error_map.sample_pixels(0, 32, generator())
     assert (rows < 8).float().mean() > 0.9
     cells = rows // 2 * 8 + columns // 2
     assert len(cells.unique()) == 32
@@ -73,7 +73,7 @@ def test_pixels_of_wrong_cells_are_drawn_more_often_and_none_twice_a_round() -> 
 
 def test_every_cell_has_a_chance_and_many_draws_are_full_rounds() -> None:
     error_map = ErrorMap(1, 5, 7, 4)
-    rows, columns = error_map.draw_pixels(0, 4 * 25, generator())
+    rows, columns = error_map.sample_pixels(0, 4 * 25, generator())
     counts = torch.bincount(rows // 4 * 2 + columns // 4, minlength=4)
     assert (counts == 25).all()
     assert rows.max() == 4 and columns.max() == 6
@@ -81,18 +81,18 @@ def test_every_cell_has_a_chance_and_many_draws_are_full_rounds() -> None:
 
 def test_corners_keep_their_patches_within_the_image_and_reach_its_last_row() -> None:
     error_map = ErrorMap(1, 6, 20, 2)
-    rows, columns = error_map.draw_patches(0, 200, (2, 8), generator())
+    rows, columns = error_map.sample_patches(0, 200, (2, 8), generator())
     assert rows.min() == 0 and rows.max() == 4
     assert columns.min() == 0 and columns.max() == 12
     with pytest.raises(ShapeError):
-        error_map.draw_patches(0, 1, (7, 8), generator())
+        error_map.sample_patches(0, 1, (7, 8), generator())
 
 
 def test_pixels_that_show_nothing_are_never_drawn() -> None:
     drawable = torch.zeros(9, 10, dtype=torch.bool)
     drawable[3, 4:9] = True
     error_map = ErrorMap(1, 9, 10, 4, drawable)
-    rows, columns = error_map.draw_pixels(0, 64, generator())
+    rows, columns = error_map.sample_pixels(0, 64, generator())
     assert drawable[rows, columns].all()
     assert len(columns.unique()) == 5
     with pytest.raises(ShapeError, match="shows something"):
@@ -101,8 +101,8 @@ def test_pixels_that_show_nothing_are_never_drawn() -> None:
 
 def test_nothing_drawn_is_no_error() -> None:
     error_map = ErrorMap(1, 4, 4, 2)
-    assert error_map.draw_pixels(0, 0, generator())[0].shape == (0,)
-    assert error_map.draw_patches(0, 0, (2, 2), generator())[0].shape == (0,)
+    assert error_map.sample_pixels(0, 0, generator())[0].shape == (0,)
+    assert error_map.sample_patches(0, 0, (2, 2), generator())[0].shape == (0,)
 
 
 def test_its_state_survives_a_checkpoint(tmp_path) -> None:
@@ -110,4 +110,4 @@ def test_its_state_survives_a_checkpoint(tmp_path) -> None:
     error_map.update(0, torch.tensor([0, 7]), torch.tensor([0, 7]), torch.tensor([1.0, 2.0]))
     save_tensors(tmp_path / "map.safetensors", error_map.state_dict())
     other.load_state_dict(load_tensors(tmp_path / "map.safetensors")[0])
-    assert torch.equal(*(torch.stack(m.draw_pixels(0, 9, generator(2))) for m in (error_map, other)))
+    assert torch.equal(*(torch.stack(m.sample_pixels(0, 9, generator(2))) for m in (error_map, other)))

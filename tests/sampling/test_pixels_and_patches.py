@@ -9,7 +9,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.recipe.paper import PaperSampling
 from nvsf_core.sampling.error_map import ErrorMap
 from nvsf_core.sampling.patches import patch_pixels, uniform_corners
-from nvsf_core.sampling.pixels import draw_camera_pixels, draw_lidar_pixels, uniform_pixels
+from nvsf_core.sampling.pixels import sample_camera_pixels, sample_lidar_pixels, uniform_pixels
 
 SHAPE = (6, 20)
 SAMPLING = PaperSampling(rays=64)
@@ -65,10 +65,10 @@ def test_heuristic_and_patches_are_switches_of_their_own(heuristic: bool, patche
     sampling = replace(SAMPLING, heuristic=heuristic, patches=patches, rays=96)
     error_map = ErrorMap(1, 12, 80, 2)
     error_map.errors[0, :, :20] = 1e6
-    first = draw_lidar_pixels(sampling, 0, 0, error_map, generator())
+    first = sample_lidar_pixels(sampling, 0, 0, error_map, generator())
     assert first.patch is None
     assert (first.columns >= 40).any()
-    second = draw_lidar_pixels(sampling, 1, 0, error_map, generator())
+    second = sample_lidar_pixels(sampling, 1, 0, error_map, generator())
     assert second.patch == patches
     assert len(second.rows) == len(second.columns) == 96
     corners = second.columns[:: 16 if patches else 1]
@@ -80,17 +80,17 @@ def test_heuristic_and_patches_are_switches_of_their_own(heuristic: bool, patche
 
 def test_camera_pixels_follow_the_map_in_second_epochs_only() -> None:
     sampling = replace(SAMPLING, rays=12)
-    assert (draw_camera_pixels(sampling, 1, 0, spiked(), generator()).columns < 10).all()
-    assert (draw_camera_pixels(sampling, 2, 0, spiked(), generator()).columns >= 10).any()
+    assert (sample_camera_pixels(sampling, 1, 0, spiked(), generator()).columns < 10).all()
+    assert (sample_camera_pixels(sampling, 2, 0, spiked(), generator()).columns >= 10).any()
 
 
 def test_wrapping_patches_begin_in_every_column() -> None:
     sampling = replace(SAMPLING, heuristic=False, rays=16_000)
-    drawn = draw_lidar_pixels(sampling, 1, 0, ErrorMap(1, *SHAPE, 2), generator(), wrap=True)
+    drawn = sample_lidar_pixels(sampling, 1, 0, ErrorMap(1, *SHAPE, 2), generator(), wrap=True)
     assert drawn.columns[::16].unique().tolist() == list(range(20))
     assert drawn.rows.max() == 5
 
 
 def test_fewer_rays_than_a_patch_still_make_one() -> None:
-    drawn = draw_lidar_pixels(replace(SAMPLING, rays=4), 1, 0, spiked(), generator())
+    drawn = sample_lidar_pixels(replace(SAMPLING, rays=4), 1, 0, spiked(), generator())
     assert len(drawn.rows) == 16

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.pano_estimate import QUANTILES, PanoRays, combine_phases, estimate_pano
-from nvsf_core.simulation.scan import AnsweredTurn
+from nvsf_core.simulation.scan import RenderedSweep
 
 SMALL = LinearPano(height=3, width=5)
 PANO = LinearPano(quirks=True)
@@ -71,7 +71,7 @@ def test_the_same_phase_twice_is_that_phase() -> None:
 def test_one_certain_turn_is_the_projection_of_its_scan() -> None:
     rays, answers = fired(0.5)
     estimate = estimate_pano(lambda _: (rays, answers), PANO, 1)
-    points, intensity, _ = AnsweredTurn.of(rays, answers).scan()
+    points, intensity, _ = RenderedSweep.of(rays, answers).scan()
     range_m, bright = PANO.project(points, intensity)
     # A scan's points are float32: a few lie on the border between two cells.
     assert np.mean((estimate.hit > 0.5) != (range_m > 0)) < 1e-3
@@ -93,10 +93,10 @@ def test_many_phases_make_a_fence_as_likely_as_it_is_wide() -> None:
     assert np.abs(parted.hit - many.hit).mean() < 0.2 * np.abs(one.hit - many.hit).mean()
 
 
-def fired(phase: float) -> tuple[SweepRays, RayAnswers]:
+def fired(phase: float) -> tuple[SweepRays, RenderedRays]:
     """A sensor of 300 firings a turn that stands; rays return, from 10 to 20 m, in every other sixth part."""
     rays = sweep_rays(HDL_64E, np.arange(64), FIRINGS, STILL, 0.1, 0.1, phase=phase)
     part = np.floor(rays.azimuth_rad / (np.pi / 6)).astype(int)
     hit = (part % 2 == 0).astype(np.float32)
     range_m = (15.0 + 5.0 * np.sin(rays.azimuth_rad)).astype(np.float32)
-    return rays, RayAnswers(range_m, hit, np.full(len(hit), 0.3, np.float32))
+    return rays, RenderedRays(range_m, hit, np.full(len(hit), 0.3, np.float32))

@@ -9,33 +9,33 @@ import torch
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.recipe import HitsSpec, TrainingSpec
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.raydrop import EVEN, HitBlend
-from nvsf_core.simulation.raydrop_grid import RecordedTurns, TurnHits, hits_network, turn_cells
+from nvsf_core.simulation.raydrop_grid import RecordedSweeps, SweepRaydrop, hits_network, sweep_cells
 
 LASERS, FIRINGS, SCANS, PERIOD_S = np.arange(0, 64, 4), 300, 3, 0.1
 SPEC = HitsSpec(channels=8, layers=1, training=TrainingSpec(steps=1, rays=1))
 NEAR = np.array([1, 0, 2])
 
 
-def scene() -> tuple[RecordedTurns, SweepRays, RayAnswers]:
+def scene() -> tuple[RecordedSweeps, SweepRays, RenderedRays]:
     rng = np.random.default_rng(1)
     path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
     rays = sweep_rays(HDL_64E, LASERS, FIRINGS, path, PERIOD_S, PERIOD_S)
     hit_grid = rng.uniform(size=(SCANS, 64, FIRINGS)) < 0.8
     ranges = np.where(hit_grid, 10.0, 0.0).astype(np.float32)
     fraction = np.tile(rays.fraction[:FIRINGS].astype(np.float32), (SCANS, 1))
-    turns = RecordedTurns(
+    turns = RecordedSweeps(
         DropPrior(path.times_s, fraction, hit_grid), LASERS, ranges, 0.3 * hit_grid.astype(np.float32),
         path, HDL_64E, PERIOD_S, HDL_64E.elevation_correction_rad,
     )  # fmt: skip
     count = len(rays.laser)
     range_m = np.where(rng.uniform(size=count) < 0.9, 10.0, np.inf).astype(np.float32)
     hit, shine, vote = rng.uniform(size=(3, count)).astype(np.float32)
-    return turns, rays, RayAnswers(range_m, np.where(np.isfinite(range_m), hit, 0.0), shine, vote)
+    return turns, rays, RenderedRays(range_m, np.where(np.isfinite(range_m), hit, 0.0), shine, vote)
 
 
 def logit(share: np.ndarray, limit: float) -> np.ndarray:
@@ -46,7 +46,7 @@ def logit(share: np.ndarray, limit: float) -> np.ndarray:
 def test_an_untrained_network_leaves_the_mean_of_vote_and_ray_head() -> None:
     turns, rays, answers = scene()
     network = hits_network(SPEC, torch.Generator().manual_seed(0))
-    corrected = TurnHits(network, turns, EVEN)(rays, answers, NEAR)
+    corrected = SweepRaydrop(network, turns, EVEN)(rays, answers, NEAR)
     assert answers.vote is not None
     answered = np.isfinite(answers.range_m)
     mean = 0.5 * logit(answers.vote, 0.02) + 0.5 * logit(answers.hit, 0.003)
@@ -62,7 +62,7 @@ def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
     with torch.no_grad():
         # Logit += 3 x the expected intensity of the cell itself, which is the last feature but one.
         network.layers[0].weight[0, -2, 1, 1] = 3.0  # type: ignore[index]
-    found = TurnHits(network, turns, HitBlend(network=1.0, ray_head=0.0, offset=0.0))(rays, answers, NEAR)
+    found = SweepRaydrop(network, turns, HitBlend(network=1.0, ray_head=0.0, offset=0.0))(rays, answers, NEAR)
     assert answers.vote is not None
     answered = np.isfinite(answers.range_m)
     expected = logit(answers.vote, 0.02) + 3.0 * answers.intensity
@@ -71,7 +71,7 @@ def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
 
 def test_one_column_is_one_azimuth_and_each_firing_is_told_once() -> None:
     turns, rays, answers = scene()
-    column = turn_cells(turns, rays, answers, NEAR).column.numpy()
+    column = sweep_cells(turns, rays, answers, NEAR).column.numpy()
     assert np.array_equal(np.sort(column, axis=1), np.tile(np.arange(FIRINGS), (len(LASERS), 1)))
     azimuth = np.take_along_axis(rays.azimuth_rad.reshape(rays.shape), column, axis=1)
     apart = np.angle(np.exp(1j * (azimuth - azimuth[:1])))
@@ -80,13 +80,13 @@ def test_one_column_is_one_azimuth_and_each_firing_is_told_once() -> None:
 
 def test_what_is_told_is_moderate_and_nothing_of_the_ray_heads_hits() -> None:
     turns, rays, answers = scene()
-    cells = turn_cells(turns, rays, answers, NEAR)
+    cells = sweep_cells(turns, rays, answers, NEAR)
     assert torch.isfinite(cells.features).all() and cells.features.abs().max() < 3.0
-    other = turn_cells(turns, rays, replace(answers, hit=1.0 - answers.hit), NEAR)
-    assert torch.equal(cells.features, other.features) and torch.equal(cells.vote_logit, other.vote_logit)
+    other = sweep_cells(turns, rays, replace(answers, hit=1.0 - answers.hit), NEAR)
+    assert torch.equal(cells.features, other.features) and torch.equal(cells.prior_logit, other.prior_logit)
 
 
 def test_answers_without_votes_are_refused() -> None:
     turns, rays, answers = scene()
     with pytest.raises(ShapeError, match="expected answers with votes"):
-        turn_cells(turns, rays, replace(answers, vote=None), NEAR)
+        sweep_cells(turns, rays, replace(answers, vote=None), NEAR)

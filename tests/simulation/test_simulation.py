@@ -7,11 +7,11 @@ import pytest
 
 from nvsf_core.errors import MissingFrameError
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.simulation.lidar_rays import sweep_rays
-from nvsf_core.simulation.scan import AnsweredTurn
+from nvsf_core.simulation.scan import RenderedSweep
 from nvsf_core.simulation.view_plan import mount_pose, plan_sweeps, plan_view
 
 FRAMES = np.arange(10, 15)
@@ -22,8 +22,8 @@ LEARNED = replace(HDL_64E, range_bias_m=np.full(64, 0.03))
 
 def test_a_scan_is_laser_by_laser_with_ascending_azimuth() -> None:
     rays = still_sweep()
-    answers = RayAnswers(*(np.full(len(rays.laser), v, np.float32) for v in (12.0, 1.0, 0.5)))
-    points, intensity, laser = AnsweredTurn.of(rays, answers).scan()
+    answers = RenderedRays(*(np.full(len(rays.laser), v, np.float32) for v in (12.0, 1.0, 0.5)))
+    points, intensity, laser = RenderedSweep.of(rays, answers).scan()
     azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
     assert (np.diff(laser) >= 0).all()
     assert (np.diff(azimuth)[np.diff(laser) == 0] >= 0).all()
@@ -36,7 +36,7 @@ def test_drops_and_rays_without_an_answer_leave_no_point() -> None:
     hit[:7] = 1.0
     range_m = np.full(len(rays.laser), 5.0, np.float32)
     range_m[0] = np.inf
-    points, _, _ = AnsweredTurn.of(rays, RayAnswers(range_m, hit, np.zeros_like(hit))).scan()
+    points, _, _ = RenderedSweep.of(rays, RenderedRays(range_m, hit, np.zeros_like(hit))).scan()
     assert len(points) == 6
 
 
@@ -44,11 +44,11 @@ def test_a_scan_may_lack_a_laser_or_all_of_them() -> None:
     rays = still_sweep()
     hit = (rays.laser != np.unique(rays.laser)[1]).astype(np.float32)
     range_m = np.full(len(rays.laser), 5.0, np.float32)
-    points, _, laser = AnsweredTurn.of(rays, RayAnswers(range_m, hit, np.zeros_like(hit))).scan()
+    points, _, laser = RenderedSweep.of(rays, RenderedRays(range_m, hit, np.zeros_like(hit))).scan()
     azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
     assert len(points) == hit.sum() and np.array_equal(np.lexsort((azimuth, laser)), np.arange(len(laser)))
-    nothing = RayAnswers(range_m, 0.0 * hit, np.zeros_like(hit))
-    points, intensity, laser = AnsweredTurn.of(rays, nothing).scan()
+    nothing = RenderedRays(range_m, 0.0 * hit, np.zeros_like(hit))
+    points, intensity, laser = RenderedSweep.of(rays, nothing).scan()
     assert points.shape == (0, 3) and intensity.shape == laser.shape == (0,)
 
 
@@ -100,7 +100,5 @@ def still_sweep(mount: np.ndarray | None = None):
 
 
 def plan(name: str, frames=None, times_s=None, sensor=None):
-    view = plan_view(
-        name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s
-    )
+    view = plan_view(name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s)
     return plan_sweeps(view, LEARNED, sensor)

@@ -13,7 +13,7 @@ from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.lidar import answer_rays
+from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
@@ -65,6 +65,6 @@ def test_a_field_of_a_static_scene_asks_nobody_about_motion_and_answers_from_its
     answers = render(origin, direction, vote, np.full(8, 99.0))
     batch = surface_batch(scene.surfels, origin, direction, most=8, near_m=NEAR_M, far_m=50.0)
     assert (batch.vote < 0.0).all()
-    expected = answer_rays(field, batch, torch.from_numpy(vote))
+    expected = render_rays(field, batch, torch.from_numpy(vote))
     for name in ("range_m", "hit", "intensity"):
         assert np.array_equal(getattr(answers, name), getattr(expected, name)), name

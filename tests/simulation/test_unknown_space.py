@@ -10,11 +10,11 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.simulation.sweep_simulation import ask_unknown, fire_sweep
+from nvsf_core.simulation.sweep_simulation import ask_unobserved, fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 
 SCANS, FIRINGS, PERIOD_S = 3, 60, 0.1
@@ -24,17 +24,17 @@ LASERS = np.arange(8, 12, dtype=np.int16)
 def of_unknown(asked: list[int]):
     """A renderer that notes how many rays it is asked about and puts all of them 7 m away."""
 
-    def answer(origin_m, direction, vote, time_s) -> RayAnswers:
+    def answer(origin_m, direction, vote, time_s) -> RenderedRays:
         asked.append(len(vote))
-        return RayAnswers(np.full(len(vote), 7.0, np.float32), vote, np.full(len(vote), 0.5, np.float32))
+        return RenderedRays(np.full(len(vote), 7.0, np.float32), vote, np.full(len(vote), 0.5, np.float32))
 
     return answer
 
 
-def answers_half(origin_m, direction, vote, time_s) -> RayAnswers:
+def answers_half(origin_m, direction, vote, time_s) -> RenderedRays:
     """Every other ray meets something at 20 m."""
     met = np.arange(len(vote)) % 2 == 0
-    return RayAnswers(
+    return RenderedRays(
         np.where(met, 20.0, np.inf).astype(np.float32), np.where(met, 0.6, 0.0).astype(np.float32),
         np.full(len(vote), 0.1, np.float32),
     )  # fmt: skip
@@ -59,7 +59,7 @@ def scene() -> LidarRecording:
     return LidarRecording(sweeps=sweeps, evidence=evidence)
 
 
-def fire(plan: SweepPlan, unknown) -> RayAnswers:
+def fire(plan: SweepPlan, unknown) -> RenderedRays:
     model = SceneModel(lidar=answers_half, camera=None, unknown=unknown, votes=SCANS)
     return fire_sweep(model, scene(), plan, PERIOD_S)[1]
 
@@ -97,11 +97,13 @@ def test_its_intensity_has_the_laser_s_gain_and_answers_stay_as_they_were() -> N
     gain = np.ones(64)
     gain[9] = 1.5
     table = replace(HDL_64E, intensity_gain=gain)
-    nothing = RayAnswers(np.full(2, np.inf, np.float32), np.zeros(2, np.float32), np.zeros(2, np.float32))
+    nothing = RenderedRays(np.full(2, np.inf, np.float32), np.zeros(2, np.float32), np.zeros(2, np.float32))
     place, sure = np.zeros((2, 3), np.float32), np.ones(2, np.float32)
-    found = ask_unknown(nothing, of_unknown([]), place, place, sure, np.zeros(2), np.array([9, -1]), table)
+    found = ask_unobserved(nothing, of_unknown([]), place, place, sure, np.zeros(2), np.array([9, -1]), table)
     assert np.allclose(found.intensity, [0.75, 0.5]) and (found.range_m == 7.0).all()
     assert np.isinf(nothing.range_m).all(), "others may hold them"
     unsure = np.full(2, 5.0 / 6.0, np.float32)
-    same = ask_unknown(nothing, of_unknown([]), place, place, unsure, np.zeros(2), np.array([9, -1]), table)
+    same = ask_unobserved(
+        nothing, of_unknown([]), place, place, unsure, np.zeros(2), np.array([9, -1]), table
+    )
     assert same is nothing

@@ -29,7 +29,7 @@ def _one_hot() -> Reading:
     """All weight in the last cell, more draws than cells: only its pixels, all within the image."""
     made = _map(0.0)
     made.errors[0, -1, -1] = 1.0
-    rows, columns = made.draw_pixels(0, 500, _generator())
+    rows, columns = made.sample_pixels(0, 500, _generator())
     inside = set(zip(rows.tolist(), columns.tolist(), strict=True))
     right = inside <= {(r, c) for r in (64, 65) for c in (1028, 1029)}
     return Reading(outcome=f"{len(rows)} draws of {sorted(inside)}", is_refuted=not right)
@@ -40,7 +40,7 @@ def _shares(ratio: float) -> Reading:
     made = ErrorMap(1, 8, 8, 2)
     made.errors[0, :2] = ratio
     generator = _generator()
-    draws = [int(made.draw_pixels(0, 1, generator)[0][0]) < 4 for _ in range(4000)]
+    draws = [int(made.sample_pixels(0, 1, generator)[0][0]) < 4 for _ in range(4000)]
     expected = ratio / (1.0 + ratio)
     spread = math.sqrt(max(expected * (1.0 - expected), 1e-4) / len(draws))
     return Reading(error=abs(float(np.mean(draws)) - expected), limit=4.0 * spread, unit="share")
@@ -50,7 +50,7 @@ def _tiny_and_huge() -> Reading:
     """Weights of 1e-30 beside 1e30: finite, within the image, and the heavy ones first."""
     made = _map(1e-30)
     made.errors[0, 0, :10] = 1e30
-    rows, columns = made.draw_pixels(0, 10, _generator())
+    rows, columns = made.sample_pixels(0, 10, _generator())
     heavy = bool(((rows < 2) & (columns < 20)).all())
     return Reading(outcome=f"ten draws all from the ten heavy cells: {heavy}", is_refuted=not heavy)
 
@@ -58,11 +58,11 @@ def _tiny_and_huge() -> Reading:
 def _broken(value: float) -> Reading:
     made = _map()
     made.errors[0, 3, 3] = value
-    return refused(DivergedError, lambda: made.draw_pixels(0, 10, _generator()))
+    return refused(DivergedError, lambda: made.sample_pixels(0, 10, _generator()))
 
 
 def _all_zero() -> Reading:
-    return refused(DivergedError, lambda: _map(0.0).draw_pixels(0, 10, _generator()))
+    return refused(DivergedError, lambda: _map(0.0).sample_pixels(0, 10, _generator()))
 
 
 def _update() -> Reading:

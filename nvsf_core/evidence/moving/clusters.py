@@ -43,7 +43,7 @@ def laser_density(spacing_rad: float) -> float:
     return min(1.0, _USUAL_SPACING_RAD / spacing_rad)
 
 
-def draw_in(
+def pull_together(
     point_m: np.ndarray, above_sensor_m: np.ndarray, range_m: np.ndarray, spacing_rad: float
 ) -> np.ndarray:
     """Points (m, 3) drawn in towards the sensor's height until rows of lasers are within a link's reach.
@@ -66,7 +66,7 @@ def cluster_scan(
     label: np.ndarray,
     time_s: np.ndarray,
     range_m: np.ndarray,
-    drawn_in_m: np.ndarray,
+    pulled_together_m: np.ndarray,
     density: float,
 ) -> list[Cluster]:
     """Moving clusters of a scan's standing returns.
@@ -77,16 +77,16 @@ def cluster_scan(
         scan: Which scan.
         index: (m,) int64, the standing returns' indices among all returns.
         point_m: (m, 3) scene-local.
-        label: (m,) int8 from `judge_returns`.
+        label: (m,) int8 from `classify_returns`.
         time_s: (m,) their times.
         range_m: (m,) their ranges.
-        drawn_in_m: (m, 3) the same points for the links alone, from `draw_in`.
+        pulled_together_m: (m, 3) the same points for the links alone, from `pull_together`.
         density: From `laser_density`: so many times fewer seeds do.
     """
     least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * density)
     if (label == SEED).sum() < least_seeds:
         return []
-    group = _groups(drawn_in_m, label)
+    group = _groups(pulled_together_m, label)
     count = int(group.max(initial=-1)) + 1
     seeds = np.bincount(group[(label == SEED) & (group >= 0)], minlength=count)
     static = np.bincount(group[(label == STATIC) & (group >= 0)], minlength=count)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.clusters import cluster_scan, draw_in, laser_density
-from nvsf_core.evidence.moving.path_fitting import Path, Standing, carry_on, solve_path, start_path
+from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density, pull_together
+from nvsf_core.evidence.moving.path_fitting import AboveGround, Path, carry_on, solve_path, start_path
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.moving.tracks import link_tracks
-from nvsf_core.evidence.moving.visibility import judge_returns
+from nvsf_core.evidence.moving.visibility import classify_returns
 from nvsf_core.evidence.static.ground import build_ground
 
-STANDING_M = 0.25
+ABOVE_GROUND_M = 0.25
 """Returns at least this high above the ground can move."""
 _HIGHEST_M = 5.0
 _FARTHEST_M = 80.0
@@ -29,7 +29,7 @@ _OWN_VEHICLE_M = 2.5
 """What never gets farther from the sensor than this rides with it: an antenna that was not learned as own."""
 
 
-def find_moving(returns: TimedReturns) -> MovingObjects:
+def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     """Find what moved, how it moved, and which returns it made.
 
     Deterministic. Fewer than three scans, no returns, or a drive in which nothing moves give none.
@@ -53,7 +53,9 @@ def find_moving(returns: TimedReturns) -> MovingObjects:
                 standing.label[part],
                 returns.time_s[index],
                 range_m[index],
-                draw_in(returns.point_m[index], returns.recorded_m[index, 2], range_m[index], spacing_rad),
+                pull_together(
+                    returns.point_m[index], returns.recorded_m[index, 2], range_m[index], spacing_rad
+                ),
                 density,
             )
         )
@@ -65,19 +67,19 @@ def find_moving(returns: TimedReturns) -> MovingObjects:
     return _whole_objects(paths, returns, standing, density) if paths else nothing
 
 
-def _judge(returns: TimedReturns, range_m: np.ndarray) -> Standing:
+def _judge(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
     within = ~returns.is_own_vehicle & (range_m > _NEAREST_M) & (range_m < _FARTHEST_M)
     if not within.any():
-        return Standing(
+        return AboveGround(
             np.zeros(0, np.int64), np.zeros(0, np.int8), np.zeros(returns.scan_count + 1, np.int64)
         )
     height = build_ground(returns.point_m[within]).above(returns.point_m)
-    index = np.flatnonzero(within & (height > STANDING_M) & (height < _HIGHEST_M))
-    return Standing(index, judge_returns(returns, index), np.searchsorted(index, returns.offsets))
+    index = np.flatnonzero(within & (height > ABOVE_GROUND_M) & (height < _HIGHEST_M))
+    return AboveGround(index, classify_returns(returns, index), np.searchsorted(index, returns.offsets))
 
 
 def _whole_objects(
-    paths: list[Path], returns: TimedReturns, standing: Standing, density: float
+    paths: list[Path], returns: TimedReturns, standing: AboveGround, density: float
 ) -> MovingObjects:
     """Give each object all loose returns near its accumulated shape, biggest first, and its extent."""
     object_id = np.full(len(returns.point_m), -1, np.int32)
@@ -109,7 +111,7 @@ def _take(
     moving: MovingObject,
     shape_o: np.ndarray,
     returns: TimedReturns,
-    standing: Standing,
+    standing: AboveGround,
     object_id: np.ndarray,
 ) -> np.ndarray:
     """Indices of all free loose returns within 0.3 m of the shape (k, 3), in its frame at their own time."""

@@ -17,7 +17,7 @@ _FORGOTTEN_FRAMES = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObjectVotes:
+class ObjectHitPriors:
     """What is needed to look up where a training scan fired at a place of an object."""
 
     prior: DropPrior
@@ -30,7 +30,7 @@ class ObjectVotes:
 
     def near(
         self, asked: Sequence[tuple[MovingObject, np.ndarray]], time_s: float
-    ) -> tuple["NearVotes", ...]:
+    ) -> tuple["NearHitPriors", ...]:
         """The votes on each object of some of its scans (k,) about a time; silent ones are not asked."""
         is_silent = self.prior.is_silent
         paths = [path for path, _ in asked]
@@ -40,7 +40,7 @@ class ObjectVotes:
         to_sensor = invert_pose(pose_from_parts(*self.trajectory.at(np.concatenate([*own_s, np.zeros(0)]))))
         ends = np.cumsum([len(instants) for instants in own_s], dtype=np.int64)
         return tuple(
-            NearVotes(
+            NearHitPriors(
                 self,
                 scans.astype(np.int64),
                 np.exp(-np.abs(instants - time_s) / (_FORGOTTEN_FRAMES * path.frame_s)),
@@ -51,10 +51,10 @@ class ObjectVotes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NearVotes:
+class NearHitPriors:
     """Some scans that saw an object, ready to be asked about any place on it."""
 
-    votes: ObjectVotes
+    votes: ObjectHitPriors
     scans: np.ndarray
     """(k,) int64 training scans."""
     weight: np.ndarray

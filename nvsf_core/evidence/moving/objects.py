@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.moving.object_evidence import OBJECT_VOXEL_M, ObjectEvidence, ObjectRays
-from nvsf_core.evidence.moving.object_hit_priors import NearVotes, ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import NearHitPriors, ObjectHitPriors
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.bounds import rays_into_bounds
@@ -26,7 +26,7 @@ class ObjectSurfels:
     """Of the scene's objects."""
     path: MovingObject
     surfels: Surfels
-    votes: NearVotes
+    votes: NearHitPriors
     """Its nearest scans, to be asked whether they returned at a place on it."""
 
     def vote(
@@ -90,7 +90,7 @@ def prove_objects(
 def objects_at(
     evidence: tuple[ObjectEvidence, ...],
     time_s: float,
-    votes: ObjectVotes,
+    votes: ObjectHitPriors,
     *,
     leave_out: int | None = None,
 ) -> tuple[ObjectSurfels, ...]:
@@ -119,7 +119,7 @@ class NearObjects:
     """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
 
     def __init__(
-        self, evidence: tuple[ObjectEvidence, ...], votes: ObjectVotes, *, leave_out: int | None = None
+        self, evidence: tuple[ObjectEvidence, ...], votes: ObjectHitPriors, *, leave_out: int | None = None
     ) -> None:
         """Of the objects as all scans but the training scan `leave_out` prove them."""
         self.evidence = evidence
@@ -201,7 +201,7 @@ def merge_objects(
     return Candidates(range_m, voxel, opacity, cosine)
 
 
-def _lag_s(path: MovingObject, scans: np.ndarray, votes: ObjectVotes) -> float:
+def _lag_s(path: MovingObject, scans: np.ndarray, votes: ObjectHitPriors) -> float:
     """How long after a sweep's instant an object is met, as in some of its scans (k,).
 
     By the recording sensor: another one, turned by half a turn, meets it up to half a frame earlier or later.

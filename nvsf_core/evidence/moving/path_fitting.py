@@ -24,13 +24,13 @@ _LEAST_RETURNS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class AboveGround:
     """The standing returns, judged."""
 
     index: np.ndarray
     """(m,) int64 among all returns, ascending."""
     label: np.ndarray
-    """(m,) int8 from `judge_returns`."""
+    """(m,) int8 from `classify_returns`."""
     offsets: np.ndarray
     """(n + 1,) int64: which of them are of which scan."""
 
@@ -91,13 +91,13 @@ def start_path(track: Track) -> Path:
     )
 
 
-def carry_on(path: Path, returns: TimedReturns, standing: Standing) -> bool:
+def carry_on(path: Path, returns: TimedReturns, standing: AboveGround) -> bool:
     """Follow the object into scans where it made no cluster, at both ends; True where any was added."""
     grown = _carry(path, returns, standing, forward=True)
     return _carry(path, returns, standing, forward=False) or grown
 
 
-def _carry(path: Path, returns: TimedReturns, standing: Standing, *, forward: bool) -> bool:
+def _carry(path: Path, returns: TimedReturns, standing: AboveGround, *, forward: bool) -> bool:
     step, misses, grown = (1 if forward else -1), 0, False
     scan = (path.scan[-1] if forward else path.scan[0]) + step
     while 0 <= scan < returns.scan_count and misses < _MOST_MISSES:
@@ -112,7 +112,7 @@ def _carry(path: Path, returns: TimedReturns, standing: Standing, *, forward: bo
 
 
 def _find_in_scan(
-    path: Path, returns: TimedReturns, standing: Standing, scan: int, *, forward: bool
+    path: Path, returns: TimedReturns, standing: AboveGround, scan: int, *, forward: bool
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
     """Members, mean time and pose of the object in a scan beyond the path's end; None where it is not."""
     moving = _end(path, forward).as_object(returns.frame_s)

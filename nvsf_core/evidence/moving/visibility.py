@@ -23,7 +23,7 @@ _CONFIRMED_SHARE = 0.5
 _MOST_IMAGE_BYTES = 1 << 30
 
 
-def judge_returns(returns: TimedReturns, standing: np.ndarray) -> np.ndarray:
+def classify_returns(returns: TimedReturns, standing: np.ndarray) -> np.ndarray:
     """Say of each standing return whether it stayed or left.
 
     Args:

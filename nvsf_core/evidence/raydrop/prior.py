@@ -57,7 +57,7 @@ class DropPrior:
             total += self.is_hit[scan, laser, self.nearest_firing(scan, fraction)]
         return total / np.float32(len(scans))
 
-    def vote_of_turn(self, lasers: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
+    def hit_prior_of_sweep(self, lasers: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
         """`vote` (l, f) of a whole turn: lasers (l,) that all fire at the sweep fractions (f,)."""
         total = np.zeros((len(lasers), len(fraction)), np.float32)
         for scan in scans:

@@ -37,7 +37,7 @@ _CHUNK_RAYS = 65536
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AtRest:
+class StationaryScans:
     """Ranges by laser and firing of m training scans that were taken at nearly the same place as another."""
 
     scan: np.ndarray
@@ -52,11 +52,11 @@ class AtRest:
         return {f"at_rest_{name}": getattr(self, name) for name in self.__slots__}
 
     @staticmethod
-    def from_arrays(arrays: dict[str, np.ndarray]) -> "AtRest | None":
+    def from_arrays(arrays: dict[str, np.ndarray]) -> "StationaryScans | None":
         """Read back what `to_arrays` gave; None where the sensor was never at rest."""
         if "at_rest_scan" not in arrays:
             return None
-        return AtRest(*(arrays[f"at_rest_{name}"] for name in AtRest.__slots__))
+        return StationaryScans(*(arrays[f"at_rest_{name}"] for name in StationaryScans.__slots__))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +91,7 @@ class _Asked:
     """(k,) float64 frames from the sweep to each scan, negative before it."""
 
 
-def scans_at_rest(time_s: np.ndarray, trajectory: Trajectory) -> np.ndarray:
+def find_stationary_scans(time_s: np.ndarray, trajectory: Trajectory) -> np.ndarray:
     """Which (m,) int64 of the training scans at `time_s` (n,) were taken nearly where any other frame was."""
     _, there = trajectory.at(trajectory.times_s)
     _, here = trajectory.at(time_s)
@@ -107,7 +107,7 @@ def keep_scans(
     laser: np.ndarray,
     range_m: np.ndarray,
     intensity: np.ndarray,
-) -> AtRest:
+) -> StationaryScans:
     """Lay the returns (N,) of the training scans `scan` (m,) on the grid of lasers and firings."""
     number = np.full(len(prior.time_s), -1)
     number[scan] = np.arange(len(scan))
@@ -116,11 +116,11 @@ def keep_scans(
     shape = (len(scan), *prior.is_hit.shape[1:])
     ranges, shine = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     ranges[cell], shine[cell] = range_m[kept], intensity[kept]
-    return AtRest(scan.astype(np.int32), ranges, shine)
+    return StationaryScans(scan.astype(np.int32), ranges, shine)
 
 
-def answer_at_rest(
-    at_rest: AtRest,
+def look_up_stationary(
+    at_rest: StationaryScans,
     prior: DropPrior,
     rays: FiredRays,
     instant_s: float,
@@ -177,7 +177,7 @@ def _apart(
 
 
 def _ask(
-    at_rest: AtRest,
+    at_rest: StationaryScans,
     prior: DropPrior,
     rays: FiredRays,
     there: list[tuple[int, np.ndarray, np.ndarray]],

@@ -10,7 +10,7 @@ _FACES = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _NO_SHAPES = np.zeros((0, 6), np.float32)
 
 
-def unknown_beside(
+def unobserved_beside(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, *, threads: int
 ) -> Surfels | None:
     """Voxels that share a face with a proven one, hold no return, and that no ray crossed before its own.

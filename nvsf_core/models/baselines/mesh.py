@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.clouds.mesh import Mesh, MeshRays, mesh_rays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recording.drive import Recording
-from nvsf_core.rendering.rendered import RayAnswers, RenderedImage
+from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
@@ -33,12 +33,12 @@ def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
 
     def answer(
         origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-    ) -> RayAnswers:
+    ) -> RenderedRays:
         del time_s
         range_m, intensity = cast(origin_m + NEAR_M * direction, direction)
         range_m = range_m + np.float32(NEAR_M)
         met = range_m < far_m
-        return RayAnswers(
+        return RenderedRays(
             range_m=np.where(met, range_m, np.inf).astype(np.float32),
             hit=np.where(met, vote, 0.0).astype(np.float32),
             intensity=np.where(met, intensity, 0.0).astype(np.float32),

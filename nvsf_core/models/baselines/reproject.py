@@ -21,7 +21,7 @@ def reprojection(recording: Recording) -> SceneModel:
     """The baseline of a scene, the same for every recipe."""
     lidar = None if recording.lidar is None else carrying_renderer(recording.lidar)
     camera = warping_renderer(recording) if recording.cameras else None
-    unknown = None if recording.lidar is None else unknown_renderer(recording.lidar)
+    unknown = None if recording.lidar is None else unobserved_renderer(recording.lidar)
     return SceneModel(lidar=lidar, camera=camera, unknown=unknown, votes=EvidenceSpec().votes)
 
 
@@ -32,7 +32,7 @@ def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
     )
 
 
-def unknown_renderer(lidar: LidarRecording) -> RayRenderer | None:
+def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
     """What may lie in unknown space; None where no space beside what is proven is unknown."""
     unknown = lidar.evidence.unknown
     if unknown is None:

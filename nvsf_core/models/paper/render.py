@@ -11,7 +11,7 @@ from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.rendering.rendered import RayAnswers, RenderedImage
+from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.rendering.scaled_rays import ScaledRays, camera_rays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
 from nvsf_core.sensors.linear_pano import LinearPano
@@ -32,13 +32,13 @@ class PaperModel:
     unet: nn.Module | None
     """Corrects the hit probabilities of panos; None where there is none, or before it is trained."""
 
-    def answer_rays(
+    def render_rays(
         self, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
-    ) -> RayAnswers:
+    ) -> RenderedRays:
         """Answer LiDAR rays; all at the mean of their times, because the field has one time a batch."""
         frame = self.frame_at(float(time_s.mean())) if len(time_s) else 0.0
         range_m, intensity, hit = self._lidar(origin_m, direction, frame)
-        return RayAnswers(range_m=range_m.numpy(), hit=hit.numpy(), intensity=intensity.numpy())
+        return RenderedRays(range_m=range_m.numpy(), hit=hit.numpy(), intensity=intensity.numpy())
 
     def render_pano(
         self, pose: np.ndarray, time_s: float, *, column_step: int = 1

@@ -164,7 +164,7 @@ def load(
     )
     has_lidar, has_camera = recording.lidar is not None, recipe.sampling.camera and bool(recording.cameras)
     return SceneModel(
-        lidar=model.answer_rays if has_lidar else None,
+        lidar=model.render_rays if has_lidar else None,
         camera=model.render_image if has_camera and with_camera else None,
         pano=model.render_pano if has_lidar else None,
         as_recorded=True,

@@ -152,7 +152,7 @@ def camera_renderer(
             return warp(camera, pinhole, pose, time_s)
         one = world.recording.cameras[camera]
         view = camera_view(
-            drive.pose_at(camera, pose, time_s), pinhole, world.still_points(time_s), shown[camera],
+            drive.pose_at(camera, pose, time_s), pinhole, world.static_points(time_s), shown[camera],
             one.training.pose, spec, things=world.things(time_s, one.training_time_s),
         )  # fmt: skip
         return render_view(networks, view, spec)
@@ -220,7 +220,7 @@ def _left_out_view(
     one = world.recording.cameras[camera]
     images, time_s = one.training, float(one.training_time_s[index])
     return camera_view(
-        drive.left_out_pose(camera, index), images.pinhole, world.still_points(time_s, leave_out=True),
+        drive.left_out_pose(camera, index), images.pinhole, world.static_points(time_s, leave_out=True),
         images_shown, images.pose, spec, leave_out=index,
         things=world.things(time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip

@@ -9,7 +9,7 @@ from nvsf_core.models.baselines.reproject import depth_scans, returns_of_scan
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.camera_view import MovingThing, moving_pixels
+from nvsf_core.rendering.camera_view import MovingPoints, moving_pixels
 
 _MARGIN_M = 0.1
 _SHADOW_SCANS = 4
@@ -25,7 +25,7 @@ class MovingWorld:
         self._objects = () if dynamic is None else dynamic.objects
         self._still: dict[int, np.ndarray] = {}
 
-    def still_points(
+    def static_points(
         self, instant_s: float, *, leave_out: bool = False, most: int | None = None
     ) -> np.ndarray:
         """Points (m, 3) float32 scene-local of what stands still around an instant; none without LiDAR.
@@ -43,7 +43,7 @@ class MovingWorld:
 
     def things(
         self, instant_s: float, image_time_s: np.ndarray, *, leave_out: bool = False
-    ) -> list[MovingThing]:
+    ) -> list[MovingPoints]:
         """The objects that move and may be seen at an instant; none in a static scene.
 
         Args:
@@ -63,7 +63,7 @@ class MovingWorld:
             now = path.matrix_at(np.array([instant_s]))[0]
             moved = path.matrix_at(image_time_s) @ np.linalg.inv(now)
             moved[~path.is_there(image_time_s)] = 0.0
-            found.append(MovingThing(transform_points(now, points).astype(np.float32), moved))
+            found.append(MovingPoints(transform_points(now, points).astype(np.float32), moved))
         return found
 
     def shadows(self, camera: CameraRecording) -> np.ndarray | None:
@@ -75,7 +75,7 @@ class MovingWorld:
         for number, instant_s in enumerate(times.tolist()):
             points = [thing.points_m for thing in self.things(instant_s, times)]
             if points:
-                still = self.still_points(instant_s, most=_SHADOW_SCANS)
+                still = self.static_points(instant_s, most=_SHADOW_SCANS)
                 found[number] = moving_pixels(images.pose[number], images.pinhole, still, points)
         return found
 

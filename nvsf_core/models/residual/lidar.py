@@ -17,7 +17,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.ray_renderers import evidence_renderer, field_renderer
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.scan import AnsweredTurn
+from nvsf_core.simulation.scan import RenderedSweep
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
@@ -88,7 +88,7 @@ def _score(
     plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
     model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes)
     rays, answers = fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
-    points_m, intensity, laser = AnsweredTurn.of(rays, answers).scan()
+    points_m, intensity, laser = RenderedSweep.of(rays, answers).scan()
     shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
     found = {
         **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),

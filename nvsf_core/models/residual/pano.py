@@ -32,7 +32,7 @@ from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import cells_return
-from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, TurnCorrector
+from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.loop import TrainingState, make_optimiser
@@ -90,7 +90,7 @@ def train_pano(
     field: LidarField,
     recipe: ResidualRecipe,
     lidar: LidarRecording,
-    correct: TurnCorrector | None,
+    correct: SweepCorrector | None,
 ) -> TrainedPano:
     """Train on panos of training frames, each expected without its own scan's votes; then ask the judges."""
     spec = recipe.pano
@@ -146,7 +146,8 @@ def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[s
     corrected = [part for part in PARTS if wins[part]]
     shown = compare(_METRICS, left_out, {"shown": corrects(*corrected)})
     metadata = {
-        **shown.figures({"shown": "pano_judged_"}), **found.figures({"phases": "pano_judged_phases_"})
+        **shown.figures({"shown": "pano_judged_"}),
+        **found.figures({"phases": "pano_judged_phases_"}),
     }
     metadata["pano_corrected"] = ", ".join(corrected) or "nothing: learning did not beat the phases"
     return metadata, corrected
@@ -205,7 +206,7 @@ def expected_pano(
 
 def leave_out(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, panos: RecordedPanos, scan: int,
-    correct: TurnCorrector | None,
+    correct: SweepCorrector | None,
 ) -> LeftOutPano:  # fmt: skip
     """A training pano (`scan` counts training scans) as the field and all other scans' votes have it."""
     assert recipe.pano is not None

@@ -111,4 +111,4 @@ def _own_returns(world: MovingWorld, instant_s: float) -> np.ndarray:
     apart_s = np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)
     if not (apart_s <= SAME_INSTANT_S).any():
         return np.zeros((0, 3), np.float32)
-    return world.still_points(instant_s, most=1)
+    return world.static_points(instant_s, most=1)

@@ -17,12 +17,18 @@ from nvsf_core.models.residual.training.rays_of_scans import learned_scans
 from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.lidar_rays import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
-from nvsf_core.simulation.raydrop_grid import RecordedTurns, TurnCells, TurnHits, hit_logits, turn_cells
-from nvsf_core.simulation.scene_model import SceneModel, TurnCorrector
+from nvsf_core.simulation.raydrop_grid import (
+    RecordedSweeps,
+    SweepCells,
+    SweepRaydrop,
+    hit_logits,
+    sweep_cells,
+)
+from nvsf_core.simulation.scene_model import SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.loop import TrainingState, make_optimiser
@@ -39,12 +45,12 @@ class TrainedHits:
     states: dict[str, TrainingState]
     preparation_seconds: float
     metadata: dict[str, Scalar]
-    correct: TurnHits | None
+    correct: SweepRaydrop | None
     """None where the network is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedTurn:
+class ValidationSweep:
     """A left-out scan's r firings, and what is said of them."""
 
     network_logit: np.ndarray
@@ -83,7 +89,7 @@ def train_hits(
         few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to judge a network by"}
         return TrainedHits(states={}, preparation_seconds=0.0, metadata=few, correct=None)
     started = time.perf_counter()
-    turns = recorded_turns(lidar)
+    turns = recorded_sweeps(lidar)
     learned = [number for number, _ in learned_scans(lidar)]
     chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
     examples = []
@@ -106,15 +112,16 @@ def train_hits(
     preparation += time.perf_counter() - judging
     return TrainedHits(
         states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
-        correct=None if blend is None else TurnHits(network, turns, blend),
+        correct=None if blend is None else SweepRaydrop(network, turns, blend),
     )  # fmt: skip
 
 
-def blend_in_rotation(judged: Sequence[JudgedTurn]) -> tuple[HitBlend | None, dict[str, Scalar]]:
+def blend_in_rotation(judged: Sequence[ValidationSweep]) -> tuple[HitBlend | None, dict[str, Scalar]]:
     """How network and ray head are blended, None where the ray head alone is better, and figures.
 
     Each of at least two judges is told by a blend that was fitted on the others; what is shown, on all.
     """
+
     def blended(number: int) -> list[float]:
         one, others = judged[number], [other for place, other in enumerate(judged) if place != number]
         return one.scores(_fitted(others).logit(one.network_logit, one.ray_head_logit))
@@ -134,19 +141,21 @@ def blend_in_rotation(judged: Sequence[JudgedTurn]) -> tuple[HitBlend | None, di
     return blend if is_better else None, metadata
 
 
-def _fitted(judged: Sequence[JudgedTurn]) -> HitBlend:
+def _fitted(judged: Sequence[ValidationSweep]) -> HitBlend:
     """On all answered firings of some judges."""
     parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_answered) for one in judged]
     network, ray_head, returned, answered = (np.concatenate(x) for x in zip(*parts, strict=True))
     return fit_blend(network[answered], ray_head[answered], returned[answered])
 
 
-def turn_hits(network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]) -> TurnHits:
+def raydrop_correction(
+    network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]
+) -> SweepRaydrop:
     """A trained network, ready to correct turns; `blend` is the fact `HITS_BLEND`."""
-    return TurnHits(network, recorded_turns(lidar), HitBlend(**blend))
+    return SweepRaydrop(network, recorded_sweeps(lidar), HitBlend(**blend))
 
 
-def recorded_turns(lidar: LidarRecording) -> RecordedTurns:
+def recorded_sweeps(lidar: LidarRecording) -> RecordedSweeps:
     """All training scans in the grid that the drop prior has."""
     sweeps, a, prior = lidar.sweeps, lidar.sweeps.arrays, lidar.evidence.prior
     ranges, shine = (np.zeros(prior.is_hit.shape, np.float32) for _ in range(2))
@@ -160,23 +169,23 @@ def recorded_turns(lidar: LidarRecording) -> RecordedTurns:
         known = cells.is_known
         cell = (number, laser[known], cells.column[known])
         ranges[cell], shine[cell] = a["range_m"][part][known], a["intensity"][part][known]
-    return RecordedTurns(
+    return RecordedSweeps(
         prior, lidar.evidence.lasers.astype(np.int64), ranges, shine, sweeps.trajectory, sweeps.table,
         sweeps.period_s, sweeps.elevation_correction_rad,
     )  # fmt: skip
 
 
 def _example(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns, number: int
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedSweeps, number: int
 ) -> CellExample:
     """A training scan by the others' votes and turns, on surfaces that its own returns helped to prove.
 
     Where no surface was proven nothing is learned.
     """
-    told: list[TurnCells] = []
+    told: list[SweepCells] = []
 
-    def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
-        told.append(turn_cells(turns, rays, answers, near))
+    def listen(rays: SweepRays, answers: RenderedRays, near: np.ndarray) -> RenderedRays:
+        told.append(sweep_cells(turns, rays, answers, near))
         return answers
 
     rays, _ = _fire(field, recipe, lidar, lidar.evidence.standing, number, listen)
@@ -186,7 +195,7 @@ def _example(
     is_hit = prior.is_hit[number, rays.laser[::firings, None], recorded]
     return CellExample(
         features=cells.features,
-        hit_logit=cells.vote_logit,
+        hit_logit=cells.prior_logit,
         intensity_logit=torch.zeros(lasers, firings),
         weight=cells.is_answered.float(),
         returned=torch.from_numpy(is_hit),
@@ -195,28 +204,28 @@ def _example(
 
 
 def _judged(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedTurns,
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedSweeps,
     network: CellNetwork, number: int, standing: Surfels,
-) -> JudgedTurn:  # fmt: skip
+) -> ValidationSweep:  # fmt: skip
     """A judge as others prove it, and whether its firings returned."""
     told: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def listen(rays: SweepRays, answers: RayAnswers, near: np.ndarray) -> RayAnswers:
+    def listen(rays: SweepRays, answers: RenderedRays, near: np.ndarray) -> RenderedRays:
         told.append(hit_logits(network, turns, rays, answers, near))
         return answers
 
     rays, answers = _fire(field, recipe, lidar, standing, number, listen)
     ((network_logit, ray_head_logit),), prior = told, lidar.evidence.prior
     firing = prior.nearest_firing(number, rays.fraction)
-    return JudgedTurn(
+    return ValidationSweep(
         network_logit, ray_head_logit, np.isfinite(answers.range_m), prior.is_hit[number, rays.laser, firing]
     )
 
 
 def _fire(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, standing: Surfels, number: int,
-    correct: TurnCorrector | None,
-) -> tuple[SweepRays, RayAnswers]:  # fmt: skip
+    correct: SweepCorrector | None,
+) -> tuple[SweepRays, RenderedRays]:  # fmt: skip
     """A training scan as the field, some evidence of what stays, and all other scans have it."""
     sweeps = lidar.sweeps
     time_s = float(lidar.evidence.prior.time_s[number])

@@ -9,14 +9,14 @@ from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.models.baselines.reproject import carrying_renderer, unknown_renderer
+from nvsf_core.models.baselines.reproject import carrying_renderer, unobserved_renderer
 from nvsf_core.models.family import Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer
 from nvsf_core.models.residual.capacity import needed_field
 from nvsf_core.models.residual.lidar import SHOWS_FIELD
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer
 from nvsf_core.models.residual.pose_refinement import corrections_from
-from nvsf_core.models.residual.raydrop import HITS_BLEND, turn_hits
+from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.pano_correction import pano_network
@@ -80,7 +80,7 @@ def load(
     fields = make_fields(recipe, recording, 0)
     model = SceneModel(lidar=None, camera=None, votes=recipe.evidence.votes)
     if recording.lidar is not None:
-        model = replace(model, unknown=unknown_renderer(recording.lidar))
+        model = replace(model, unknown=unobserved_renderer(recording.lidar))
         if not facts.get(SHOWS_FIELD, True):
             # Its pano is the projection of its scan, as the baseline's.
             model = replace(model, lidar=carrying_renderer(recording.lidar))
@@ -108,7 +108,7 @@ def _with_lidar(
     correct = None
     if fields.hits is not None and facts.get(HITS_BLEND):
         weights.load_into(fields.hits, "hits.")
-        correct = turn_hits(fields.hits, lidar, facts[HITS_BLEND])
+        correct = raydrop_correction(fields.hits, lidar, facts[HITS_BLEND])
     model = replace(model, lidar=render, correct=correct)
     if recipe.pano is None:
         return model

@@ -11,7 +11,7 @@ from torch import Tensor
 from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
@@ -21,40 +21,40 @@ from nvsf_core.stages.checks.norms import (
     NO_NORMS,
     RATE_LIMIT,
     SPREAD_LIMIT,
-    judge_likeness,
+    check_likeness,
     norms_of,
 )
-from nvsf_core.stages.runner.stage import Check, Law
+from nvsf_core.stages.runner.stage import Check, NamedCheck
 
-WEIGHTS = Law(
+WEIGHTS = NamedCheck(
     name="weights_are_finite",
     description="No trained number is NaN or infinite. Value: share that is.",
     blocking=True,
 )
-LOSS = Law(
+LOSS = NamedCheck(
     name="training_lowered_the_loss",
     description="Each part's loss ends no higher than it began, by the medians of the first and the last "
     "fifth of its curve and two standard errors of their difference: single batches differ much. Value: the "
     "worst part's last, less these two, over its first.",
 )
-ANSWERS = Law(
+ANSWERS = NamedCheck(
     name="training_scan_is_rendered_within_limits",
     description="Lasers of the middle training scan, rendered by the model just trained, have no NaN, no "
     "range below 0 or beyond the sensor's (and a tenth, for its lever arms), no probability or intensity "
     "outside 0..1. Value: share of the rays that break this.",
     blocking=True,
 )
-HIT_RATE = Law(
+HIT_RATE = NamedCheck(
     name="hit_rate_is_as_trained",
     description="Share of the rays that return in the middle training scan: rendered (without that scan's "
     f"own vote) less recorded. {RATE_LIMIT}",
 )
-INTENSITY = Law(
+INTENSITY = NamedCheck(
     name="intensities_are_as_trained",
     description="Earth mover's distance between the intensity histograms of the middle training scan, "
     f"rendered and recorded. {SPREAD_LIMIT}",
 )
-LAWS = (WEIGHTS, LOSS, ANSWERS, HIT_RATE, INTENSITY)
+NAMED_CHECKS = (WEIGHTS, LOSS, ANSWERS, HIT_RATE, INTENSITY)
 _OF_RENDERING = (ANSWERS, HIT_RATE, INTENSITY)
 _FIFTH = 5
 _NORMAL_MAD, _MEDIAN_ERROR = 1.4826, 1.2533
@@ -132,7 +132,7 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         spreads = [(apart, place)]
     return [
         _within_limits(answers, recording.lidar.far_m * LEVER, place),
-        *judge_likeness(HIT_RATE, INTENSITY, [(rate, place)], spreads, norms),
+        *check_likeness(HIT_RATE, INTENSITY, [(rate, place)], spreads, norms),
     ]
 
 
@@ -143,7 +143,7 @@ def _recorded_intensity(sweeps: Sweeps, time_s: float, lasers: np.ndarray) -> np
     return found
 
 
-def _within_limits(answers: RayAnswers, far_m: float, place: str) -> Check:
+def _within_limits(answers: RenderedRays, far_m: float, place: str) -> Check:
     """An infinite range is no answer; what such a ray says beside it is never used."""
     unanswered = np.isposinf(answers.range_m)
     columns = {

@@ -13,42 +13,42 @@ from nvsf_core.stages.checks.norms import (
     RATE_LIMIT,
     SPREAD_LIMIT,
     Apart,
-    judge_likeness,
+    check_likeness,
     read_norms,
 )
-from nvsf_core.stages.runner.stage import Check, Law, Task
+from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
 TABLE_NAME = "metrics.parquet"
 
-DEFINED = Law(
+DEFINED = NamedCheck(
     name="all_metrics_of_whole_frames_are_finite",
     description="Every metric of a whole held-out frame has a finite value. (Around moving objects, and "
     "where nothing was recorded, none is a finding and no fault.) Value: how many have not.",
 )
-IN_RANGE = Law(
+IN_RANGE = NamedCheck(
     name="metrics_lie_in_their_ranges",
     description="Shares, F-scores and likenesses lie in 0..1 (SSIM in -1..1), errors are not negative. "
     "Value: how many values lie outside; a metric that does is computed wrongly.",
     blocking=True,
 )
-BETTER = Law(
+BETTER = NamedCheck(
     name="model_is_better_than_copying",
     description="At the held-out frames the model beats the recorded scan and image nearest in time, copied "
     "as they are, in at least half of the main numbers. Value: share in which it is worse.",
 )
-HIT_RATE = Law(
+HIT_RATE = NamedCheck(
     name="hit_rate_is_as_recorded",
     description="Share of the rays that return in held-out scans: rendered less recorded, the worst scan. "
     f"{RATE_LIMIT}",
 )
-INTENSITY = Law(
+INTENSITY = NamedCheck(
     name="intensities_are_spread_as_recorded",
     description="Earth mover's distance between the intensity histograms of held-out scans, rendered and "
     f"recorded, the worst scan. {SPREAD_LIMIT}",
 )
-LAWS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY)
+NAMED_CHECKS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY)
 
 _HALF = 0.5
 _NAMED = 5
@@ -131,7 +131,7 @@ def _as_recorded(task: Task, view: Path) -> list[Check]:
             if len(own) and len(truth) and np.isfinite(own).all():
                 apart = spread_distance(intensity_spread(own), intensity_spread(truth))
                 spreads.append((apart, f"frame {frame}"))
-    return judge_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
+    return check_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
 
 
 def _scan(arrays: dict[str, np.ndarray], i: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from nvsf_core.metrics.scan_norms import ScanNorms, scan_norms
-from nvsf_core.stages.runner.stage import Check, Law
+from nvsf_core.stages.runner.stage import Check, NamedCheck
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
@@ -54,8 +54,8 @@ def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanN
     )
 
 
-def judge_likeness(
-    hit_rate: Law, intensity: Law, rates: Apart, spreads: Apart, norms: ScanNorms
+def check_likeness(
+    hit_rate: NamedCheck, intensity: NamedCheck, rates: Apart, spreads: Apart, norms: ScanNorms
 ) -> list[Check]:
     """Checks of a law on hit rates and of one on the spread of intensities, by the worst scan of each."""
     return [
@@ -64,7 +64,7 @@ def judge_likeness(
     ]
 
 
-def _judge_worst(law: Law, apart: Apart, limit: float, words: str) -> Check:
+def _judge_worst(law: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
     if not apart:
         return law.not_run("no scan by the recording sensor with returns on both sides")
     worst, place = max(apart, key=lambda one: abs(one[0]))

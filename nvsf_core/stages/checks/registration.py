@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.clouds.registration import LEAST_ACROSS, Registration, register
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.evidence.scan_fit import scan_misfits
-from nvsf_core.stages.runner.stage import Check, Law, Task
+from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 MOST_SHIFT_M = 0.15
@@ -16,7 +16,7 @@ MOST_TURN_DEG = 0.5
 """Likewise: 0.08 degrees at most."""
 FEWEST_MATCHED = 0.5
 """Share of the points; 0.87 at least in those pairs. With fewer the scans no longer lie over each other."""
-LAW = Law(
+FRAME_CHECK = NamedCheck(
     name="neighbouring_scans_agree_with_their_poses",
     description="Neighbouring scans, laid over each other by their poses, are registered (open3d's "
     f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
@@ -28,7 +28,7 @@ MOST_MISFIT = 1.15
 """At most 0.8 over real streets, 1.1 where 8 lasers fire 64 times; at least 1.3 for swapped neighbours."""
 _MOST_OF_MEDIAN = 2.2
 """1.5 at most over real streets, 2.9 for scans that belong to none of the neighbouring frames."""
-ORDER_LAW = Law(
+ORDER_CHECK = NamedCheck(
     name="scans_fit_their_own_poses_best",
     description="Each scan is laid over those before and after it, by its own pose and by each of theirs. "
     "Value: the largest mean distance at the own pose over that at the best other; more says that scans were "
@@ -49,7 +49,7 @@ def check_registration(task: Task) -> list[Check]:
     """Register neighbouring scans of the sweeps in the task's folder."""
     path = task.folder / "returns.zarr"
     if read_arrays(path, "frame")["frame"].size == 0:
-        return [law.not_run("this drive has no scan") for law in (LAW, ORDER_LAW)]
+        return [law.not_run("this drive has no scan") for law in (FRAME_CHECK, ORDER_CHECK)]
     names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
     arrays = read_arrays(path, *names)
     poses = arrays["lidar_to_world"].copy()
@@ -72,7 +72,7 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
     own_m, other_m = scan_misfits(evenly, lidar_to_scene)
     known = np.isfinite(own_m)
     if np.count_nonzero(known) < _FEWEST_SCANS:
-        return ORDER_LAW.not_run(
+        return ORDER_CHECK.not_run(
             f"fewer than {_FEWEST_SCANS} scans with returns from {_NEAR_M:g} to {_FAR_M:g} m"
         )
     misfit = np.where(known, own_m / np.maximum(other_m, _LEAST_M), 0.0)
@@ -81,7 +81,7 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
     named = ", ".join(str(arrays["frame"][k]) for k in wrong[:_NAMED].tolist())
     more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
     return Check(
-        name=ORDER_LAW.name,
+        name=ORDER_CHECK.name,
         passed=len(wrong) == 0,
         detail=f"{len(wrong)} of {len(own_m)} scans lie better at another frame's pose, or at none"
         + (f": frames {named}{more}; were files swapped or copied?" if len(wrong) else ""),
@@ -107,11 +107,11 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
     clouds = [(k, _thinned(arrays, k), _thinned(arrays, k + 1)) for k in first.tolist()]
     clouds = [one for one in clouds if min(len(one[1]), len(one[2])) >= _FEWEST_POINTS]
     if not clouds:
-        return LAW.not_run("no two neighbouring scans with enough returns")
+        return FRAME_CHECK.not_run("no two neighbouring scans with enough returns")
     try:
         found = [register(later, earlier) for _, earlier, later in clouds]
     except MissingLibraryError as error:
-        return Check(name=LAW.name, passed=True, detail=str(error))
+        return Check(name=FRAME_CHECK.name, passed=True, detail=str(error))
     shift_m = np.array([one.shift_m for one in found])
     turn_deg = np.array([one.turn_deg for one in found])
     matched = np.array([one.matched for one in found])
@@ -119,7 +119,7 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
     wrong = np.flatnonzero((shift_m > MOST_SHIFT_M) | (turn_deg > MOST_TURN_DEG) | (matched < FEWEST_MATCHED))
     worst = int(wrong[shift_m[wrong].argmax()]) if len(wrong) else int(shift_m.argmax())
     return Check(
-        name=LAW.name,
+        name=FRAME_CHECK.name,
         passed=len(wrong) == 0,
         detail=f"{len(pair)} pairs, the worst (frames {pair[worst]}) moved by {shift_m[worst]:.3f} m and "
         f"{turn_deg[worst]:.2f} degrees, {matched[worst]:.0%} of points matched; {_in_words(wrong, pair)}"

@@ -16,41 +16,41 @@ from nvsf_core.stages.checks.norms import (
     RATE_LIMIT,
     SPREAD_LIMIT,
     Apart,
-    judge_likeness,
+    check_likeness,
     read_norms,
 )
-from nvsf_core.stages.runner.stage import Check, Law, Task
+from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
-FINITE = Law(
+FINITE = NamedCheck(
     name="stored_views_are_finite",
     description="No number of a rendered view, nor of a baseline's, is NaN or infinite (only the range along "
     "a ray without an answer is). Value: share of the numbers that are.",
     blocking=True,
 )
-WITHIN = Law(
+WITHIN = NamedCheck(
     name="stored_views_lie_within_limits",
     description="Returns of the model lie within the sensor's greatest range (and a tenth, for lever arms "
     "and the way driven in a turn), intensities and hit probabilities in 0..1. Value: share that does not.",
     blocking=True,
 )
-RETURNS = Law(
+RETURNS = NamedCheck(
     name="held_out_scans_hold_returns",
     description="Most held-out scans are rendered with returns, where the training scans have them. Value: "
     "share of scans without any where there should be; fewer than half are left to the hit rate to doubt.",
     blocking=True,
 )
-HIT_RATE = Law(
+HIT_RATE = NamedCheck(
     name="hit_rate_is_like_the_training_scans",
     description="Share of the rays that return, rendered, less that of the two training scans nearest in "
     f"time: the worst scan of all views by the recording sensor. {RATE_LIMIT}",
 )
-INTENSITY = Law(
+INTENSITY = NamedCheck(
     name="intensities_are_like_the_training_scans",
     description="Earth mover's distance between the intensity histograms of a rendered scan and of the two "
     f"training scans nearest in time: the worst scan of all views by the recording sensor. {SPREAD_LIMIT}",
 )
-LAWS = (FINITE, WITHIN, RETURNS, HIT_RATE, INTENSITY)
+NAMED_CHECKS = (FINITE, WITHIN, RETURNS, HIT_RATE, INTENSITY)
 
 _SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensity", "ray_intensity")
 _GRIDS_M = ("pano_range_m", "grid_range_m")
@@ -76,7 +76,7 @@ class _Count:
         if wrong:
             self.places.append(f"{wrong} of {total} in {place}")
 
-    def judged(self, law: Law, fault: str) -> Check:
+    def judged(self, law: NamedCheck, fault: str) -> Check:
         share = self.wrong / max(1, self.total)
         found = "; ".join(self.places) if self.places else f"none of {self.total:,} numbers"
         return law.judged(share, 0.0, f"{fault}: {found}")
@@ -86,7 +86,7 @@ def check_views(task: Task) -> list[Check]:
     """Judge all views in the task's folder.
 
     Returns:
-        One check a law of `LAWS`.
+        One check a law of `NAMED_CHECKS`.
     """
     finite, within = _Count(), _Count()
     scans = list[_View]()
@@ -157,7 +157,7 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
             rates.append((norms.hit_rate_apart(len(own), float(time_s)), place))
             if len(own) and np.isfinite(own).all():
                 spreads.append((norms.intensities_apart(own, float(time_s)), place))
-    return judge_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
+    return check_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
 
 
 def _recording_sensor(task: Task) -> str:

@@ -19,7 +19,7 @@ _SAY_EVERY_S = 5.0
 
 
 @contextlib.contextmanager
-def device_lease(folder: Path, progress: Progress) -> Iterator[str]:
+def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
     """Wait for this process's device and hold it; gives its name (`cpu`, `cuda0`, ...).
 
     `folder` holds one lock file a device; whoever shares the devices must share the folder. A process

@@ -17,7 +17,7 @@ from nvsf_core.drives.catalogue import (
 )
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
-from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.heartbeat import Heartbeat
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
@@ -219,7 +219,7 @@ def _lease_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[None
     if stage.group != "train":
         yield
         return
-    with device_lease(run.store.home / ".leases", progress):
+    with device_lock(run.store.home / ".leases", progress):
         yield
 
 

@@ -87,7 +87,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Law:
+class NamedCheck:
     """A check that a stage makes of every scene: the UI and the report show it by itself."""
 
     name: str
@@ -174,7 +174,7 @@ class Stage:
     """Judges what lies in the task's folder, just made or published earlier."""
     check_version: str = ""
     """Raised when `check` judges otherwise: outputs that are up to date are judged again, not made again."""
-    laws: tuple[Law, ...] = ()
+    laws: tuple[NamedCheck, ...] = ()
     """The checks, of `run` or `check`, that are shown by themselves."""
 
     def location(self, config: RunConfig) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE
-from nvsf_core.demo.lidar import ExactAnswers, exact_answers
+from nvsf_core.demo.lidar import ExactRays, exact_rays
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry
@@ -142,7 +142,7 @@ class _Rays:
         theta_rad = azimuth_rad[lasers]
         times_s = np.broadcast_to(time_s + truth.period_s * fraction, theta_rad.shape)
         self.origin_m, self.direction = sensor_rays(table, theta_rad, lasers[:, None])
-        self.exact: ExactAnswers = exact_answers(
+        self.exact: ExactRays = exact_rays(
             truth.world, table, lasers, theta_rad, times_s, mount=mount_pose(view.shift_m, view.yaw_deg),
             own_vehicle=is_recorded,
         )  # fmt: skip

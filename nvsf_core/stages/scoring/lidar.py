@@ -11,7 +11,7 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.foreground import lidar4d_regions, masked_range_regions, masked_regions
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.protocols import PanoImage, RayAnswers, Scan, lidar4d, project_scan, raw
+from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d, project_scan, raw
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
@@ -33,7 +33,7 @@ class RecordedScans:
     arrays: dict[str, np.ndarray]
     n_lasers: int
 
-    def scan(self, frame: int) -> tuple[Scan, RayAnswers]:
+    def scan(self, frame: int) -> tuple[Scan, RenderedRays]:
         """The recorded scan of a frame, and range and intensity along its rays.
 
         Raises:
@@ -41,7 +41,7 @@ class RecordedScans:
         """
         a, cut = self.arrays, self._part(frame)
         scan = Scan(points_m=a["points_m"][cut], intensity=a["intensity"][cut], laser=a["laser"][cut])
-        return scan, RayAnswers(range_m=a["range_m"][cut], intensity=a["intensity"][cut])
+        return scan, RenderedRays(range_m=a["range_m"][cut], intensity=a["intensity"][cut])
 
     def world_points(self, frame: int) -> np.ndarray:
         """(N, 3) float64 returns of a frame's scan in the world, each from where it was measured, metres."""
@@ -97,7 +97,7 @@ def measure_lidar(
         truth, truth_rays = recording.scan(frame)
         own, rays = part(a["offsets"], i), part(a["ray_offsets"], i)
         predicted = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
-        answers = RayAnswers(range_m=a["ray_range_m"][rays], intensity=a["ray_intensity"][rays])
+        answers = RenderedRays(range_m=a["ray_range_m"][rays], intensity=a["ray_intensity"][rays])
         image = PanoImage(
             range_m=a["pano_range_m"][i], intensity=a["pano_intensity"][i], hit=a["pano_hit"][i]
         )

@@ -10,7 +10,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
-from nvsf_core.simulation.sweep_simulation import SimulatedSweep, answers_along, simulate_sweep
+from nvsf_core.simulation.sweep_simulation import SimulatedSweep, render_along, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.runner.stage import Task
 
@@ -73,7 +73,7 @@ def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneMode
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         part = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
         rays = (a[name][part] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
-        answers = answers_along(model, lidar, float(instant), *rays)
+        answers = render_along(model, lidar, float(instant), *rays)
         ranges.append(answers.range_m)
         intensities.append(answers.intensity)
     return {

@@ -6,7 +6,7 @@ import pytest
 from nvsf_core.demo.lidar import OWN_VEHICLE, simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
-from nvsf_core.evidence.moving.detection import STANDING_M, find_moving
+from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.static.surfels import build_surfels
@@ -54,14 +54,14 @@ def demo_returns() -> tuple[TimedReturns, np.ndarray, DemoWorld]:
 @pytest.fixture(scope="module")
 def street() -> tuple[TimedReturns, np.ndarray, DemoWorld, MovingObjects]:
     returns, instance, world = demo_returns()
-    return returns, instance, world, find_moving(returns)
+    return returns, instance, world, find_moving_objects(returns)
 
 
 def test_what_moves_is_found_and_what_stands_is_not(street) -> None:
     returns, instance, world, moving = street
     to_street = invert_pose(world.street_to_world)
     height = transform_points(to_street, returns.point_m + returns.trajectory.scene_origin_m)[:, 2]
-    standing = (height > STANDING_M) & ~returns.is_own_vehicle
+    standing = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     truth = np.isin(instance, [mover.object_id for mover in world.street.movers])
     found = moving.object_id >= 0
     hits = (truth & found & standing).sum()
@@ -87,7 +87,7 @@ def test_centres_move_as_they_did_to_two_centimetres_a_frame(street) -> None:
 
 def test_the_same_returns_give_the_same_objects(street) -> None:
     returns, _, _, moving = street
-    again = find_moving(returns)
+    again = find_moving_objects(returns)
     assert np.array_equal(again.object_id, moving.object_id)
     assert all(np.array_equal(a.pose, b.pose) for a, b in zip(again.objects, moving.objects, strict=True))
 
@@ -101,7 +101,7 @@ def test_too_few_scans_show_no_motion(street, scans: int) -> None:
         returns.time_s[:end], returns.offsets[: scans + 1], returns.scan_time_s[:scans], returns.trajectory,
         returns.period_s, returns.table, returns.elevation_correction_rad,
     )  # fmt: skip
-    moving = find_moving(few)
+    moving = find_moving_objects(few)
     assert moving.is_static
     assert moving.object_id.shape == (end,)
 
@@ -113,7 +113,7 @@ def test_unknown_lasers_show_no_motion(street) -> None:
         returns.time_s, returns.offsets, returns.scan_time_s, returns.trajectory, returns.period_s,
         returns.table, returns.elevation_correction_rad,
     )  # fmt: skip
-    assert find_moving(blind).is_static
+    assert find_moving_objects(blind).is_static
 
 
 @pytest.mark.parametrize("shaped", [False, True])

@@ -6,7 +6,7 @@ import pytest
 from nvsf_core.demo.lidar import OWN_VEHICLE, simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.demo.world import DemoWorld
-from nvsf_core.evidence.moving.detection import STANDING_M, find_moving
+from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.geometry.se3 import invert_pose, transform_points
@@ -49,10 +49,10 @@ def traffic() -> tuple[np.ndarray, np.ndarray, MovingObjects]:
     )
     to_street = invert_pose(world.street_to_world)
     height = transform_points(to_street, returns.point_m + trajectory.scene_origin_m)[:, 2]
-    counted = (height > STANDING_M) & ~returns.is_own_vehicle
+    counted = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     counted &= np.linalg.norm(returns.recorded_m, axis=1) < 80.0
     moved = np.isin(instance, [mover.object_id for mover in world.street.movers])
-    return moved & counted, counted, find_moving(returns)
+    return moved & counted, counted, find_moving_objects(returns)
 
 
 def test_a_place_that_the_next_car_fills_was_left_all_the_same(traffic) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving.object_hit_priors import ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects, objects_at, prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior
@@ -58,13 +58,13 @@ def passing() -> tuple[DynamicEvidence, Surfels]:
     return DynamicEvidence(background, objects), build_surfels(*rays, voxel_m=0.2, threads=1)
 
 
-def votes_of(is_hit: np.ndarray) -> ObjectVotes:
+def votes_of(is_hit: np.ndarray) -> ObjectHitPriors:
     """A sensor at rest whose lasers and firings (64, 400) returned alike in all scans."""
     instants = np.arange(SCANS) * FRAME_S
     fraction = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     prior = DropPrior(instants, fraction, np.tile(is_hit, (SCANS, 1, 1)))
     still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
-    return ObjectVotes(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+    return ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
 
 
 ALWAYS = votes_of(np.ones((64, 400), bool))

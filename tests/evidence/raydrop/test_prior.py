@@ -33,7 +33,7 @@ def test_a_whole_turn_votes_as_its_rays_do() -> None:
     prior.is_hit[0, 0, 3] = False
     lasers, fraction = np.array([1, 0, 1]), np.linspace(-0.5, 0.5, 9)
     scans = prior.nearest_scans(0.05, 2)
-    turn = prior.vote_of_turn(lasers, fraction, scans)
+    turn = prior.hit_prior_of_sweep(lasers, fraction, scans)
     rays = prior.vote(np.repeat(lasers, 9), np.tile(fraction, 3), scans)
     assert turn.shape == (3, 9) and np.array_equal(turn.ravel(), rays) and len(np.unique(turn)) == 3
 

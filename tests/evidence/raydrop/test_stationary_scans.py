@@ -3,7 +3,12 @@
 import numpy as np
 
 from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.raydrop.stationary_scans import AtRest, FiredRays, answer_at_rest, scans_at_rest
+from nvsf_core.evidence.raydrop.stationary_scans import (
+    FiredRays,
+    StationaryScans,
+    find_stationary_scans,
+    look_up_stationary,
+)
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.sensors.sweep import Trajectory
 
@@ -18,12 +23,12 @@ def driving(speed_m_s: float) -> Trajectory:
     return Trajectory(time_s, pose_from_parts(np.eye(3)[None].repeat(FRAMES, 0), place), np.zeros(3))
 
 
-def measured(range_m: np.ndarray) -> tuple[AtRest, DropPrior]:
+def measured(range_m: np.ndarray) -> tuple[StationaryScans, DropPrior]:
     """One laser; every firing of training scan k measured range_m[k], 0 = no return."""
     count = len(TRAINING)
     ranges = np.broadcast_to(range_m[:, None, None], (count, 1, FIRINGS)).astype(np.float32)
     prior = DropPrior(TRAINING * FRAME_S, np.tile(FRACTION, (count, 1)), ranges > 0)
-    return AtRest(np.arange(count, dtype=np.int32), ranges.copy(), np.full_like(ranges, 0.5)), prior
+    return StationaryScans(np.arange(count, dtype=np.int32), ranges.copy(), np.full_like(ranges, 0.5)), prior
 
 
 def surfaces(range_m: float, hit: float = 1.0) -> FiredRays:
@@ -35,17 +40,19 @@ def surfaces(range_m: float, hit: float = 1.0) -> FiredRays:
 def answer(range_m: np.ndarray, rays: FiredRays, *, speed_m_s: float = 0.0, leave_out: int | None = None):
     trajectory = driving(speed_m_s)
     at_rest, prior = measured(range_m)
-    return answer_at_rest(at_rest, prior, rays, HELD_OUT * FRAME_S, trajectory, FRAME_S, leave_out=leave_out)
+    return look_up_stationary(
+        at_rest, prior, rays, HELD_OUT * FRAME_S, trajectory, FRAME_S, leave_out=leave_out
+    )
 
 
 def test_only_scans_that_were_taken_where_another_frame_was_are_kept() -> None:
     time_s = TRAINING * FRAME_S
-    assert len(scans_at_rest(time_s, driving(9.0))) == 0
-    assert len(scans_at_rest(time_s, driving(0.3))) == len(TRAINING)
+    assert len(find_stationary_scans(time_s, driving(9.0))) == 0
+    assert len(find_stationary_scans(time_s, driving(0.3))) == len(TRAINING)
     stops = driving(9.0)
     poses = stops.lidar_to_world.copy()
     poses[5:, 0, 3] = poses[5, 0, 3]
-    halted = scans_at_rest(time_s, Trajectory(stops.times_s, poses, np.zeros(3)))
+    halted = find_stationary_scans(time_s, Trajectory(stops.times_s, poses, np.zeros(3)))
     assert TRAINING[halted].tolist() == [5, 6, 7, 8]
 
 
@@ -105,7 +112,7 @@ def test_a_scan_that_is_left_out_is_not_asked() -> None:
 
 def test_it_comes_back_from_the_store_as_it_went_in() -> None:
     kept, _ = measured(np.full(len(TRAINING), 20.0))
-    found = AtRest.from_arrays(kept.to_arrays())
-    assert found is not None and AtRest.from_arrays({}) is None
-    for name in AtRest.__slots__:
+    found = StationaryScans.from_arrays(kept.to_arrays())
+    assert found is not None and StationaryScans.from_arrays({}) is None
+    for name in StationaryScans.__slots__:
         assert np.array_equal(getattr(found, name), getattr(kept, name)), name

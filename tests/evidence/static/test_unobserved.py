@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
-from nvsf_core.evidence.static.unobserved import unknown_beside
+from nvsf_core.evidence.static.unobserved import unobserved_beside
 from nvsf_core.kernels.voxel_march import count_passes
 
 Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -30,7 +30,7 @@ def proven(rays: Rays) -> Surfels:
 
 @pytest.fixture(scope="module")
 def unknown(proven: Surfels, rays: Rays) -> Surfels:
-    found = unknown_beside(proven, *rays, threads=1)
+    found = unobserved_beside(proven, *rays, threads=1)
     assert found is not None
     return found
 
@@ -84,8 +84,8 @@ def test_where_all_around_is_seen_nothing_is_unknown() -> None:
         origin, direction, range_m, np.ones(len(origin)), voxel_m=VOXEL_M, threads=1, is_surface=is_surface
     )
     rays = origin.astype(np.float32), direction.astype(np.float32), range_m.astype(np.float32)
-    assert unknown_beside(lone, *rays, threads=1) is None
-    kept = unknown_beside(lone, *(column[-1:] for column in rays), threads=1)
+    assert unobserved_beside(lone, *rays, threads=1) is None
+    kept = unobserved_beside(lone, *(column[-1:] for column in rays), threads=1)
     assert kept is not None and len(kept.hits) == 5, "all faces but the one that the ray came through"
 
 

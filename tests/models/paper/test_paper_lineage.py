@@ -14,7 +14,7 @@ from nvsf_core.models.paper.training.camera import camera_losses
 from nvsf_core.models.paper.training.step import paper_step
 from nvsf_core.models.paper.training.train import train_on_frames
 from nvsf_core.models.paper.training.trainee import PaperTrainee
-from nvsf_core.recipe import AuthorsSlips, PaperLosses, PaperRecipe, Recipe, preset
+from nvsf_core.recipe import PaperLosses, PaperRecipe, Recipe, ReferenceQuirks, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import plan_run, run_named_stage, run_scene
@@ -104,9 +104,7 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
     model = load_model(task, recording)
     assert recording.lidar is not None and model.as_recorded
     table = recording.lidar.sweeps.table
-    wrong = replace(
-        table, range_bias_m=np.linspace(-0.5, 0.5, 64), intensity_gain=np.linspace(0.5, 2.0, 64)
-    )
+    wrong = replace(table, range_bias_m=np.linspace(-0.5, 0.5, 64), intensity_gain=np.linspace(0.5, 2.0, 64))
     lidars = [
         replace(recording.lidar, sweeps=replace(recording.lidar.sweeps, table=each))
         for each in (table, wrong)
@@ -175,8 +173,8 @@ SWITCHES = {
     "camera_depth": {"losses": replace(smoke().losses, camera_depth=1.0)},
     "line_of_sight": {"losses": replace(smoke().losses, line_of_sight=0.1)},
     **{
-        slip: {"slips": AuthorsSlips(**{slip: 2.0 if slip == "bound" else True})}
-        for slip in AuthorsSlips.__dataclass_fields__
+        slip: {"slips": ReferenceQuirks(**{slip: 2.0 if slip == "bound" else True})}
+        for slip in ReferenceQuirks.__dataclass_fields__
     },
 }
 
@@ -223,7 +221,7 @@ def test_each_way_of_encoding_trains(drive, home, encoders):
 
 
 def test_the_authors_slips_train(drive, home):
-    slips = AuthorsSlips(
+    slips = ReferenceQuirks(
         flow_unit=True, neighbour_times=True, bound=2.0, minmax_box=True, half_precision_truth=True,
         active_sensor=True, identical_tables=True,
     )  # fmt: skip

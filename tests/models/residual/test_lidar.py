@@ -13,7 +13,7 @@ from nvsf_core.models.residual.lidar import SHOWS_FIELD, judge
 from nvsf_core.models.residual.render import make_fields
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.field import load_trained
@@ -43,7 +43,7 @@ class Judged:
     recording: Recording
     lidar: LidarRecording
 
-    def answers(self, model: SceneModel) -> RayAnswers:
+    def answers(self, model: SceneModel) -> RenderedRays:
         """Along the held-out scan's own rays."""
         assert model.lidar is not None
         a, part = self.lidar.sweeps.arrays, self.lidar.sweeps.returns_of(HELD_OUT)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.demo.lidar import exact_answers
+from nvsf_core.demo.lidar import exact_rays
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.models.baselines.reproject import reprojection
@@ -99,7 +99,7 @@ def test_images_tell_more_of_the_demo_s_truth_than_silence_does(
     azimuth, fraction = firing_grid(plan.table, both[0].grid["grid_hit"].shape[1])
     lidar = drive.lidar
     assert lidar is not None
-    exact = exact_answers(
+    exact = exact_rays(
         DemoWorld(), plan.table, np.arange(plan.table.laser_count), azimuth,
         np.broadcast_to(0.1 * AT + 0.1 * fraction, azimuth.shape), mount=None, own_vehicle=False,
     )  # fmt: skip

@@ -138,7 +138,7 @@ def test_an_image_whose_scan_is_missing_borrows_none(drive: Recording) -> None:
     is_training[3] = False
     sweeps = replace(drive.lidar.sweeps, is_training=is_training)
     missing = replace(drive, lidar=replace(drive.lidar, sweeps=sweeps))
-    returns_m = [MovingWorld(drive).still_points(instant_s, most=1) for instant_s in time_s.tolist()]
+    returns_m = [MovingWorld(drive).static_points(instant_s, most=1) for instant_s in time_s.tolist()]
     assert len(returns_m[3])
     returns_m[3] = returns_m[3][:0]
     expected = align_images(images.rgb, images.pinhole, images.pose, returns_m)

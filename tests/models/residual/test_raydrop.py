@@ -11,10 +11,10 @@ import torch
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.residual.pano import train_pano
 from nvsf_core.models.residual.raydrop import (
-    JudgedTurn,
     TrainedHits,
+    ValidationSweep,
     blend_in_rotation,
-    recorded_turns,
+    recorded_sweeps,
     train_hits,
 )
 from nvsf_core.models.residual.render import make_fields
@@ -79,8 +79,8 @@ def test_what_helps_on_left_out_scans_is_kept(drive: Drive, tmp_path: Path) -> N
 def test_a_judge_is_told_by_a_blend_that_never_saw_it() -> None:
     logit, returned = np.array([4.0, 4.0, -4.0, -4.0], np.float32), np.array([True, True, False, False])
     answered = np.ones(4, np.bool_)
-    network_is_right = JudgedTurn(logit, -logit, answered, returned)
-    ray_head_is_right = JudgedTurn(-logit, logit, answered, returned)
+    network_is_right = ValidationSweep(logit, -logit, answered, returned)
+    ray_head_is_right = ValidationSweep(-logit, logit, answered, returned)
     blend, said = blend_in_rotation([network_is_right, ray_head_is_right])
     assert said["hits_judged_accuracy"] == 0.0, "each would be told right by a blend of its own"
     assert said["hits_judged_ray_head_accuracy"] == 0.5 and blend is None
@@ -117,7 +117,7 @@ def test_a_scan_of_which_no_laser_is_known_teaches_no_drops(drive: Drive, tmp_pa
 
 
 def test_recorded_turns_hold_every_training_return_where_the_prior_has_it(drive: Drive) -> None:
-    turns, prior = recorded_turns(drive.lidar), drive.lidar.evidence.prior
+    turns, prior = recorded_sweeps(drive.lidar), drive.lidar.evidence.prior
     assert np.array_equal(turns.range_m > 0.0, prior.is_hit)
     sweeps = drive.lidar.sweeps
     first = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[0]))

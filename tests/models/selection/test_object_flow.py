@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
-from nvsf_core.evidence.moving.object_hit_priors import ObjectVotes
+from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.raydrop.prior import DropPrior
@@ -74,7 +74,7 @@ def test_an_object_is_shown_as_it_is_when_the_sweep_meets_it(walking: Walk, lag_
     instants = met_s - lag_s
     prior = DropPrior(instants, np.zeros((SCANS, 1), np.float32), np.ones((SCANS, 64, 1), bool))
     still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
-    votes = ObjectVotes(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+    votes = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
     between_s = float(0.5 * (met_s[6] + met_s[7]))
     (one,) = objects_at((shown,), between_s - lag_s, votes)
     expected = shown.surfels_from(np.arange(5, 9), between_s)

@@ -9,7 +9,7 @@ import torch
 
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.rendering.rendered import RayAnswers
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.checks.field import check_loss, check_rendering, check_weights
 from nvsf_core.stages.inputs import read_recording
@@ -31,7 +31,7 @@ def _answering(**values):
 
     def answer(origin_m, direction, vote, time_s):
         columns = {"range_m": 10.0, "hit": 1.0, "intensity": 0.5} | values
-        return RayAnswers(**{k: np.full(len(vote), value, np.float32) for k, value in columns.items()})
+        return RenderedRays(**{k: np.full(len(vote), value, np.float32) for k, value in columns.items()})
 
     return answer
 

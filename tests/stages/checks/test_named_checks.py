@@ -13,7 +13,7 @@ from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.runner.record import read_record
-from nvsf_core.stages.runner.stage import Check, Law, Stage, StageOutput, UnsoundOutputError
+from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput, UnsoundOutputError
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table
@@ -250,7 +250,7 @@ def test_an_output_made_before_its_check_is_judged_and_not_made_again(store):
         made.append("made")
         return StageOutput(checks=[Check(name="old", passed=True, detail="kept")])
 
-    law = Law(name="new", description="of files")
+    law = NamedCheck(name="new", description="of files")
     before = Stage(name="pano", group="prepare", inputs=(), description="-", version="1", run=make)
     after = replace(
         before, laws=(law,), check_version="1", check=lambda task: [law.judged(2.0, 1.0, "too many")]

@@ -56,7 +56,11 @@ PAPER_PHASES = {"field": "field.", "refinement": "unet."}
 
 def run_of(root: Path, home: Path, recipe: Recipe):
     scene = SceneEntry(
-        name="tiny", root=root, sequence=DEMO_SEQUENCE, first_frame=0, last_frame=FRAMES - 1,
+        name="tiny",
+        root=root,
+        sequence=DEMO_SEQUENCE,
+        first_frame=0,
+        last_frame=FRAMES - 1,
         test_frames=(2,),
     )
     return plan_run(scene, home, recipe=recipe)

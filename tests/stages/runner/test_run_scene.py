@@ -14,7 +14,7 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError, RecipeError, StoreError
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
-from nvsf_core.stages.runner.device_lock import device_lease
+from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 
 WITHOUT_DAGSTER = """
@@ -120,7 +120,7 @@ def test_a_second_training_waits_until_the_first_is_killed(tmp_path):
             said.append(line)
             os.kill(holder.pid, signal.SIGKILL)
 
-        with device_lease(tmp_path, on_wait) as device:
+        with device_lock(tmp_path, on_wait) as device:
             assert device and len(said) == 1 and "another training holds it" in said[0]
     finally:
         holder.kill()

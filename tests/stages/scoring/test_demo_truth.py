@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.demo.lidar import exact_answers, simulate_scan
+from nvsf_core.demo.lidar import exact_rays, simulate_scan
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry, load_catalogue
 from nvsf_core.errors import StoreError
@@ -36,7 +36,7 @@ def _write_exact_view(path: Path, view: ViewEntry, time_s: float, error_m: float
     lasers = LASERS if view.sensor is None else np.arange(table.laser_count)
     azimuth, fraction = firing_grid(table, FIRINGS)
     theta = azimuth[lasers]
-    exact = exact_answers(
+    exact = exact_rays(
         DemoWorld(), table, lasers, theta, np.broadcast_to(time_s + 0.1 * fraction, theta.shape),
         mount=mount_pose(view.shift_m, view.yaw_deg), own_vehicle=view.sensor is None,
     )  # fmt: skip
@@ -130,7 +130,7 @@ def test_exact_ranges_are_those_that_a_recorded_scan_was_made_from() -> None:
     theta = theta - np.arcsin(HDL_64E.horizontal_offset_m[laser] / flat)
     for row in range(len(LASERS)):
         mine = scan.laser == row
-        exact = exact_answers(
+        exact = exact_rays(
             DemoWorld(), HDL_64E, LASERS[row : row + 1], theta[mine][None], scan.time_s[mine][None],
             mount=None, own_vehicle=True,
         )  # fmt: skip

@@ -16,7 +16,7 @@ from nvsf_core.models.paper.training.trainee import PaperTrainee
 from nvsf_core.rendering.scaled_rays import camera_rays
 from nvsf_core.rendering.volume import on_white, render_volume
 from nvsf_core.sampling.error_map import ErrorMap
-from nvsf_core.sampling.pixels import draw_camera_pixels
+from nvsf_core.sampling.pixels import sample_camera_pixels
 
 
 def camera_losses(
@@ -30,7 +30,7 @@ def camera_losses(
     """The loss of the pixels drawn from image `row`, in parts; then the error map learns."""
     recipe, errors = trainee.recipe, trainee.image_errors[camera.name]
     assert isinstance(errors, ErrorMap)
-    drawn = draw_camera_pixels(recipe.sampling, epoch, row, errors, generator)
+    drawn = sample_camera_pixels(recipe.sampling, epoch, row, errors, generator)
     rows, columns = drawn.rows.numpy(), drawn.columns.numpy()
     pose, frame = camera.images.pose[row], float(camera.frame[row])
     direction = camera.images.pinhole.rays(np.stack([columns, rows], axis=1)) @ pose[:3, :3].T

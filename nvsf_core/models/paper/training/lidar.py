@@ -20,7 +20,7 @@ from nvsf_core.models.paper.training.trainee import PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.rendering.scaled_rays import ScaledRays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, render_volume
-from nvsf_core.sampling.pixels import DrawnPixels, draw_lidar_pixels
+from nvsf_core.sampling.pixels import SampledPixels, sample_lidar_pixels
 from nvsf_core.sensors.linear_pano import LinearPano
 
 SUMS = ("depth", "intensity", "raydrop", "gradient", "colour", "camera_depth", "line_of_sight")
@@ -56,7 +56,7 @@ def lidar_losses(
     """The loss of the rays drawn from pano `row`, in parts for memory's sake; then its error map learns."""
     recipe, errors = trainee.recipe, trainee.pano_errors
     assert errors is not None  # a scene with panos has their map
-    drawn = draw_lidar_pixels(recipe.sampling, epoch, row, errors, generator)
+    drawn = sample_lidar_pixels(recipe.sampling, epoch, row, errors, generator)
     rays, truth = _rays(recipe, frames, panos, row, drawn, trainee.device)
     frame, patch = float(panos.frame[row]), drawn.patch or (1, 1)
     at_once = max(1, recipe.sampling.rays_at_once // (patch[0] * patch[1])) * patch[0] * patch[1]
@@ -82,7 +82,12 @@ def lidar_losses(
 
 
 def _rays(
-    recipe: PaperRecipe, frames: PaperFrames, panos: Panos, row: int, drawn: DrawnPixels, device: torch.device
+    recipe: PaperRecipe,
+    frames: PaperFrames,
+    panos: Panos,
+    row: int,
+    drawn: SampledPixels,
+    device: torch.device,
 ) -> tuple[ScaledRays, _Truth]:
     """Rays through the drawn cells of a pano and what they saw."""
     height, width = panos.range_m.shape[1:]

@@ -26,7 +26,7 @@ def depth_step(
     """Compare a window's planes, weighted by what is believed of them, with a left-out image."""
     example = _drawn(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
-    window = draw_window(shape, recipe.depth_training.rays, generator)
+    window = sample_window(shape, recipe.depth_training.rays, generator)
     probability, colour = planes_of(network, example.view, recipe.camera, window)
     return total_loss(_plane_terms(example, window, probability, colour), asdict(recipe.losses))
 
@@ -38,7 +38,7 @@ def camera_step(
     example = _drawn(examples, recipe.camera, generator)
     view = example.view
     shape = (view.small.height, view.small.width)
-    around = draw_window(shape, recipe.camera_training.rays, generator)
+    around = sample_window(shape, recipe.camera_training.rays, generator)
     probability, colour = planes_of(networks.depth, view, recipe.camera, around)
     belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
     window = _full_size(around, shape, view.factor)
@@ -89,7 +89,7 @@ def _full_size(window: Window, shape: tuple[int, int], factor: int) -> Window:
     return sides[0], sides[1]
 
 
-def draw_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:
+def sample_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:
     """A window of about so many pixels, half as wide again as high, anywhere in an image (rows, columns)."""
     height = min(shape[0], max(1, round(math.sqrt(pixels / 1.5))))
     width = min(shape[1], max(1, pixels // height))

@@ -49,7 +49,7 @@ def dropped_rays(
     lasers: np.ndarray,
     trajectory: Trajectory,
     period_s: float,
-    vote_scans: np.ndarray,
+    near_scans: np.ndarray,
 ) -> tuple[LidarRays, np.ndarray]:
     """Rays that a training scan fired without a return: the empty cells of its lasers and firings.
 
@@ -65,6 +65,6 @@ def dropped_rays(
     fired_s = prior.time_s[scan] + when * period_s
     origin, direction = trajectory.move_rays(origin, direction, fired_s)
     nothing = np.zeros(len(laser), np.float32)
-    vote = prior.vote(laser, when, vote_scans)
+    vote = prior.vote(laser, when, near_scans)
     rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, vote)
     return rays, fired_s

@@ -57,7 +57,7 @@ def learned_scans(lidar: LidarRecording) -> list[tuple[int, int]]:
     return [(number, int(training[number])) for number in np.flatnonzero(is_learned).tolist()]
 
 
-def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
+def _returned_rays(lidar: LidarRecording, scan: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
     """A scan's returns but for the own vehicle's, and when each was fired."""
     sweeps, a = lidar.sweeps, lidar.sweeps.arrays
     part = sweeps.returns_of(scan)
@@ -66,7 +66,7 @@ def _returned_rays(lidar: LidarRecording, scan: int, vote_scans: np.ndarray) -> 
     rays = LidarRays(
         a["origin_m"][part][kept], a["direction"][part][kept], a["range_m"][part][kept],
         sweeps.even_intensity(part)[kept],
-        lidar.evidence.prior.vote(a["laser"][part][kept], fraction, vote_scans),
+        lidar.evidence.prior.vote(a["laser"][part][kept], fraction, near_scans),
     )  # fmt: skip
     return rays, float(a["time_s"][scan]) + fraction.astype(np.float64) * sweeps.period_s
 
@@ -79,7 +79,7 @@ def _meet(
     assert evidence.dynamic is not None
     objects, places = evidence.dynamic.objects, field.places(evidence.dynamic.objects)
     time_s = float(evidence.prior.time_s[number])
-    there = objects_at(objects, time_s, lidar.object_votes, leave_out=number)
+    there = objects_at(objects, time_s, lidar.object_hit_priors, leave_out=number)
     return [
         replace(
             rays,

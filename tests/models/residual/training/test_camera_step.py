@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.models.residual.training.camera_step import camera_step, depth_step, draw_window
+from nvsf_core.models.residual.training.camera_step import camera_step, depth_step, sample_window
 from nvsf_core.models.residual.training.left_out import LeftOut
 from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
@@ -73,7 +73,7 @@ def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall(
 def test_windows_lie_in_the_image_and_are_as_large_as_asked_where_they_fit() -> None:
     generator = torch.Generator().manual_seed(0)
     for shape, pixels in (((40, 60), 600), ((10, 12), 5000), ((8, 200), 900)):
-        rows, columns = draw_window(shape, pixels, generator)
+        rows, columns = sample_window(shape, pixels, generator)
         assert 0 <= rows.start < rows.stop <= shape[0] and 0 <= columns.start < columns.stop <= shape[1]
         area = (rows.stop - rows.start) * (columns.stop - columns.start)
         assert area == shape[0] * shape[1] or 0.9 * pixels < area <= pixels
