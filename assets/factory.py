@@ -82,8 +82,10 @@ def check_specs(stage: Stage) -> list[dg.AssetCheckSpec]:
     return [
         whole,
         *(
-            dg.AssetCheckSpec(law.name, asset=stage.name, blocking=law.blocking, description=law.description)
-            for law in stage.laws
+            dg.AssetCheckSpec(
+                named.name, asset=stage.name, blocking=named.blocking, description=named.description
+            )
+            for named in stage.named_checks
         ),
     ]
 
@@ -98,7 +100,7 @@ def verdicts(stage: Stage, outcome: Outcome, scene: str) -> list[dict[str, Any]]
         "metadata": check_metadata(outcome),
     }
     found = {check.name: check for check in outcome.checks}
-    return [whole, *(_verdict(law, found.get(law.name), scene) for law in stage.laws)]
+    return [whole, *(_verdict(named, found.get(named.name), scene) for named in stage.named_checks)]
 
 
 def reason_of(error: Exception, stage: Stage, scene: str) -> str:
@@ -111,14 +113,17 @@ def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> 
     whole = {"check_name": CHECK_NAME, "passed": False, "description": f"scene {scene}: {reason}"}
     judged = error.checks if isinstance(error, UnsoundOutputError) else ()
     found = {check.name: check for check in judged}
-    return [whole, *(_verdict(law, found[law.name], scene) for law in stage.laws if law.name in found)]
+    return [
+        whole,
+        *(_verdict(named, found[named.name], scene) for named in stage.named_checks if named.name in found),
+    ]
 
 
-def _verdict(law: NamedCheck, check: Check | None, scene: str) -> dict[str, Any]:
+def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, Any]:
     """One law's: value and limit are numbers, so that the UI plots them over time."""
     if check is None:
         reason = f"{NOT_RUN}: this output was made before the check was"
-        return {"check_name": law.name, "passed": True, "description": f"scene {scene}: {reason}"}
+        return {"check_name": named.name, "passed": True, "description": f"scene {scene}: {reason}"}
     numbers = {"value": check.value, "limit": check.limit}
     # A NaN cannot travel to the UI as a number; the description says it.
     metadata: dict[str, dg.MetadataValue] = {
@@ -129,9 +134,9 @@ def _verdict(law: NamedCheck, check: Check | None, scene: str) -> dict[str, Any]
     if metadata and check.unit:
         metadata["unit"] = dg.MetadataValue.text(check.unit)
     return {
-        "check_name": law.name,
+        "check_name": named.name,
         "passed": check.passed,
-        "severity": dg.AssetCheckSeverity.ERROR if law.blocking else dg.AssetCheckSeverity.WARN,
+        "severity": dg.AssetCheckSeverity.ERROR if named.blocking else dg.AssetCheckSeverity.WARN,
         "description": f"scene {scene}: {check.detail}",
         "metadata": metadata | {"scene": dg.MetadataValue.text(scene)},
     }
@@ -208,7 +213,7 @@ def failed_checks(
 
 
 def _evaluations(stage: Stage, found: Iterable[dict[str, Any]]) -> Iterator[dg.AssetCheckEvaluation]:
-    blocking = {law.name for law in stage.laws if law.blocking} | {CHECK_NAME}
+    blocking = {named.name for named in stage.named_checks if named.blocking} | {CHECK_NAME}
     for verdict in found:
         yield dg.AssetCheckEvaluation(
             asset_key=dg.AssetKey(stage.name), blocking=verdict["check_name"] in blocking, **verdict

@@ -50,7 +50,7 @@ def measure(store: SceneStore) -> list[dict[str, Any]]:
     sweeps, evidence = read_sweeps(store), read_evidence(store)
     if sweeps is None or evidence is None:
         return []
-    kinds = {"with shapes": evidence.for_rendering, "without": evidence.standing}
+    kinds = {"with shapes": evidence.for_rendering, "without": evidence.static}
     return [
         {"scene": store.scene, "surfaces": name, **_row(sweeps, surfels, shaped=name == "with shapes")}
         for name, surfels in kinds.items()
@@ -77,8 +77,8 @@ def _row(sweeps: Sweeps, surfels: Surfels, *, shaped: bool) -> dict[str, Any]:
         lambda: candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
     )
     answering = _seconds(lambda: reproject_rays(surfels, origin_m, direction, votes, most=most, far_m=far_m))
-    answers = reproject_rays(surfels, origin_m, direction, votes, most=most, far_m=far_m)
-    off_m = np.abs(answers.range_m.astype(np.float64) - a["range_m"][asking])
+    rendered = reproject_rays(surfels, origin_m, direction, votes, most=most, far_m=far_m)
+    off_m = np.abs(rendered.range_m.astype(np.float64) - a["range_m"][asking])
     return {
         "voxel_m": surfels.index.voxel_m,
         "voxels": surfels.index.count,

@@ -157,8 +157,8 @@ def run(scene: Scene, recipe: ResidualRecipe, variant: Variant, seed: int) -> di
     """Train one variant and score it."""
     lidar = scene.lidar
     field = make_field(lidar, recipe, variant, seed)
-    standing = lidar.evidence.for_rendering if variant.shaped else lidar.evidence.standing
-    step = VariantStep(variant, field, standing, scene.rays, recipe, lidar.far_m, scene.grid)
+    static = lidar.evidence.for_rendering if variant.shaped else lidar.evidence.static
+    step = VariantStep(variant, field, static, scene.rays, recipe, lidar.far_m, scene.grid)
     generator = torch.Generator().manual_seed(2 * seed)
     state = TrainingState(field, make_optimiser(field, recipe.lidar_training), generator)
     started = time.process_time()
@@ -166,10 +166,10 @@ def run(scene: Scene, recipe: ResidualRecipe, variant: Variant, seed: int) -> di
     spent = time.process_time() - started
     model = SceneModel(
         lidar=field_renderer(
-            field, standing, lidar.moving(),
+            field, static, lidar.moving(),
             most=recipe.evidence.lidar_candidates, far_m=lidar.far_m,
         ),
-        camera=None, votes=recipe.evidence.votes,
+        camera=None, prior_scans=recipe.evidence.votes,
     )  # fmt: skip
     parameters = sum(p.numel() for p in field.parameters())
     errors = scene.judge.errors(model, thin_images=False)

@@ -75,7 +75,7 @@ def _demo_rows(
     met = np.concatenate([scan.instance for scan in scans])
     to_street = np.linalg.inv(world.street_to_world)
     height = (returns.point_m + sweeps.scene_origin_m) @ to_street[2, :3] + to_street[2, 3]
-    standing = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
+    above_ground = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     rows = []
     truth = np.zeros(len(met), bool)
     for mover in world.street.movers:
@@ -85,8 +85,8 @@ def _demo_rows(
         error = np.zeros((0, 3)) if best is None else _centre_error(
             best, lambda time_s, mover=mover: _mover_centre(world, mover, time_s, sweeps), returns.scan_time_s
         )  # fmt: skip
-        rows.append(_row(scene, mover.label, own & standing, None, moving, error))
-    counted = standing & (np.linalg.norm(returns.recorded_m, axis=1) < FARTHEST_M)
+        rows.append(_row(scene, mover.label, own & above_ground, None, moving, error))
+    counted = above_ground & (np.linalg.norm(returns.recorded_m, axis=1) < FARTHEST_M)
     rows.append(_row(scene, "all that moves", truth & counted, counted, moving, np.zeros((0, 3))))
     return rows
 
@@ -104,10 +104,10 @@ def _box_rows(
     frames = sweeps.arrays["frame"][sweeps.is_training]
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
     within = (range_m > NEAREST_M) & (range_m < FARTHEST_M) & ~returns.is_own_vehicle
-    standing = within & (build_ground(returns.point_m[within]).above(returns.point_m) > ABOVE_GROUND_M)
+    above_ground = within & (build_ground(returns.point_m[within]).above(returns.point_m) > ABOVE_GROUND_M)
     rows = []
     for object_id in sorted({box["object_id"] for box in boxes}):
-        own, centres, instants = np.zeros(len(standing), bool), [], []
+        own, centres, instants = np.zeros(len(above_ground), bool), [], []
         for box in (box for box in boxes if box["object_id"] == object_id and box["frame"] in frames):
             scan = int(np.flatnonzero(frames == box["frame"])[0])
             matrix = np.array(box["box_to_world"]).reshape(4, 4)
@@ -121,7 +121,7 @@ def _box_rows(
             best, lambda time_s, known=known: np.array([known[t] for t in time_s]), np.array(instants)
         )  # fmt: skip
         label = next(box["label"] for box in boxes if box["object_id"] == object_id)
-        rows.append(_row(scene, label, own & standing, None, moving, error))
+        rows.append(_row(scene, label, own & above_ground, None, moving, error))
     return rows
 
 

@@ -170,10 +170,10 @@ def figures(distance_m: np.ndarray) -> dict[str, float]:
     }  # fmt: skip
 
 
-def like(standing: np.ndarray, range_m: np.ndarray) -> np.ndarray:
+def like(static: np.ndarray, range_m: np.ndarray) -> np.ndarray:
     """Distances (n,) of standing returns at the ranges of some others, as many at each as those are."""
     random, low = np.random.default_rng(0), np.quantile(range_m, [0.0, 0.25, 0.5, 0.75, 1.0])
-    parts = [standing[(standing[:, 1] >= a) & (standing[:, 1] <= b), 0] for a, b in itertools.pairwise(low)]
+    parts = [static[(static[:, 1] >= a) & (static[:, 1] <= b), 0] for a, b in itertools.pairwise(low)]
     count = min((len(part) for part in parts if len(part)), default=0)
     return np.concatenate([random.choice(part, count, replace=False) for part in parts if len(part)])
 
@@ -201,7 +201,7 @@ def measure(store: SceneStore) -> dict[str, Any]:
     if evidence is None or evidence.dynamic is None:
         raise SystemExit(f"scene {store.scene}: nothing was seen to move")
     objects = evidence.dynamic.objects
-    standing = standing_returns(store, objects)
+    static = standing_returns(store, objects)
     total = int(evidence.prior.is_hit.sum())
     rows, kinds = [], dict[str, list[Moved]]()
     for number, one in enumerate(objects):
@@ -216,24 +216,24 @@ def measure(store: SceneStore) -> dict[str, Any]:
         kind = "vehicle" if size_m[:2].max() >= VEHICLE_M else "person"
         kinds.setdefault(kind, []).append(found)
         if len(moved) >= FEWEST_RETURNS:
-            rows.append(_row(f"object {number}, {kind}", found, standing, total) | {
+            rows.append(_row(f"object {number}, {kind}", found, static, total) | {
                 "size_m": [round(float(side), 2) for side in size_m], "scans": len(one.path.scan),
                 "has_flow": one.flow_m is not None,
             })  # fmt: skip
     for kind, parts in kinds.items():
         joined = Moved(*(np.concatenate(column) for column in zip(*parts, strict=True)))
         of_kind = {"objects": len(parts), "has_flow": False}
-        rows.append(_row(f"all of kind {kind}", joined, standing, total) | of_kind)
+        rows.append(_row(f"all of kind {kind}", joined, static, total) | of_kind)
     return {"scene": store.scene, "returns": total, "rows": rows}
 
 
-def _row(name: str, moved: Moved, standing: AboveGround, total: int) -> dict[str, Any]:
+def _row(name: str, moved: Moved, static: AboveGround, total: int) -> dict[str, Any]:
     row: dict[str, Any] = {
         "name": name, "range_m": float(np.median(moved.range_m)),
         "rigid": figures(moved.distance_m), "if_it_stood": figures(moved.static_m),
-        "standing": figures(like(standing.distance_m, moved.range_m)),
+        "standing": figures(like(static.distance_m, moved.range_m)),
         "rendered": figures(moved.error_m), "flowing": figures(moved.flowing_m),
-        "standing_rendered": figures(like(standing.error_m, moved.error_range_m)),
+        "standing_rendered": figures(like(static.error_m, moved.error_range_m)),
     }  # fmt: skip
     excess = row["rendered"]["far_off_share"] - row["standing_rendered"]["far_off_share"]
     row["excess_share_of_all_returns"] = max(0.0, excess) * len(moved.error_m) / total

@@ -185,7 +185,7 @@ class VariantStep:
             most=recipe.evidence.lidar_candidates, near_m=NEAR_M, far_m=self.far_m,
             objects=None if rays.objects is None else rays.objects.of(drawn),
         )  # fmt: skip
-        rendered = render_lidar(self.field, batch, torch.from_numpy(rays.vote[drawn]))
+        rendered = render_lidar(self.field, batch, torch.from_numpy(rays.hit_prior[drawn]))
         true_range_m = torch.from_numpy(rays.range_m[drawn])
         seen = batch.is_there[:, 0] & is_ray
         returned = (true_range_m > 0) & seen

@@ -66,7 +66,7 @@ def score_pano(scene: Scene, frame: int, predicted: PanoImage) -> Iterator[tuple
     a = lidar.sweeps.arrays
     part = lidar.sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
     scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    truth = sparse(project_scan(LinearPano(quirks=True), scan))
+    truth = sparse(project_scan(LinearPano(reference_quirks=True), scan))
     yield "all", lidar4d(predicted, truth, SparsePano(), None)
     if scene.boxes is not None:
         regions = lidar4d_regions(predicted, truth, SparsePano(), scene.boxes.in_lidar(frame), None)

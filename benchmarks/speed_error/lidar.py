@@ -50,7 +50,7 @@ class Sectors(LinearPano):
         )  # fmt: skip
 
 
-WHOLE, SECTORS = LinearPano(quirks=True), Sectors(quirks=True)
+WHOLE, SECTORS = LinearPano(reference_quirks=True), Sectors(reference_quirks=True)
 
 
 class Answers(Protocol):
@@ -60,10 +60,10 @@ class Answers(Protocol):
         """The frame's pano, whole, and the ranges along every fourth recorded ray."""
 
 
-def quarter_of_rays(lidar: LidarRecording, plan: SweepPlan, time_s: float, votes: int) -> SweepRays:
+def quarter_of_rays(lidar: LidarRecording, plan: SweepPlan, time_s: float, prior_scans: int) -> SweepRays:
     """The rays of one sweep that fall into the chosen columns."""
     evidence, sweeps = lidar.evidence, lidar.sweeps
-    near = evidence.prior.nearest_scans(time_s, votes)
+    near = evidence.prior.nearest_scans(time_s, prior_scans)
     firings = round(float(evidence.firings[near].mean()))
     lasers = evidence.lasers.astype(np.int64)
     rays = sweep_rays(plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s)
@@ -101,12 +101,16 @@ def _quarter_turn(
 ) -> tuple[SweepRays, RenderedRays]:
     """The chosen columns' rays, answered; what corrects a turn is asked about the whole of it."""
     if model.correct is None:
-        rays = quarter_of_rays(lidar, plan, time_s, model.votes)
-        answers = render_along(model, lidar, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction)
-        return rays, put_back_own_vehicle(answers, rays, lidar.evidence)
-    rays, answers = fire_sweep(replace(model, unknown=None), lidar, plan, time_s)
+        rays = quarter_of_rays(lidar, plan, time_s, model.prior_scans)
+        rendered = render_along(
+            model, lidar, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
+        )
+        return rays, put_back_own_vehicle(rendered, rays, lidar.evidence)
+    rays, rendered = fire_sweep(replace(model, unobserved=None), lidar, plan, time_s)
     kept = _in_sectors(rays)
-    return _only(rays, kept), RenderedRays(answers.range_m[kept], answers.hit[kept], answers.intensity[kept])
+    return _only(rays, kept), RenderedRays(
+        rendered.range_m[kept], rendered.hit[kept], rendered.intensity[kept]
+    )
 
 
 def recorded(lidar: LidarRecording, frame: int) -> tuple[Scan, np.ndarray]:

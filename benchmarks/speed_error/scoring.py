@@ -93,18 +93,18 @@ class Judge:
         copied = {name: thinned(images[f"{name}_rgb"]) for name in self.view.images}
         return found | self.image_errors(copied)
 
-    def lidar_errors(self, answers: Answers) -> dict[str, float]:
+    def lidar_errors(self, rendered: Answers) -> dict[str, float]:
         """Means over the scored frames."""
         lidar, plan = self.recording.lidar, self.view.sweeps
         assert lidar is not None and plan is not None
         frames = []
         for number, frame in enumerate(plan.frame.tolist()):
             scan, range_m = recorded(lidar, frame)
-            predicted, answered_m = answers(number)
+            predicted, masked_m = rendered(number)
             truth = SECTORS.cut(project_scan(WHOLE, scan))
             pano = lidar4d(SECTORS.cut(predicted), truth, SECTORS, None)
             near = (range_m > 0.0) & (range_m <= MAX_RANGE_M)
-            rays = ray_range_metrics(answered_m[near], range_m[near])
+            rays = ray_range_metrics(masked_m[near], range_m[near])
             frames.append(
                 {name: pano[name].value for name in LIDAR_METRICS}
                 | {name: rays[name].value for name in RAW_METRICS}
@@ -131,7 +131,7 @@ class Judge:
             return None
         warm_up(lidar, model.lidar)
         started = time.perf_counter()
-        simulate_sweep(replace(model, unknown=None), lidar, plan, float(plan.time_s[0]))
+        simulate_sweep(replace(model, unobserved=None), lidar, plan, float(plan.time_s[0]))
         return time.perf_counter() - started
 
     def image_seconds(self, model: SceneModel, *, thin: bool) -> float | None:
@@ -204,7 +204,7 @@ def samples_a_ray(judge: Judge, recipe: Recipe | None) -> float | None:
     spec = recipe.evidence if isinstance(recipe, ResidualRecipe) else EvidenceSpec()
     rays = quarter_of_rays(lidar, plan, float(plan.time_s[0]), spec.votes)
     batch = surface_batch(
-        lidar.evidence.standing, rays.origin_m, rays.direction, most=spec.lidar_candidates, near_m=NEAR_M,
+        lidar.evidence.static, rays.origin_m, rays.direction, most=spec.lidar_candidates, near_m=NEAR_M,
         far_m=lidar.far_m,
     )  # fmt: skip
     return float(batch.is_there.sum(dim=1).float().mean())

@@ -37,7 +37,7 @@ class Slippage:
     free_turns: np.ndarray
     """(6 - c - s, 3) unit axes about which nothing can be said."""
 
-    def told(self, rotation_vector: np.ndarray, shift_m: np.ndarray) -> tuple[float, float]:
+    def determined(self, rotation_vector: np.ndarray, shift_m: np.ndarray) -> tuple[float, float]:
         """What the surfaces tell of a motion: shift in metres and turn in radians.
 
         Args:
@@ -98,7 +98,7 @@ def register(source_m: np.ndarray, target_m: np.ndarray, max_distance_m: float =
     surfaces = slippage(points, normals)
     moved, middle = np.asarray(result.transformation), points.mean(axis=0)
     shift = moved[:3, :3] @ middle + moved[:3, 3] - middle
-    shift_m, turn_rad = surfaces.told(log_so3(moved[:3, :3]), shift)
+    shift_m, turn_rad = surfaces.determined(log_so3(moved[:3, :3]), shift)
     return Registration(
         shift_m, float(np.degrees(turn_rad)), float(result.fitness), surfaces.free_shifts, surfaces.free_turns
     )

@@ -17,9 +17,9 @@ _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
 class LeftOutEvidence:
     """What stays, as it is proven without a few training scans that judge what others make of it."""
 
-    judges: np.ndarray
+    validation: np.ndarray
     """(j,) int64: numbers of those scans among the training ones, ascending."""
-    standing: Surfels
+    static: Surfels
     """In the fields' voxels."""
     rendered: Surfels | None = None
     """Like `SceneEvidence.rendered`; None where that is None."""
@@ -27,20 +27,20 @@ class LeftOutEvidence:
     @property
     def for_rendering(self) -> Surfels:
         """Surfels for the renderer that learns nothing."""
-        return self.standing if self.rendered is None else self.rendered
+        return self.static if self.rendered is None else self.rendered
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         own = {} if self.rendered is None else _prefixed(_LEFT_OUT_RENDERED, self.rendered)
-        return {"left_out_scans": self.judges} | _prefixed(_LEFT_OUT, self.standing) | own
+        return {"left_out_scans": self.validation} | _prefixed(_LEFT_OUT, self.static) | own
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> "LeftOutEvidence | None":
         """Read back what `to_arrays` gave; None where no scan was left out."""
-        standing = _surfels(_LEFT_OUT, arrays)
-        if standing is None:
+        static = _surfels(_LEFT_OUT, arrays)
+        if static is None:
             return None
-        return LeftOutEvidence(arrays["left_out_scans"], standing, _surfels(_LEFT_OUT_RENDERED, arrays))
+        return LeftOutEvidence(arrays["left_out_scans"], static, _surfels(_LEFT_OUT_RENDERED, arrays))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,34 +60,34 @@ class SceneEvidence:
     """(lasers, cells) float32."""
     dynamic: DynamicEvidence | None = None
     """What moves, and the scene without it; None where nothing was seen to move."""
-    at_rest: StationaryScans | None = None
+    stationary: StationaryScans | None = None
     """What was measured where the sensor stood or crawled; None where it never did."""
     rendered: Surfels | None = None
     """Of what stays, with shapes, in voxels of the size that suits the renderer that learns nothing; None =
-    `standing`."""
+    `static`."""
     left_out: LeftOutEvidence | None = None
     """For judging what is learned of the scene; None where there are too few scans to leave any out."""
-    unknown: Surfels | None = None
+    unobserved: Surfels | None = None
     """Voxels beside static ones that no ray observed: `unobserved_beside`; None where there are none."""
 
     @property
-    def standing(self) -> Surfels:
+    def static(self) -> Surfels:
         """Surfels of what stays: all of them where nothing was seen to move."""
-        return self.surfels if self.dynamic is None else self.dynamic.background
+        return self.surfels if self.dynamic is None else self.dynamic.static
 
     @property
     def for_rendering(self) -> Surfels:
         """Surfels of what stays, for the renderer that learns nothing."""
-        return self.standing if self.rendered is None else self.rendered
+        return self.static if self.rendered is None else self.rendered
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         moving = {} if self.dynamic is None else self.dynamic.to_arrays()
-        at_rest = {} if self.at_rest is None else self.at_rest.to_arrays()
+        stationary = {} if self.stationary is None else self.stationary.to_arrays()
         rendered = {} if self.rendered is None else _prefixed(_RENDERED, self.rendered)
         left_out = {} if self.left_out is None else self.left_out.to_arrays()
-        unknown = {} if self.unknown is None else _prefixed(_UNKNOWN, self.unknown)
-        return self.surfels.to_arrays() | moving | at_rest | rendered | left_out | unknown | {
+        unobserved = {} if self.unobserved is None else _prefixed(_UNKNOWN, self.unobserved)
+        return self.surfels.to_arrays() | moving | stationary | rendered | left_out | unobserved | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -101,9 +101,9 @@ class SceneEvidence:
         return SceneEvidence(
             surfels=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
-            dynamic=DynamicEvidence.from_arrays(a), at_rest=StationaryScans.from_arrays(a),
+            dynamic=DynamicEvidence.from_arrays(a), stationary=StationaryScans.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
-            unknown=_surfels(_UNKNOWN, a),
+            unobserved=_surfels(_UNKNOWN, a),
         )  # fmt: skip
 
 

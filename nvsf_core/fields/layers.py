@@ -10,8 +10,8 @@ from torch import nn
 _Layer = TypeVar("_Layer", bound=nn.Module)
 
 
-def network(sizes: tuple[int, ...], generator: torch.Generator, *, silent: int = 0) -> nn.Sequential:
-    """Linear layers with ReLU between them; the first `silent` outputs are exactly 0 before training.
+def network(sizes: tuple[int, ...], generator: torch.Generator, *, zero_outputs: int = 0) -> nn.Sequential:
+    """Linear layers with ReLU between them; the first `zero_outputs` outputs are exactly 0 before training.
 
     A silent output is a correction: before anything is learned, the evidence stands as it is.
     """
@@ -26,7 +26,7 @@ def network(sizes: tuple[int, ...], generator: torch.Generator, *, silent: int =
     last = cast(nn.Linear, layers[-2])
     with torch.no_grad():
         last.weight *= 0.3
-        last.weight[:silent] = 0.0
+        last.weight[:zero_outputs] = 0.0
     return nn.Sequential(*layers[:-1])
 
 

@@ -35,9 +35,11 @@ class LidarField(nn.Module):
         self.bounds = bounds
         layout = grid_layout(spec, bounds.edge_m)
         self.grid = HashGrid(layout, generator)
-        self.density = network((layout.outputs + N_FACTS, spec.hidden, 2 + spec.decoded), generator, silent=2)
-        self.hit_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
-        self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, silent=1)
+        self.density = network(
+            (layout.outputs + N_FACTS, spec.hidden, 2 + spec.decoded), generator, zero_outputs=2
+        )
+        self.hit_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, zero_outputs=1)
+        self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, zero_outputs=1)
 
     def places(self, objects: tuple[ObjectEvidence, ...]) -> np.ndarray:
         """(n, 3) where in the table's cube the corrections of a scene's moving objects lie."""

@@ -56,17 +56,17 @@ class ObjectSurfaces:
     """(t,) int32 of the surfel."""
     intensity: np.ndarray
     """(t,) float32 of the surfel."""
-    vote: np.ndarray
+    hit_prior: np.ndarray
     """(t,) float32: share of the object's nearest scans that returned where the ray ends on it."""
     place_m: np.ndarray
     """(t, 3) float32: where it lies in the field's cube."""
 
-    def of(self, drawn: np.ndarray) -> "ObjectSurfaces":
+    def of(self, chosen: np.ndarray) -> "ObjectSurfaces":
         """Surfaces of rays (r,) int64 out of the n, which become rays 0 .. r - 1."""
         if len(self.ray) == 0:
             return self
-        at = np.minimum(np.searchsorted(self.ray, drawn), len(self.ray) - 1)
-        ray = np.flatnonzero(self.ray[at] == drawn)
+        at = np.minimum(np.searchsorted(self.ray, chosen), len(self.ray) - 1)
+        ray = np.flatnonzero(self.ray[at] == chosen)
         at = at[ray]
         count = self.first[at + 1] - self.first[at]
         first = np.concatenate([[0], np.cumsum(count)])
@@ -99,13 +99,13 @@ def object_surfaces(
         row, _ = np.nonzero(there)
         voxel, range_m, ray = found.voxel[there], found.range_m[there], met[row]
         point = origin_m[ray] + direction[ray] * range_m[:, None]
-        vote = one.vote(found, origin_m[met], direction[met], time_s[met])
+        hit_prior = one.hit_prior(found, origin_m[met], direction[met], time_s[met])
         surfels = one.surfels
         rays.append(ray)
         columns.append({
             "range_m": range_m, "opacity": found.opacity[there], "cosine": found.cosine[there],
             "is_planar": surfels.is_planar[voxel], "hits": surfels.hits[voxel],
-            "intensity": surfels.intensity[voxel].astype(np.float32), "vote": vote[row],
+            "intensity": surfels.intensity[voxel].astype(np.float32), "hit_prior": hit_prior[row],
             "place_m": (one.path.to_object(point, time_s[ray]) + places[one.number]).astype(np.float32),
         })  # fmt: skip
     ray = np.concatenate(rays)
@@ -132,7 +132,7 @@ def _nothing() -> dict[str, np.ndarray]:
     none = np.zeros(0, np.float32)
     return {
         "range_m": none, "opacity": none, "cosine": none, "is_planar": np.zeros(0, bool),
-        "hits": np.zeros(0, np.int32), "intensity": none, "vote": none, "place_m": none.reshape(0, 3),
+        "hits": np.zeros(0, np.int32), "intensity": none, "hit_prior": none, "place_m": none.reshape(0, 3),
     }  # fmt: skip
 
 

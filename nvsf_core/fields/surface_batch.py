@@ -31,7 +31,7 @@ class SurfaceBatch:
     """(m,): logit of the evidence's opacity."""
     facts: Tensor
     """(m, 6): opacity logit, cosine of incidence, planar?, log hits, intensity, range; about 0..1."""
-    vote: Tensor
+    hit_prior: Tensor
     """(m,): share of a moving object's nearest scans that returned there; negative on what stands."""
 
     def spread(self, values: Tensor) -> Tensor:
@@ -58,13 +58,13 @@ def surface_batch(
     """
     met = NO_SURFACES if objects is None else objects
     index, towards = surfels.index, np.ascontiguousarray(direction, np.float32)
-    first, range_m, logit, facts, point_m, vote = list_surfaces(
+    first, range_m, logit, facts, point_m, hit_prior = list_surfaces(
         np.ascontiguousarray(origin_m, np.float32), towards, near_m, far_m,
         index.origin_m, index.voxel_m, index.bricks, index.cells,
         surfels.mean_m, surfels.normal, surfels.precision, surfels.opacity,
         surfels.missed_share, STOP_TRANSMITTANCE, most, surfels.hits, surfels.intensity,
         met.ray, met.first, met.range_m, met.opacity, met.cosine, met.is_planar, met.hits, met.intensity,
-        met.place_m, met.vote,
+        met.place_m, met.hit_prior,
     )  # fmt: skip
     count = np.diff(first)
     step = np.arange(max(1, int(count.max(initial=1))))
@@ -76,5 +76,5 @@ def surface_batch(
         range_m=torch.from_numpy(range_m),
         logit=torch.from_numpy(logit),
         facts=torch.from_numpy(facts),
-        vote=torch.from_numpy(vote),
+        hit_prior=torch.from_numpy(hit_prior),
     )

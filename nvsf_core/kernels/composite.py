@@ -34,7 +34,7 @@ def _seen_and_left(logit):  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, cache=True)
-def _forward(first, logit, range_m, features, facts, surface_hit_prior, vote):  # type: ignore[no-untyped-def]
+def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prior):  # type: ignore[no-untyped-def]
     n, width = len(first) - 1, features.shape[1]
     weights = np.empty(len(logit), np.float32)
     summary = np.zeros((n, width + N_MEANS), np.float32)
@@ -64,7 +64,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, vote):  
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
             is_own = moving > 0.0 and moving >= OWN_PRIOR_SHARE * total
-            asked[ray] = own_vote / moving if is_own else vote[ray]
+            asked[ray] = own_vote / moving if is_own else hit_prior[ray]
             half, so_far = 0.5 * (moving if is_own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
@@ -114,13 +114,13 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor,
-        surface_hit_prior: Tensor, vote: Tensor,
+        surface_hit_prior: Tensor, hit_prior: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         given = (logit, range_m, features, facts)
         arrays = [tensor.detach().contiguous().numpy() for tensor in given]
         weights, summary, median, asked = (
             torch.from_numpy(array)
-            for array in _forward(first.numpy(), *arrays, surface_hit_prior.numpy(), vote.numpy())
+            for array in _forward(first.numpy(), *arrays, surface_hit_prior.numpy(), hit_prior.numpy())
         )
         ctx.save_for_backward(*given, first, weights, summary)
         ctx.mark_non_differentiable(median, asked)
@@ -138,7 +138,7 @@ class _Composite(torch.autograd.Function):
 
 def composite_rays(
     logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor, surface_hit_prior: Tensor,
-    vote: Tensor,
+    hit_prior: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     """Weights, summaries and median surfaces of n rays with m surfaces in all; differentiable.
 
@@ -149,15 +149,15 @@ def composite_rays(
         facts: (m, 6) float32 as of `list_surfaces`; constant.
         first: (n + 1,) int64: where each ray's surfaces begin.
         surface_hit_prior: (m,) float32, negative where the surface has none of its own.
-        vote: (n,) float32.
+        hit_prior: (n,) float32.
 
     Returns:
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
         of the ray's weight up to it (of a ray without surfaces its `first`), of the surfaces with votes of
         their own alone where these have at least `OWN_PRIOR_SHARE` of it; votes (n,): the surfaces' mean
-        where those with votes of their own decide where the ray ends, else `vote`.
+        where those with votes of their own decide where the ray ends, else `hit_prior`.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
-        logit, range_m, features, facts, first, surface_hit_prior, vote
+        logit, range_m, features, facts, first, surface_hit_prior, hit_prior
     )
     return found

@@ -55,14 +55,14 @@ class SweepGrid(NamedTuple):
     """(rows, >= f) float32."""
 
 
-def look_up_scans(points_m: np.ndarray, lasers: Lasers, turn: SweepGrid, found: np.ndarray) -> None:
+def look_up_scans(points_m: np.ndarray, lasers: Lasers, sweep: SweepGrid, found: np.ndarray) -> None:
     """Add to `found` (n, 5) float32 what a turn says of points (n, 3) float32, scene-local.
 
     Points that are not finite are passed by. Angles are right to 0.0002, a tenth of a firing's.
     """
     row, elevation_rad, up_m, left_m, shift_rad, turned_up_rad = lasers
     start_m = up_m / np.cos(elevation_rad)
-    _see(points_m, row, elevation_rad, up_m, start_m, left_m, shift_rad, turned_up_rad, *turn, found)
+    _see(points_m, row, elevation_rad, up_m, start_m, left_m, shift_rad, turned_up_rad, *sweep, found)
 
 
 @njit(parallel=True, cache=True)
@@ -81,11 +81,11 @@ def _see(  # type: ignore[no-untyped-def]
             flat, height, gap, looked = 0.0, 0.0, 0.0, 0.0
             for _ in range(3):
                 # Where the sensor was when it looked there depends on where there is.
-                turn, there, assumed = rotation[moment], position[moment], moment
+                sweep, there, assumed = rotation[moment], position[moment], moment
                 a, b, c = points[i, 0] - there[0], points[i, 1] - there[1], points[i, 2] - there[2]
-                x = turn[0, 0] * a + turn[1, 0] * b + turn[2, 0] * c
-                y = turn[0, 1] * a + turn[1, 1] * b + turn[2, 1] * c
-                z = turn[0, 2] * a + turn[1, 2] * b + turn[2, 2] * c
+                x = sweep[0, 0] * a + sweep[1, 0] * b + sweep[2, 0] * c
+                y = sweep[0, 1] * a + sweep[1, 1] * b + sweep[2, 1] * c
+                z = sweep[0, 2] * a + sweep[1, 2] * b + sweep[2, 2] * c
                 level = math.sqrt(x * x + y * y)
                 flat, height = level * cos_up + z * sin_up, z * cos_up - level * sin_up
                 if flat < _NEAREST_M:

@@ -68,7 +68,7 @@ def list_surfaces(  # type: ignore[no-untyped-def]
     count = first[n]
     range_m, logit = np.empty(count, np.float32), np.empty(count, np.float32)
     facts, point_m = np.empty((count, N_FACTS), np.float32), np.empty((count, 3), np.float32)
-    vote = np.full(count, -1.0, np.float32)
+    hit_prior = np.full(count, -1.0, np.float32)
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             row = row_of[ray]
@@ -96,6 +96,6 @@ def list_surfaces(  # type: ignore[no-untyped-def]
                     )  # fmt: skip
                     for axis in range(3):
                         point_m[at, axis] = met_place_m[own, axis]
-                    vote[at] = met_hit_prior[own]
+                    hit_prior[at] = met_hit_prior[own]
                     own += 1
-    return first, range_m, logit, facts, point_m, vote
+    return first, range_m, logit, facts, point_m, hit_prior

@@ -92,7 +92,7 @@ def lidar4d_regions(
 
 def masked_regions(
     predicted: Scan,
-    answers: RenderedRays,
+    rendered: RenderedRays,
     truth: Scan,
     truth_rays: RenderedRays,
     n_lasers: int,
@@ -109,7 +109,7 @@ def masked_regions(
 
     Args:
         predicted: The exported scan.
-        answers: The prediction along the recorded rays, in the order of the recorded returns.
+        rendered: The prediction along the recorded rays, in the order of the recorded returns.
         truth: The recorded scan.
         truth_rays: Recorded range and intensity along the same rays.
         n_lasers: Lasers of the sensor, for the hit cells.
@@ -128,14 +128,14 @@ def masked_regions(
         return hit_region_metrics(*sides, n_lasers, predicted_in, truth_mask, complement=complement)
 
     foreground = {
-        **_along_rays(answers, truth_rays, rays & inside),
+        **_along_rays(rendered, truth_rays, rays & inside),
         **cells(truth_in, complement=False),
         **point_cloud_metrics(near_predicted.points_m[predicted_in], near_truth.points_m[truth_in]),
     }
     if not truth_in.any():
         foreground = dict.fromkeys(foreground, absent(NO_RETURN if len(boxes_to_lidar) else NO_BOX))
     background = {
-        **_along_rays(answers, truth_rays, rays & ~shell),
+        **_along_rays(rendered, truth_rays, rays & ~shell),
         **cells(truth_shell, complement=True),
         **point_cloud_metrics(near_predicted.points_m[~predicted_in], near_truth.points_m[~truth_shell]),
     }
@@ -224,8 +224,8 @@ def masked_image_regions(
 
 def _answered_m(image: PanoImage) -> np.ndarray:
     """(H, W) range where a return is expected, else 0."""
-    answered_m: np.ndarray = np.where(image.hit > 0.5, image.range_m, 0.0)
-    return answered_m
+    masked_m: np.ndarray = np.where(image.hit > 0.5, image.range_m, 0.0)
+    return masked_m
 
 
 def _pixels_inside(
@@ -237,11 +237,11 @@ def _pixels_inside(
     return inside
 
 
-def _along_rays(answers: RenderedRays, truth: RenderedRays, which: np.ndarray) -> dict[str, Measure]:
-    answered = np.isfinite(answers.range_m[which])
+def _along_rays(rendered: RenderedRays, truth: RenderedRays, which: np.ndarray) -> dict[str, Measure]:
+    answered = np.isfinite(rendered.range_m[which])
     return {
-        **ray_range_metrics(answers.range_m[which], truth.range_m[which]),
-        **ray_intensity_metrics(answers.intensity[which], truth.intensity[which], answered),
+        **ray_range_metrics(rendered.range_m[which], truth.range_m[which]),
+        **ray_intensity_metrics(rendered.intensity[which], truth.intensity[which], answered),
     }
 
 

@@ -30,13 +30,13 @@ def intensity_image_metrics(predicted: np.ndarray, truth: np.ndarray) -> Mapping
 
 
 def ray_intensity_metrics(
-    predicted: np.ndarray, truth: np.ndarray, answered: np.ndarray
+    predicted: np.ndarray, truth: np.ndarray, is_covered: np.ndarray
 ) -> Mapping[str, Measure]:
     """`intensity_rmse` along the recorded rays (R,) that were answered; `n_valid` = their number.
 
     A ray without an answer has no intensity; `range_missing` gives the share of those.
     """
     same_shape(predicted, truth)
-    if truth.size and not answered.any():
+    if truth.size and not is_covered.any():
         return {"intensity_rmse": undefined("no ray was answered")}
-    return {"intensity_rmse": rmse(predicted[answered], truth[answered])}
+    return {"intensity_rmse": rmse(predicted[is_covered], truth[is_covered])}

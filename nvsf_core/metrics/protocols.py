@@ -95,23 +95,23 @@ def lidar4d(
 
 
 def raw(
-    predicted: Scan, answers: RenderedRays, truth: Scan, truth_rays: RenderedRays, n_lasers: int
+    predicted: Scan, rendered: RenderedRays, truth: Scan, truth_rays: RenderedRays, n_lasers: int
 ) -> Mapping[str, Measure]:
     """Metrics of the protocol `raw`, of one frame.
 
     Args:
         predicted: The exported scan.
-        answers: The prediction along the recorded rays, in the order of the recorded returns.
+        rendered: The prediction along the recorded rays, in the order of the recorded returns.
         truth: The recorded scan.
         truth_rays: Recorded range and intensity along the same rays.
         n_lasers: Lasers of the sensor, for the hit cells.
     """
     counted = (truth_rays.range_m > 0.0) & (truth_rays.range_m <= MAX_RANGE_M)
-    answered = np.isfinite(answers.range_m[counted])
+    answered = np.isfinite(rendered.range_m[counted])
     near_predicted, near_truth = near_returns(predicted), near_returns(truth)
     return {
-        **ray_range_metrics(answers.range_m[counted], truth_rays.range_m[counted]),
-        **ray_intensity_metrics(answers.intensity[counted], truth_rays.intensity[counted], answered),
+        **ray_range_metrics(rendered.range_m[counted], truth_rays.range_m[counted]),
+        **ray_intensity_metrics(rendered.intensity[counted], truth_rays.intensity[counted], answered),
         **hit_cell_metrics(
             near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser, n_lasers
         ),

@@ -36,22 +36,25 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     lasers = np.unique(a["laser"][of_training])
     returns = training_returns(sweeps)
     moving = find_moving_objects(returns)
-    stays = np.ones(len(used), bool)
-    stays[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
+    is_static = np.ones(len(used), bool)
+    is_static[np.flatnonzero(of_training)[moving.object_id >= 0]] = False
     rays = ScanRays(
         origin_m=a["origin_m"][used], direction=a["direction"][used], range_m=a["range_m"][used],
         intensity=sweeps.even_intensity(used), scan=np.repeat(np.arange(sweeps.count), lengths)[used],
-        stays=stays[used],
+        is_static=is_static[used],
     )  # fmt: skip
     choice = choose_voxel_m(
-        rays, silent=training[prior.is_silent], far_m=float(sweeps.table.max_range_m), threads=_THREADS
+        rays,
+        unidentified=training[prior.is_unidentified],
+        far_m=float(sweeps.table.max_range_m),
+        threads=_THREADS,
     )
     best_m = FIELD_VOXEL_M if choice is None else choice.best_m
     surfels = build_surfels(
         rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M, threads=_THREADS
     )
     dynamic = None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays)
-    standing = surfels if dynamic is None else dynamic.background
+    static = surfels if dynamic is None else dynamic.static
     evidence = SceneEvidence(
         surfels=surfels,
         prior=prior,
@@ -60,10 +63,10 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
         dynamic=dynamic,
-        at_rest=_keep_at_rest(sweeps, of_training, prior),
+        stationary=_keep_at_rest(sweeps, of_training, prior),
         rendered=rays.surfels(best_m, _THREADS, shaped=True),
         left_out=None if choice is None else _without_judges(choice, training),
-        unknown=unobserved_beside(standing, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
+        unobserved=unobserved_beside(static, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
     for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
@@ -74,8 +77,8 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
 def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:
     """What stays without the judges, in the fields' voxels and in the chosen ones; `training` (n,) scans."""
     return LeftOutEvidence(
-        judges=np.searchsorted(training, choice.judges),
-        standing=choice.standing,
+        validation=np.searchsorted(training, choice.validation),
+        static=choice.static,
         rendered=choice.rendered[choice.best_m],
     )
 
@@ -83,7 +86,7 @@ def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidenc
 def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> StationaryScans | None:
     """What was measured where the sensor stood or crawled, by known lasers; None where it never did."""
     scans = find_stationary_scans(prior.time_s, sweeps.trajectory)
-    scans = scans[~prior.is_silent[scans]]
+    scans = scans[~prior.is_unidentified[scans]]
     if len(scans) == 0:
         return None
     a, training = sweeps.arrays, np.flatnonzero(sweeps.is_training)
@@ -115,6 +118,6 @@ def _prove_motion(
         sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
     )  # fmt: skip
     return DynamicEvidence(
-        background=rays.surfels(FIELD_VOXEL_M, _THREADS, shaped=False),
+        static=rays.surfels(FIELD_VOXEL_M, _THREADS, shaped=False),
         objects=choose_flow(objects),
     )

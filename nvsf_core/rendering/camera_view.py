@@ -144,10 +144,10 @@ def shown_images(
 
 
 def moving_pixels(
-    pose: np.ndarray, pinhole: Pinhole, static_m: np.ndarray, things_m: Sequence[np.ndarray]
+    pose: np.ndarray, pinhole: Pinhole, static_m: np.ndarray, moving_m: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Pixels (H, W) bool of a recorded image that may show what moves, from points at its instant."""
-    return view_label(pose, pinhole, [static_m, *things_m], _SHADOW_PX) > 0
+    return view_label(pose, pinhole, [static_m, *moving_m], _SHADOW_PX) > 0
 
 
 def camera_view(
@@ -159,7 +159,7 @@ def camera_view(
     spec: CameraSpec,
     *,
     leave_out: int | None = None,
-    things: Sequence[MovingPoints] = (),
+    moving: Sequence[MovingPoints] = (),
 ) -> CameraView:
     """Choose sources of a view and look at the LiDAR's depth from it.
 
@@ -171,9 +171,9 @@ def camera_view(
         poses: (j, 4, 4) theirs.
         spec: Of the networks.
         leave_out: Image that may not be a source: the one that the view is compared with.
-        things: What moves and may be seen.
+        moving: What moves and may be seen.
     """
-    clouds = [points_m, *(thing.points_m for thing in things)]
+    clouds = [points_m, *(thing.points_m for thing in moving)]
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
     known = [index for index in range(len(poses)) if index != leave_out]
     chosen = [known[index] for index in nearest_sources(pose, poses[known], spec.sources)]
@@ -181,7 +181,7 @@ def camera_view(
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
     chosen += [chosen[-1]] * (spec.sources - len(chosen))
-    label = view_label(pose, pinhole, clouds, _REACH_PX) if things else None
+    label = view_label(pose, pinhole, clouds, _REACH_PX) if moving else None
     return CameraView(
         pinhole=pinhole,
         factor=shrinking(pinhole, spec),
@@ -191,7 +191,7 @@ def camera_view(
         chosen=chosen,
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
         nearness=nearness,
-        moved=_moved(pose, poses[chosen], [thing.moved[chosen] for thing in things]) if things else None,
+        moved=_moved(pose, poses[chosen], [thing.moved[chosen] for thing in moving]) if moving else None,
         label=None if label is None else torch.from_numpy(label),
     )
 

@@ -29,16 +29,16 @@ class LidarRender:
     """(r,)."""
 
 
-def render_lidar(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> LidarRender:
+def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> LidarRender:
     """Composite a ray's surfaces, then decode hit and intensity once.
 
     Args:
         field: The scene.
         batch: Rays and proposed surfaces.
-        vote: (r,) share of the nearest training scans that returned here: the prior of the hit. A ray
+        hit_prior: (r,) share of the nearest training scans that returned here: the prior of the hit. A ray
             that ends on a moving object asks the object's surfaces instead.
     """
-    rays = _composite(field, batch, vote)
+    rays = _composite(field, batch, hit_prior)
     both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
     return LidarRender(both[..., 0], both[..., 1], rays.hit_logit, rays.intensity_logit)
 
@@ -58,24 +58,24 @@ class _Rays(NamedTuple):
     """(r,)."""
     intensity_logit: Tensor
     """(r,)."""
-    vote: Tensor
+    hit_prior: Tensor
     """(r,): share of the scans that returned, on a moving object those that saw its place."""
 
 
-def _composite(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> _Rays:
+def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Rays:
     logit, range_m, features = field.surfaces(batch)
-    weights, summary, median, vote = composite_rays(
-        logit, range_m, features, batch.facts, batch.first, batch.vote, vote
+    weights, summary, median, hit_prior = composite_rays(
+        logit, range_m, features, batch.facts, batch.first, batch.hit_prior, hit_prior
     )
-    prior_hit = probability_logit(vote, _VOTE_LIMIT)
+    prior_hit = probability_logit(hit_prior, _VOTE_LIMIT)
     prior_intensity = probability_logit(summary[:, -1], 0.01)
     hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
     total = summary[:, features.shape[1]]
-    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, vote)
+    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, hit_prior)
 
 
 @torch.no_grad()
-def render_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> RenderedRays:
+def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> RenderedRays:
     """The weighted median surface, the hit probability and the intensity of each ray.
 
     Where moving objects have 3 tenths of the weight the median is theirs alone.
@@ -83,7 +83,7 @@ def render_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> Rendere
     Raises:
         DivergedError: The field's opacities are NaN.
     """
-    rays = _composite(field, batch, vote)
+    rays = _composite(field, batch, hit_prior)
     require_finite("answer_rays: sum of the weights", rays.total)
     answered = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
@@ -92,5 +92,5 @@ def render_rays(field: LidarField, batch: SurfaceBatch, vote: Tensor) -> Rendere
         range_m=range_m.numpy(),
         hit=torch.where(answered, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),
-        vote=rays.vote.numpy(),
+        hit_prior=rays.hit_prior.numpy(),
     )

@@ -15,7 +15,7 @@ class RenderedRays:
     """(r,) float32: probability of a return."""
     intensity: np.ndarray
     """(r,) float32, 0..1."""
-    vote: np.ndarray | None = None
+    hit_prior: np.ndarray | None = None
     """(r,) float32: share of the scans that returned there, on a moving object those that saw its place; what
     `hit` started from. None where that is not told."""
 

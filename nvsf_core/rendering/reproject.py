@@ -23,7 +23,7 @@ def reproject_rays(
     surfels: Surfels,
     origin_m: np.ndarray,
     direction: np.ndarray,
-    vote: np.ndarray,
+    hit_prior: np.ndarray,
     *,
     most: int,
     far_m: float,
@@ -32,13 +32,13 @@ def reproject_rays(
 ) -> RenderedRays:
     """Answer rays (r, 3), scene-local, from evidence alone.
 
-    The range is the weighted median candidate's; `vote` (r,) is the prior's share of returns and becomes
+    The range is the weighted median candidate's; `hit_prior` (r,) is the prior's share of returns and becomes
     the hit probability wherever there is a candidate at all. Moving objects are where they are at the
     rays' times `time_s` (r,), which must be given with them.
     """
-    answers = _answers_of_what_stands(surfels, origin_m, direction, vote, most=most, far_m=far_m)
+    rendered = _answers_of_what_stands(surfels, origin_m, direction, hit_prior, most=most, far_m=far_m)
     if not objects:
-        return answers
+        return rendered
     if time_s is None:
         raise ShapeError("expected the rays' times with moving objects, found none; pass time_s")
     met = [candidates_on(one, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m) for one in objects]
@@ -47,19 +47,19 @@ def reproject_rays(
         found = candidates_of(surfels, origin_m[rays], direction[rays], most=most, near_m=NEAR_M, far_m=far_m)
         found = merge_objects(found, rays, surfels.index.count, objects, met)
         own_votes = [
-            (np.searchsorted(rays, ray), one.vote(own, origin_m[ray], direction[ray], time_s[ray]))
+            (np.searchsorted(rays, ray), one.hit_prior(own, origin_m[ray], direction[ray], time_s[ray]))
             for one, (ray, own) in zip(objects, met, strict=True)
         ]
-        for name, value in _answers_with_objects(surfels, found, vote[rays], objects, own_votes).items():
-            getattr(answers, name)[rays] = value
-    return answers
+        for name, value in _answers_with_objects(surfels, found, hit_prior[rays], objects, own_votes).items():
+            getattr(rendered, name)[rays] = value
+    return rendered
 
 
 def _answers_of_what_stands(
     surfels: Surfels,
     origin_m: np.ndarray,
     direction: np.ndarray,
-    vote: np.ndarray,
+    hit_prior: np.ndarray,
     *,
     most: int,
     far_m: float,
@@ -83,14 +83,14 @@ def _answers_of_what_stands(
         STOP_TRANSMITTANCE,
         most,
     )
-    hit = np.where(np.isfinite(range_m), vote, 0.0).astype(np.float32)
+    hit = np.where(np.isfinite(range_m), hit_prior, 0.0).astype(np.float32)
     return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
 
 
 def _answers_with_objects(
     surfels: Surfels,
     found: Candidates,
-    vote: np.ndarray,
+    hit_prior: np.ndarray,
     objects: tuple[ObjectSurfels, ...],
     own_votes: list[tuple[np.ndarray, np.ndarray]],
 ) -> dict[str, np.ndarray]:
@@ -103,7 +103,7 @@ def _answers_with_objects(
     chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
     return {
         "range_m": found.range_m[np.arange(len(weights)), chosen],
-        "hit": _votes_with_objects(surfels, found, vote, objects, own_votes),
+        "hit": _votes_with_objects(surfels, found, hit_prior, objects, own_votes),
         "intensity": (weights * shine[found.voxel]).sum(axis=1) / weights.sum(axis=1),
     }
 
@@ -111,20 +111,20 @@ def _answers_with_objects(
 def _votes_with_objects(
     surfels: Surfels,
     found: Candidates,
-    vote: np.ndarray,
+    hit_prior: np.ndarray,
     objects: tuple[ObjectSurfels, ...],
     own_votes: list[tuple[np.ndarray, np.ndarray]],
 ) -> np.ndarray:
     """Votes (r,) where rays that end on objects, by more than half, ask those; arguments as above."""
     weights, first = found.weights, surfels.index.count
-    on_objects, own = np.zeros(len(vote)), np.zeros(len(vote))
+    on_objects, own = np.zeros(len(hit_prior)), np.zeros(len(hit_prior))
     for one, (rays, share) in zip(objects, own_votes, strict=True):
         is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.index.count)
         on_it = np.where(is_its, weights[rays], 0.0).sum(axis=1)
         on_objects[rays] += on_it
         own[rays] += on_it * share
         first += one.surfels.index.count
-    asked: np.ndarray = vote.copy()
+    asked: np.ndarray = hit_prior.copy()
     rows = np.flatnonzero(on_objects > 0.5 * weights.sum(axis=1))
     asked[rows] = own[rows] / on_objects[rows]
     return asked

@@ -44,7 +44,7 @@ _BASELINE_FLOOR_M = 0.05
 class WarpedView(RenderedImage):
     """A view made of warped images; black where nothing answers."""
 
-    answered: np.ndarray
+    is_covered: np.ndarray
     """(H, W) bool, a source shows it."""
 
 
@@ -115,11 +115,11 @@ def render_by_warping(
         share = seen / (_distance(target_pose, source_poses[index]) + _BASELINE_FLOOR_M)
         total += share * sample(image, grid)
         weight += share
-    answered = weight > 0
-    rgb = torch.where(answered, total / weight.clamp_min(1e-12), 0.0)
+    is_covered = weight > 0
+    rgb = torch.where(is_covered, total / weight.clamp_min(1e-12), 0.0)
     rgb_u8 = (rgb * 255.0).round().clamp(0, 255).to(torch.uint8)
     return WarpedView(
-        rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy(), answered.numpy()
+        rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy(), is_covered.numpy()
     )
 
 

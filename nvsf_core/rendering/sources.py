@@ -8,7 +8,7 @@ from torch import Tensor
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.warping import sample, source_pixels
 
-STILL = 0
+STATIC = 0
 """Label of pixels that show what does not move."""
 
 
@@ -46,7 +46,7 @@ def look_up(
     image = sources.image[number]
     grid, inside = source_pixels(sources.motion[number], rays, inverse, pinhole)
     if label is not None and sources.moved is not None:
-        for thing in torch.unique(label[label > STILL]).tolist():
+        for thing in torch.unique(label[label > STATIC]).tolist():
             where = label == thing
             depths = inverse.expand(len(inverse), *label.shape)[:, where]
             moved = sources.moved[thing - 1, number]
@@ -54,5 +54,5 @@ def look_up(
     found = sample(image, grid.flatten(0, 1)).reshape(-1, *inside.shape)
     seen = inside & (found[3] > 0.999) & (sources.nearness[number] > 0)
     if label is not None and len(found) > 4:
-        seen = seen & ((found[4] < 0.5) | (label > STILL))
+        seen = seen & ((found[4] < 0.5) | (label > STATIC))
     return found[:3], seen

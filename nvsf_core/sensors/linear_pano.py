@@ -28,7 +28,7 @@ class LinearPano:
     """Elevation that `height` rows span, downwards."""
     max_range_m: float = 80.0
     """Returns at or beyond it are dropped."""
-    quirks: bool = False
+    reference_quirks: bool = False
     """As the papers' code: returns that round to column W are dropped; else they wrap to column 0."""
 
     def project(self, points_m: np.ndarray, intensity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +69,7 @@ class LinearPano:
         column = np.rint((np.pi - azimuth_rad) / (2.0 * np.pi / self.width)).astype(np.int64)
         row = np.rint(self.height - (elevation_rad + fov_down_rad) / (fov_rad / self.height)).astype(np.int64)
         kept = (row >= 0) & (row < self.height)
-        if self.quirks:
+        if self.reference_quirks:
             kept &= column < self.width
         else:
             column %= self.width

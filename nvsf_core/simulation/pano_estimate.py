@@ -68,21 +68,21 @@ def estimate_pano(fire: Fire, pano: LinearPano, phases: int, *, parts: int = 1) 
     """
     found = []
     for number in range(phases):
-        rays, answers = fire((number + 0.5) / phases)
+        rays, rendered = fire((number + 0.5) / phases)
         firing_rad = 2.0 * np.pi / rays.shape[1]
         for part in range(parts):
             # Later firings look farther to the right.
             turn_rad = -firing_rad * ((part + 0.5) / parts - 0.5) / phases
-            found.append(rays_in_cells(pano, rays, answers, turn_rad))
+            found.append(rays_in_cells(pano, rays, rendered, turn_rad))
     return combine_phases(found, pano)
 
 
 def rays_in_cells(
-    pano: LinearPano, rays: SweepRays, answers: RenderedRays, turn_rad: float = 0.0
+    pano: LinearPano, rays: SweepRays, rendered: RenderedRays, turn_rad: float = 0.0
 ) -> PanoRays:
     """A turn's rays where its points would be recorded, turned to the left by an angle."""
-    known = np.isfinite(answers.range_m) & (answers.hit > 0.0)
-    points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * answers.range_m[known, None]
+    known = np.isfinite(rendered.range_m) & (rendered.hit > 0.0)
+    points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * rendered.range_m[known, None]
     if turn_rad != 0.0:
         cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
         points[:, :2] = points[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
@@ -90,8 +90,8 @@ def rays_in_cells(
     return PanoRays(
         cell=(row * pano.width + column)[kept],
         range_m=range_m[kept],
-        hit=np.clip(answers.hit[known][kept].astype(np.float64), 0.0, _MOST_HIT),
-        intensity=np.clip(answers.intensity[known][kept].astype(np.float64), 0.0, 1.0),
+        hit=np.clip(rendered.hit[known][kept].astype(np.float64), 0.0, _MOST_HIT),
+        intensity=np.clip(rendered.intensity[known][kept].astype(np.float64), 0.0, 1.0),
     )
 
 

@@ -32,23 +32,23 @@ def field_renderer(
     """
     places = None if moving is None else field.places(moving.evidence)
 
-    def answer(
-        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    def render(
+        origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
         objects = None
         if moving is not None and places is not None:
             there = moving.at(time_s)
             objects = object_surfaces(there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m)
         parts = []
-        for part in _parts(len(vote), _FIELD_RAYS):
+        for part in _parts(len(hit_prior), _FIELD_RAYS):
             met = None if objects is None else objects.of(np.arange(part.start, part.stop))
             batch = surface_batch(
                 surfels, origin_m[part], direction[part], most=most, near_m=NEAR_M, far_m=far_m, objects=met
             )
-            parts.append(render_rays(field, batch, torch.from_numpy(vote[part])))
+            parts.append(render_rays(field, batch, torch.from_numpy(hit_prior[part])))
         return _joined(parts)
 
-    return answer
+    return render
 
 
 def evidence_renderer(
@@ -59,15 +59,15 @@ def evidence_renderer(
     Arguments as of `field_renderer`.
     """
 
-    def answer(
-        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    def render(
+        origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
         objects = () if moving is None else moving.at(time_s)
         return reproject_rays(
-            surfels, origin_m, direction, vote, most=most, far_m=far_m, objects=objects, time_s=time_s
+            surfels, origin_m, direction, hit_prior, most=most, far_m=far_m, objects=objects, time_s=time_s
         )
 
-    return answer
+    return render
 
 
 def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
@@ -76,22 +76,28 @@ def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
     Arguments as of `field_renderer`.
     """
 
-    def answer(
-        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    def render(
+        origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
         found = candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
         stopped = found.weights.sum(axis=1)
         return reproject_rays(surfels, origin_m, direction, stopped, most=most, far_m=far_m)
 
-    return answer
+    return render
 
 
 def render_in_chunks(
-    render: RayRenderer, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    render: RayRenderer,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    hit_prior: np.ndarray,
+    time_s: np.ndarray,
 ) -> RenderedRays:
     """Answer any number of rays in bounded memory."""
-    rays = (origin_m, direction, vote, time_s)
-    return _joined([render(*(column[part] for column in rays)) for part in _parts(len(vote), _CHUNK_RAYS)])
+    rays = (origin_m, direction, hit_prior, time_s)
+    return _joined(
+        [render(*(column[part] for column in rays)) for part in _parts(len(hit_prior), _CHUNK_RAYS)]
+    )
 
 
 def _parts(rays: int, most: int) -> list[slice]:
@@ -102,9 +108,9 @@ def _parts(rays: int, most: int) -> list[slice]:
 def _joined(parts: list[RenderedRays]) -> RenderedRays:
     if len(parts) == 1:
         return parts[0]
-    votes = [part.vote for part in parts if part.vote is not None]
+    hit_priors = [part.hit_prior for part in parts if part.hit_prior is not None]
     range_m, hit, intensity = (
         np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity")
     )
-    vote = np.concatenate(votes) if len(votes) == len(parts) else None
-    return RenderedRays(range_m, hit, intensity, vote)
+    hit_prior = np.concatenate(hit_priors) if len(hit_priors) == len(parts) else None
+    return RenderedRays(range_m, hit, intensity, hit_prior)

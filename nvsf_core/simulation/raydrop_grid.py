@@ -93,25 +93,29 @@ class SweepRaydrop:
 
     network: CellNetwork
     """Trained."""
-    turns: RecordedSweeps
+    scan_grids: RecordedSweeps
     blend: HitBlend
 
-    def __call__(self, rays: SweepRays, answers: RenderedRays, near: np.ndarray) -> RenderedRays:
+    def __call__(self, rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
         """The same answers with other hits; `near` (k,) are the scans that vote, nearest in time first."""
-        both = hit_logits(self.network, self.turns, rays, answers, near)
+        both = hit_logits(self.network, self.scan_grids, rays, rendered, near)
         hit = expit(self.blend.logit(*both)).astype(np.float32)
-        return replace(answers, hit=np.where(np.isfinite(answers.range_m), hit, answers.hit))
+        return replace(rendered, hit=np.where(np.isfinite(rendered.range_m), hit, rendered.hit))
 
 
 @torch.no_grad()
 def hit_logits(
-    network: CellNetwork, turns: RecordedSweeps, rays: SweepRays, answers: RenderedRays, near: np.ndarray
+    network: CellNetwork,
+    scan_grids: RecordedSweeps,
+    rays: SweepRays,
+    rendered: RenderedRays,
+    near: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What network and ray head say of each ray of a turn: logits (r,) float32 of a return."""
-    cells = sweep_cells(turns, rays, answers, near)
+    cells = sweep_cells(scan_grids, rays, rendered, near)
     learned = cells.prior_logit + network(cells.features[None])[0, 0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
-    return back.numpy(), probability_logit(torch.from_numpy(answers.hit), _HIT_LIMIT).numpy()
+    return back.numpy(), probability_logit(torch.from_numpy(rendered.hit), _HIT_LIMIT).numpy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,33 +128,33 @@ class SweepCells:
     """(FEATURES, l, f) float32, each about -1..1."""
     prior_logit: Tensor
     """(l, f) float32: of the share of scans that returned."""
-    is_answered: Tensor
+    is_met: Tensor
     """(l, f) bool: whether a return can be expected at all."""
 
 
 def sweep_cells(
-    turns: RecordedSweeps, rays: SweepRays, answers: RenderedRays, near: np.ndarray
+    scan_grids: RecordedSweeps, rays: SweepRays, rendered: RenderedRays, near: np.ndarray
 ) -> SweepCells:
     """What is told of a turn's cells; arguments as of `SweepRaydrop`. The ray head's hits are not asked.
 
     Raises:
         ShapeError: The answers do not tell the votes.
     """
-    if answers.vote is None:
+    if rendered.hit_prior is None:
         raise ShapeError("turn_cells: expected answers with votes, found none; a field's renderer gives them")
     lasers, firings = rays.shape
-    is_answered = np.isfinite(answers.range_m)
-    range_m = np.where(is_answered, answers.range_m, 0.0).astype(np.float32)
-    points_m = rays.origin_m + rays.direction * answers.range_m[:, None]
-    beside, asked = turns.ask(points_m.astype(np.float32), near)
+    is_met = np.isfinite(rendered.range_m)
+    range_m = np.where(is_met, rendered.range_m, 0.0).astype(np.float32)
+    points_m = rays.origin_m + rays.direction * rendered.range_m[:, None]
+    beside, asked = scan_grids.ask(points_m.astype(np.float32), near)
     share = asked / np.float32(len(near))
     share_beside = beside / np.float32(min(len(near), _BESIDE))
     shine = asked[:, SHINE] / np.maximum(asked[:, SAME], 1.0)
     level = np.repeat(np.linspace(-1.0, 1.0, lasers, dtype=np.float32), firings)
     channels = (
-        answers.vote - 0.5,
-        turns.prior.vote(rays.laser, rays.fraction, near[:_BESIDE]) - 0.5,
-        is_answered - 0.5,
+        rendered.hit_prior - 0.5,
+        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:_BESIDE]) - 0.5,
+        is_met - 0.5,
         np.log1p(range_m) / 2.0 - 1.0,
         range_m / 40.0,
         share[:, SAME] - 0.5,
@@ -160,18 +164,18 @@ def sweep_cells(
         share_beside[:, SAME] - 0.5,
         share_beside[:, EMPTY],
         shine,
-        answers.intensity,
+        rendered.intensity,
         level,
     )
     assert len(channels) == FEATURES
-    column = torch.from_numpy(_upright(turns.table, rays))
+    column = torch.from_numpy(_upright(scan_grids.table, rays))
     stacked = torch.from_numpy(np.stack(channels).astype(np.float32)).reshape(FEATURES, lasers, firings)
-    vote = torch.from_numpy(answers.vote).reshape(lasers, firings)
+    hit_prior = torch.from_numpy(rendered.hit_prior).reshape(lasers, firings)
     return SweepCells(
         column=column,
         features=torch.gather(stacked, 2, column.expand(FEATURES, -1, -1)),
-        prior_logit=probability_logit(torch.gather(vote, 1, column), _VOTE_LIMIT),
-        is_answered=torch.gather(torch.from_numpy(is_answered).reshape(lasers, firings), 1, column),
+        prior_logit=probability_logit(torch.gather(hit_prior, 1, column), _VOTE_LIMIT),
+        is_met=torch.gather(torch.from_numpy(is_met).reshape(lasers, firings), 1, column),
     )
 
 

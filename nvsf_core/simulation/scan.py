@@ -18,7 +18,7 @@ _TYPICAL_OWN_RANGE_M = 2.0
 
 
 def measured_when_stationary(
-    answers: RenderedRays,
+    rendered: RenderedRays,
     laser: np.ndarray,
     fraction: np.ndarray,
     lidar: LidarRecording,
@@ -28,27 +28,27 @@ def measured_when_stationary(
 ) -> RenderedRays:
     """Let rays (laser, fraction: (r,)) of the recording sensor's sweep that were fired before say so.
 
-    The same `answers` where the sensor never stood or crawled; the training scan `leave_out` is silent.
+    The same `rendered` where the sensor never stood or crawled; the training scan `leave_out` is silent.
     """
     evidence, sweeps = lidar.evidence, lidar.sweeps
-    if evidence.at_rest is None:
-        return answers
-    rays = FiredRays(laser, fraction, answers.range_m, answers.hit, answers.intensity)
+    if evidence.stationary is None:
+        return rendered
+    rays = FiredRays(laser, fraction, rendered.range_m, rendered.hit, rendered.intensity)
     return RenderedRays(
         *look_up_stationary(
-            evidence.at_rest, evidence.prior, rays, instant_s, sweeps.trajectory, sweeps.period_s,
+            evidence.stationary, evidence.prior, rays, instant_s, sweeps.trajectory, sweeps.period_s,
             leave_out=leave_out,
         )
     )  # fmt: skip
 
 
 def by_lasers(
-    answers: RenderedRays, laser: np.ndarray, table: LaserTable, *, as_recorded: bool
+    rendered: RenderedRays, laser: np.ndarray, table: LaserTable, *, as_recorded: bool
 ) -> RenderedRays:
     """Answers in the terms of a stored scan: intensities with their laser's gain, ranges without its bias.
 
     Args:
-        answers: Of r rays.
+        rendered: Of r rays.
         laser: (r,) of the table; -1 = unknown, which has neither.
         table: Gains and biases.
         as_recorded: Whether the answers hold both already, as `SceneModel` says: then the bias is taken off.
@@ -57,12 +57,12 @@ def by_lasers(
     known = laser >= 0
     if as_recorded:
         bias_m = np.where(known, table.range_bias_m[laser], 0.0)
-        return replace(answers, range_m=(answers.range_m - bias_m).astype(np.float32))
+        return replace(rendered, range_m=(rendered.range_m - bias_m).astype(np.float32))
     gain = np.where(known, table.intensity_gain[laser], 1.0)
-    return replace(answers, intensity=np.clip(answers.intensity * gain, 0.0, 1.0).astype(np.float32))
+    return replace(rendered, intensity=np.clip(rendered.intensity * gain, 0.0, 1.0).astype(np.float32))
 
 
-def put_back_own_vehicle(answers: RenderedRays, rays: SweepRays, evidence: SceneEvidence) -> RenderedRays:
+def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: SceneEvidence) -> RenderedRays:
     """Let rays that met the recording car in most training scans meet it again."""
     cells = evidence.own_range_m.shape[1]
     # Most lasers look over the car: theirs are not asked.
@@ -79,7 +79,7 @@ def put_back_own_vehicle(answers: RenderedRays, rays: SweepRays, evidence: Scene
     is_own = (own_m > 0) & (inside > 0)
     met = asked[is_own]
     range_m, hit, intensity = (
-        column.astype(np.float32) for column in (answers.range_m, answers.hit, answers.intensity)
+        column.astype(np.float32) for column in (rendered.range_m, rendered.hit, rendered.intensity)
     )
     range_m[met] = np.sqrt(inside[is_own]) - along[is_own]
     hit[met] = 1.0
@@ -92,7 +92,7 @@ class RenderedSweep:
     """r answered rays of a turn, in the sensor's own frame at each firing."""
 
     rays: SweepRays
-    answers: RenderedRays
+    rendered: RenderedRays
     is_known: np.ndarray
     """(r,) bool: the ray has an answer at all."""
     point_m: np.ndarray
@@ -105,16 +105,16 @@ class RenderedSweep:
     """(r,) float64 of the point, from the sensor's centre."""
 
     @staticmethod
-    def of(rays: SweepRays, answers: RenderedRays) -> "RenderedSweep":
+    def of(rays: SweepRays, rendered: RenderedRays) -> "RenderedSweep":
         """Points and angles of all rays, computed once."""
-        known = np.isfinite(answers.range_m)
-        range_m = np.where(known, answers.range_m, 0.0)
+        known = np.isfinite(rendered.range_m)
+        range_m = np.where(known, rendered.range_m, 0.0)
         point = rays.recorded_origin_m + rays.recorded_direction * range_m[:, None]
         x, y, z = np.ascontiguousarray(point.T)
         level_m2 = x * x + y * y
         elevation = np.arctan2(z, np.sqrt(level_m2))
         return RenderedSweep(
-            rays, answers, known, point, np.sqrt(level_m2 + z * z), np.arctan2(y, x), elevation
+            rays, rendered, known, point, np.sqrt(level_m2 + z * z), np.arctan2(y, x), elevation
         )
 
     def scan(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -122,7 +122,7 @@ class RenderedSweep:
 
         Laser by laser from the top, azimuth ascending in [0, 360) degrees within it.
         """
-        returned = np.flatnonzero(rays_return(self.answers.hit) & self.is_known)
+        returned = np.flatnonzero(rays_return(self.rendered.hit) & self.is_known)
         azimuth = self.azimuth_rad[returned]
         azimuth = np.where(azimuth < 0.0, azimuth + 2.0 * np.pi, azimuth)
         # Rays lie laser by laser: each sorted by itself takes a sixth of the time.
@@ -132,7 +132,7 @@ class RenderedSweep:
         taken = returned[order]
         return (
             self.point_m[taken].astype(np.float32),
-            np.clip(self.answers.intensity[taken], 0, 1).astype(np.float32),
+            np.clip(self.rendered.intensity[taken], 0, 1).astype(np.float32),
             self.rays.laser[taken].astype(np.int16),
         )
 
@@ -141,8 +141,8 @@ class RenderedSweep:
         known = self.is_known
         columns = {
             "grid_range_m": np.where(known, self.distance_m, 0.0),
-            "grid_hit": np.where(known, self.answers.hit, 0.0),
-            "grid_intensity": np.clip(self.answers.intensity, 0.0, 1.0),
+            "grid_hit": np.where(known, self.rendered.hit, 0.0),
+            "grid_intensity": np.clip(self.rendered.intensity, 0.0, 1.0),
             "grid_azimuth_rad": self.azimuth_rad,
             "grid_elevation_rad": self.elevation_rad,
         }
@@ -152,7 +152,7 @@ class RenderedSweep:
         """(H, W) float32 probability that any ray of a cell returned: 1 - prod(1 - p) over its rays."""
         row, column, kept = pano.cells_towards(self.azimuth_rad, self.elevation_rad)
         kept &= self.is_known & (self.distance_m > 0.0) & (self.distance_m < pano.max_range_m)
-        missed = np.log1p(-np.clip(self.answers.hit[kept].astype(np.float64), 0.0, 1.0 - 1e-7))
+        missed = np.log1p(-np.clip(self.rendered.hit[kept].astype(np.float64), 0.0, 1.0 - 1e-7))
         cell = row[kept] * pano.width + column[kept]
         total = np.bincount(cell, weights=missed, minlength=pano.height * pano.width)
         return -np.expm1(total).reshape(pano.height, pano.width).astype(np.float32)

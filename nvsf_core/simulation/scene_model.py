@@ -17,14 +17,14 @@ class RayRenderer(Protocol):
     """Answers LiDAR rays."""
 
     def __call__(
-        self, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray, /
+        self, origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray, /
     ) -> RenderedRays:
         """Answer r rays, as many as fit into memory at once (`render_in_chunks` sees to that).
 
         Args:
             origin_m: (r, 3) float32 scene-local.
             direction: (r, 3) float32 unit, scene-local axes.
-            vote: (r,) float32, 0..1: share of the nearest training scans in which this firing returned.
+            hit_prior: (r,) float32, 0..1: share of the nearest training scans in which this firing returned.
             time_s: (r,) float64 seconds since the first frame: when each ray is fired.
         """
 
@@ -32,12 +32,12 @@ class RayRenderer(Protocol):
 class SweepCorrector(Protocol):
     """Corrects a whole turn of the recording sensor: rays beside each other tell more than each alone."""
 
-    def __call__(self, rays: SweepRays, answers: RenderedRays, near: np.ndarray, /) -> RenderedRays:
+    def __call__(self, rays: SweepRays, rendered: RenderedRays, near: np.ndarray, /) -> RenderedRays:
         """Corrected answers.
 
         Args:
             rays: Of the turn.
-            answers: Of a `RayRenderer`, intensities with their lasers' gain.
+            rendered: Of a `RayRenderer`, intensities with their lasers' gain.
             near: (k,) the training scans that vote, nearest in time first.
         """
 
@@ -83,10 +83,10 @@ class SceneModel:
     above: RayRenderer | None = None
     """Answers rays of other sensors that look above all recorded lasers and that `lidar` has no answer for.
     None where nobody knows what is there."""
-    unknown: RayRenderer | None = None
+    unobserved: RayRenderer | None = None
     """Answers rays of the recording sensor in its own place that `lidar` has no answer for, though all scans
     that vote returned there. None where such a ray does not return."""
-    votes: int = PRIOR_SCANS
+    prior_scans: int = PRIOR_SCANS
     """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""
     as_recorded: bool = False
     """Whether its LiDAR answers what lasers record, their own errors included: then neither those errors nor

@@ -40,12 +40,12 @@ def simulate_sweep(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float
 ) -> SimulatedSweep:
     """Fire one sweep of the plan's sensor around `time_s` and record what comes back; as `fire_sweep`."""
-    turn = RenderedSweep.of(*fire_sweep(model, lidar, plan, time_s))
-    points, intensity, laser = turn.scan()
-    pano = LinearPano(quirks=True)
+    sweep = RenderedSweep.of(*fire_sweep(model, lidar, plan, time_s))
+    points, intensity, laser = sweep.scan()
+    pano = LinearPano(reference_quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
     return SimulatedSweep(
-        points, intensity, laser, pano_range, pano_intensity, turn.pano_hit(pano), turn.grid()
+        points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid()
     )
 
 
@@ -70,7 +70,7 @@ def fire_sweep(
     """
     assert model.lidar is not None
     evidence, sweeps = lidar.evidence, lidar.sweeps
-    near = evidence.prior.nearest_scans(time_s, model.votes, leave_out_s=leave_out_s)
+    near = evidence.prior.nearest_scans(time_s, model.prior_scans, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
     else:
@@ -79,28 +79,35 @@ def fire_sweep(
         plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s, mount=plan.mount, phase=phase
     )
     voters = lasers if plan.is_recorded_sensor else _similar_lasers(plan.table, sweeps.table, evidence)
-    vote = evidence.prior.hit_prior_of_sweep(voters, rays.fraction[:firings], near).reshape(-1)
+    hit_prior = evidence.prior.hit_prior_of_sweep(voters, rays.fraction[:firings], near).reshape(-1)
     fired_s = time_s + rays.fraction * sweeps.period_s
-    answers = render_in_chunks(model.lidar, rays.origin_m, rays.direction, vote, fired_s)
+    rendered = render_in_chunks(model.lidar, rays.origin_m, rays.direction, hit_prior, fired_s)
     if model.above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
-        asked = np.flatnonzero(is_above & ~np.isfinite(answers.range_m))
-        seen = model.above(rays.origin_m[asked], rays.direction[asked], vote[asked], fired_s[asked])
-        answers = _with(answers, asked, seen)
-    answers = by_lasers(answers, rays.laser, plan.table, as_recorded=model.as_recorded)
+        asked = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
+        seen = model.above(rays.origin_m[asked], rays.direction[asked], hit_prior[asked], fired_s[asked])
+        rendered = _with(rendered, asked, seen)
+    rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     is_in_place = plan.is_recorded_sensor and plan.mount is None
     if model.correct is not None and is_in_place:
-        answers = model.correct(rays, answers, near)
-    if model.unknown is not None and is_in_place:
-        answers = ask_unobserved(
-            answers, model.unknown, rays.origin_m, rays.direction, vote, fired_s, rays.laser, plan.table
+        rendered = model.correct(rays, rendered, near)
+    if model.unobserved is not None and is_in_place:
+        rendered = ask_unobserved(
+            rendered,
+            model.unobserved,
+            rays.origin_m,
+            rays.direction,
+            hit_prior,
+            fired_s,
+            rays.laser,
+            plan.table,
         )
     if is_in_place and not model.as_recorded:
         own = None if leave_out_s is None else int(np.abs(evidence.prior.time_s - leave_out_s).argmin())
-        answers = measured_when_stationary(answers, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
+        rendered = measured_when_stationary(rendered, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
     if plan.is_recorded_sensor:
-        answers = put_back_own_vehicle(answers, rays, evidence)
-    return rays, answers
+        rendered = put_back_own_vehicle(rendered, rays, evidence)
+    return rays, rendered
 
 
 def render_along(
@@ -126,17 +133,19 @@ def render_along(
     assert model.lidar is not None
     sweeps, evidence = lidar.sweeps, lidar.evidence
     known = np.maximum(laser, 0)
-    vote = evidence.prior.vote(known, fraction, evidence.prior.nearest_scans(time_s, model.votes))
+    hit_prior = evidence.prior.hit_prior(
+        known, fraction, evidence.prior.nearest_scans(time_s, model.prior_scans)
+    )
     fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
-    answers = render_in_chunks(model.lidar, origin_m, direction, vote, fired_s)
-    answers = by_lasers(answers, laser, sweeps.table, as_recorded=model.as_recorded)
-    if model.unknown is not None:
-        answers = ask_unobserved(
-            answers, model.unknown, origin_m, direction, vote, fired_s, laser, sweeps.table
+    rendered = render_in_chunks(model.lidar, origin_m, direction, hit_prior, fired_s)
+    rendered = by_lasers(rendered, laser, sweeps.table, as_recorded=model.as_recorded)
+    if model.unobserved is not None:
+        rendered = ask_unobserved(
+            rendered, model.unobserved, origin_m, direction, hit_prior, fired_s, laser, sweeps.table
         )
     if model.as_recorded:
-        return answers
-    return measured_when_stationary(answers, known, fraction, lidar, time_s)
+        return rendered
+    return measured_when_stationary(rendered, known, fraction, lidar, time_s)
 
 
 def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
@@ -146,40 +155,40 @@ def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
 
 
 def ask_unobserved(
-    answers: RenderedRays,
-    unknown: RayRenderer,
+    rendered: RenderedRays,
+    unobserved: RayRenderer,
     origin_m: np.ndarray,
     direction: np.ndarray,
-    vote: np.ndarray,
+    hit_prior: np.ndarray,
     time_s: np.ndarray,
     laser: np.ndarray,
     table: LaserTable,
 ) -> RenderedRays:
-    """Let `SceneModel.unknown` answer rays (r, 3) that met nothing though all scans that vote returned there.
+    """Render rays (r, 3) by `SceneModel.unobserved` that met nothing though all nearby scans returned there.
 
     Args:
-        answers: In the terms of a stored scan, as `by_lasers` gives them.
-        unknown: Of the model.
+        rendered: In the terms of a stored scan, as `by_lasers` gives them.
+        unobserved: Of the model.
         origin_m: (r, 3) scene-local.
         direction: (r, 3) unit.
-        vote: (r,) share of the nearest scans that returned; what these rays' hits become.
+        hit_prior: (r,) share of the nearest scans that returned; what these rays' hits become.
         time_s: (r,) when each ray is fired.
         laser: (r,) of the table; -1 = unknown.
         table: Of the sensor that fires.
     """
-    asked = np.flatnonzero(~np.isfinite(answers.range_m) & (vote >= 1.0))
+    asked = np.flatnonzero(~np.isfinite(rendered.range_m) & (hit_prior >= 1.0))
     if len(asked) == 0:
-        return answers
-    found = unknown(origin_m[asked], direction[asked], vote[asked], time_s[asked])
-    return _with(answers, asked, by_lasers(found, laser[asked], table, as_recorded=False))
+        return rendered
+    found = unobserved(origin_m[asked], direction[asked], hit_prior[asked], time_s[asked])
+    return _with(rendered, asked, by_lasers(found, laser[asked], table, as_recorded=False))
 
 
-def _with(answers: RenderedRays, asked: np.ndarray, found: RenderedRays) -> RenderedRays:
+def _with(rendered: RenderedRays, asked: np.ndarray, found: RenderedRays) -> RenderedRays:
     """The same answers, but for rays (k,) `asked`, which another renderer found."""
-    columns = {name: getattr(answers, name).copy() for name in ("range_m", "hit", "intensity")}
+    columns = {name: getattr(rendered, name).copy() for name in ("range_m", "hit", "intensity")}
     for name, column in columns.items():
         column[asked] = getattr(found, name)
-    return replace(answers, **columns)
+    return replace(rendered, **columns)
 
 
 def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:

@@ -38,7 +38,7 @@ def _run(task: Task) -> StageOutput:
             "planar_share": float(surfels.is_planar.mean()),
             "seen_through_share": seen_through,
             **_plane_thickness(surfels),
-            "unknown_voxels": 0 if evidence.unknown is None else len(evidence.unknown.hits),
+            "unknown_voxels": 0 if evidence.unobserved is None else len(evidence.unobserved.hits),
             "own_vehicle_cells": int((evidence.own_range_m > 0).sum()),
         },
         checks=[

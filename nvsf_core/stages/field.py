@@ -108,5 +108,5 @@ STAGE = Stage(
     version="13",
     run=_run,
     per_recipe=True,
-    laws=NAMED_CHECKS,
+    named_checks=NAMED_CHECKS,
 )

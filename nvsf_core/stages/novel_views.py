@@ -198,5 +198,5 @@ STAGE = Stage(
     reads_views=True,
     check=_check,
     check_version="2",
-    laws=(*VIEW_LAWS, *IMAGE_LAWS),
+    named_checks=(*VIEW_LAWS, *IMAGE_LAWS),
 )

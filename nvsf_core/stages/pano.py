@@ -110,7 +110,7 @@ def _attrs(linear: LinearPano, table: LaserTable) -> dict[str, Any]:
     return {
         "linear": {
             "height": linear.height, "width": linear.width, "fov_up_deg": linear.fov_up_deg,
-            "fov_deg": linear.fov_deg, "max_range_m": linear.max_range_m, "quirks": linear.quirks,
+            "fov_deg": linear.fov_deg, "max_range_m": linear.max_range_m, "quirks": linear.reference_quirks,
         },
         "sensor": table.name,
         "elevation_rad": table.elevation_rad.tolist(),

@@ -167,6 +167,6 @@ STAGE = Stage(
     per_recipe=True,
     check=check_metrics,
     check_version="1",
-    laws=NAMED_CHECKS,
+    named_checks=NAMED_CHECKS,
 )
 """What is measured and under which protocol."""

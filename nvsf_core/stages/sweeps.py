@@ -309,5 +309,5 @@ STAGE = Stage(
     reads_drive=True,
     check=check_registration,
     check_version="3",
-    laws=(FRAME_CHECK, ORDER_CHECK),
+    named_checks=(FRAME_CHECK, ORDER_CHECK),
 )

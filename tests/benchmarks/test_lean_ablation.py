@@ -40,7 +40,7 @@ def made(tiny_catalogue: Path, tmp_path_factory: pytest.TempPathFactory) -> Made
 def step_of(made: Made, variant: Variant) -> VariantStep:
     lidar, recipe, rays, grid = made
     field = make_field(lidar, recipe, variant, 0)
-    return VariantStep(variant, field, lidar.evidence.standing, rays, recipe, lidar.far_m, grid)
+    return VariantStep(variant, field, lidar.evidence.static, rays, recipe, lidar.far_m, grid)
 
 
 def test_the_first_variant_is_the_recipes_own_training(made):
@@ -48,7 +48,7 @@ def test_the_first_variant_is_the_recipes_own_training(made):
     step = step_of(made, VARIANTS[0])
     drawn = torch.Generator().manual_seed(3)
     own = lidar_step(
-        step.field, lidar.evidence.standing, rays, recipe, lidar.far_m, torch.Generator().manual_seed(3)
+        step.field, lidar.evidence.static, rays, recipe, lidar.far_m, torch.Generator().manual_seed(3)
     )
     (other,) = step(0, drawn)
     assert torch.equal(own.total, other.total)

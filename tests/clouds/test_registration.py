@@ -82,5 +82,5 @@ def test_what_is_told_is_the_share_across_the_surfaces() -> None:
         moved = turned + motion[3:]
         assert np.mean(moved**2) * 3.0 == pytest.approx(1.0)
         assert np.mean(np.sum(moved * made[:, 3:], axis=1) ** 2) >= LEAST_ACROSS
-    assert found.told(np.zeros(3), np.array([0.5, 0.0, 0.0]))[0] < 0.02
-    assert found.told(np.zeros(3), np.array([0.5, 0.4, 0.0]))[0] == pytest.approx(0.4, abs=0.02)
+    assert found.determined(np.zeros(3), np.array([0.5, 0.0, 0.0]))[0] < 0.02
+    assert found.determined(np.zeros(3), np.array([0.5, 0.4, 0.0]))[0] == pytest.approx(0.4, abs=0.02)

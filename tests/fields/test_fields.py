@@ -39,9 +39,9 @@ def test_an_untrained_field_answers_as_the_evidence_does(scene) -> None:
     surfels, origin, direction = scene
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
     batch = surface_batch(surfels, origin, direction, most=8, near_m=0.5, far_m=50.0)
-    vote = np.linspace(0.1, 0.9, 64).astype(np.float32)
-    learned = render_rays(field, batch, torch.from_numpy(vote))
-    proven = reproject_rays(surfels, origin, direction, vote, most=8, far_m=50.0)
+    hit_prior = np.linspace(0.1, 0.9, 64).astype(np.float32)
+    learned = render_rays(field, batch, torch.from_numpy(hit_prior))
+    proven = reproject_rays(surfels, origin, direction, hit_prior, most=8, far_m=50.0)
     assert np.allclose(learned.range_m, proven.range_m, atol=1e-4)
     assert np.allclose(learned.hit, proven.hit, atol=1e-5)
     assert np.allclose(learned.intensity, proven.intensity, atol=1e-4)

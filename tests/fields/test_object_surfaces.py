@@ -68,8 +68,8 @@ def plate_at(dynamic: DynamicEvidence, time_s: float, leave_out: int | None = No
     fraction = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     prior = DropPrior(instants, fraction, np.tile(is_hit, (SCANS, 1, 1)))
     still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
-    votes = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
-    (plate,) = objects_at(dynamic.objects, time_s, votes, leave_out=leave_out)
+    hit_priors = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+    (plate,) = objects_at(dynamic.objects, time_s, hit_priors, leave_out=leave_out)
     return (plate,)
 
 
@@ -83,7 +83,7 @@ def view(dynamic: DynamicEvidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def batch_of(dynamic: DynamicEvidence, view, field: LidarField, most: int = 24) -> SurfaceBatch:
     places = field.places(dynamic.objects)
     objects = object_surfaces(plate_at(dynamic, 0.25), places, *view, **LIMITS)
-    return surface_batch(dynamic.background, *view[:2], most=most, objects=objects, **LIMITS)
+    return surface_batch(dynamic.static, *view[:2], most=most, objects=objects, **LIMITS)
 
 
 def dense(surfaces: ObjectSurfaces) -> np.ndarray:
@@ -95,10 +95,10 @@ def dense(surfaces: ObjectSurfaces) -> np.ndarray:
 
 def test_an_untrained_field_answers_on_objects_as_the_evidence_does(dynamic, view) -> None:
     field = LidarField(SPEC, BOUNDS, torch.Generator().manual_seed(0))
-    vote = np.random.default_rng(4).uniform(0.3, 0.9, len(view[0])).astype(np.float32)
-    learned = render_rays(field, batch_of(dynamic, view, field), torch.from_numpy(vote))
+    hit_prior = np.random.default_rng(4).uniform(0.3, 0.9, len(view[0])).astype(np.float32)
+    learned = render_rays(field, batch_of(dynamic, view, field), torch.from_numpy(hit_prior))
     proven = reproject_rays(
-        dynamic.background, *view[:2], vote, most=24, far_m=50.0, objects=plate_at(dynamic, 0.25),
+        dynamic.static, *view[:2], hit_prior, most=24, far_m=50.0, objects=plate_at(dynamic, 0.25),
         time_s=view[2],
     )  # fmt: skip
     assert np.mean(np.abs(proven.range_m * view[1][:, 0] - PLATE_M) < 0.1) > 0.15
@@ -116,7 +116,7 @@ def test_surfaces_stay_in_order_and_the_nearest_are_kept(dynamic, view) -> None:
     for batch, range_m in zip((full, short), ranges_m, strict=True):
         ranges = torch.where(batch.is_there, range_m, torch.inf)
         assert (ranges[:, 1:] >= ranges[:, :-1]).all()
-        moving = batch.vote >= 0.0
+        moving = batch.hit_prior >= 0.0
         assert moving.sum() > 100
         ray = batch.is_there.nonzero()[:, 0]
         where_m = torch.from_numpy(view[0])[ray] + torch.from_numpy(view[1])[ray] * batch.range_m[:, None]

@@ -26,7 +26,7 @@ from nvsf_core.sensors.linear_pano import LinearPano
 sys.path.insert(0, str(Path(__file__).parent))
 import plain_metrics as plain  # tests are no package
 
-PANO = LinearPano(height=24, width=80, quirks=True)
+PANO = LinearPano(height=24, width=80, reference_quirks=True)
 VIEW = (PANO.fov_up_deg, PANO.fov_deg)
 DRIVE = Path(__file__).resolve().parents[3] / "shared" / "data" / "kitti0005_van_cyclist"
 SEQUENCE = "2013_05_28_drive_9005_sync"
@@ -157,7 +157,7 @@ def test_ssim_of_the_plain_implementation_is_scikit_images() -> None:
 @pytest.mark.skipif(not DRIVE.is_dir(), reason=f"no real drive at {DRIVE}")
 def test_real_panos_of_a_van_and_a_cyclist() -> None:
     """Two neighbouring scans of a recorded drive on a coarser pano, whole and inside the annotated boxes."""
-    pano = LinearPano(height=22, width=128, quirks=True)
+    pano = LinearPano(height=22, width=128, reference_quirks=True)
     layout = DriveLayout(DRIVE, SEQUENCE)
     poses = np.loadtxt(layout.cam0_to_world_path)
     panos = []

@@ -57,11 +57,11 @@ def composited(*surfaces: Tensor, surface_hit_prior: Tensor | None = None) -> tu
 
 def test_weights_and_summaries_are_those_of_torch() -> None:
     surfaces = some_surfaces()
-    weights, summary, _, votes = composited(*surfaces)
+    weights, summary, _, hit_priors = composited(*surfaces)
     expected_weights, expected = by_torch(*surfaces)
     assert torch.allclose(weights, expected_weights, atol=1e-7, rtol=1e-5)
     assert torch.allclose(summary, expected, atol=1e-5, rtol=1e-5)
-    assert (votes == 0.25).all()
+    assert (hit_priors == 0.25).all()
 
 
 def test_gradients_are_those_of_torch_in_double_precision() -> None:
@@ -97,11 +97,11 @@ def test_the_median_is_the_first_surface_with_half_of_the_weight() -> None:
 def test_only_rays_that_end_on_what_moves_ask_it() -> None:
     surfaces = some_surfaces()
     own = torch.where(torch.rand(SURFACES, generator=torch.Generator().manual_seed(2)) < 0.5, 0.75, -1.0)
-    weights, _, _, votes = composited(*surfaces, surface_hit_prior=own)
+    weights, _, _, hit_priors = composited(*surfaces, surface_hit_prior=own)
     on_own = padded(weights * (own >= 0)).sum(dim=1)
     moving = (on_own > 0.0) & (on_own >= OWN_PRIOR_SHARE * padded(weights).sum(dim=1))
     assert 20 < moving.sum() < RAYS - 20
-    assert torch.allclose(votes, torch.where(moving, 0.75, 0.25))
+    assert torch.allclose(hit_priors, torch.where(moving, 0.75, 0.25))
 
 
 def test_a_hidden_surface_has_no_gradient_and_none_is_infinite() -> None:

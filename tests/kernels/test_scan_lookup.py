@@ -49,46 +49,46 @@ def recorded(speed_m_s: float) -> tuple[np.ndarray, Lasers, SweepGrid]:
     return points_m, lasers, SweepGrid(rotation, position, fraction, range_m.reshape(-1, FIRINGS), shine)
 
 
-def asked(points_m: np.ndarray, lasers: Lasers, turn: SweepGrid) -> np.ndarray:
+def asked(points_m: np.ndarray, lasers: Lasers, sweep: SweepGrid) -> np.ndarray:
     found = np.zeros((len(points_m), 5), np.float32)
-    look_up_scans(points_m, lasers, turn, found)
+    look_up_scans(points_m, lasers, sweep, found)
     return found
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 12.0])
 def test_a_turn_saw_its_own_returns(speed_m_s: float) -> None:
-    points_m, lasers, turn = recorded(speed_m_s)
-    found = asked(points_m, lasers, turn)
+    points_m, lasers, sweep = recorded(speed_m_s)
+    found = asked(points_m, lasers, sweep)
     assert found[:, SAME].mean() > 0.995
     seen = found[:, SAME] > 0
-    assert (found[seen, SHINE] == turn.intensity.reshape(-1)[seen]).mean() > 0.995
+    assert (found[seen, SHINE] == sweep.intensity.reshape(-1)[seen]).mean() > 0.995
     assert not found[:, EMPTY].any()
 
 
 def test_nothing_recorded_is_empty_and_what_lies_behind_was_seen_through_to() -> None:
-    points_m, lasers, turn = recorded(5.0)
-    nothing = asked(points_m, lasers, turn._replace(range_m=np.zeros_like(turn.range_m)))
+    points_m, lasers, sweep = recorded(5.0)
+    nothing = asked(points_m, lasers, sweep._replace(range_m=np.zeros_like(sweep.range_m)))
     assert nothing[:, EMPTY].mean() > 0.995 and not nothing[:, (SAME, THROUGH, BESIDE, SHINE)].any()
-    behind = asked(points_m, lasers, turn._replace(range_m=2.0 * turn.range_m))
+    behind = asked(points_m, lasers, sweep._replace(range_m=2.0 * sweep.range_m))
     assert behind[:, THROUGH].mean() > 0.99 and not behind[:, (EMPTY, SHINE)].any()
-    hidden = asked(points_m, lasers, turn._replace(range_m=0.5 * turn.range_m))
+    hidden = asked(points_m, lasers, sweep._replace(range_m=0.5 * sweep.range_m))
     assert not hidden[:, (SAME, THROUGH, EMPTY)].any() and (hidden[:, BESIDE] > 0.99).mean() > 0.99
 
 
 def test_a_firing_counts_twice_as_much_as_those_beside_it() -> None:
-    points_m, lasers, turn = recorded(0.0)
-    every_second = turn.range_m.copy()
+    points_m, lasers, sweep = recorded(0.0)
+    every_second = sweep.range_m.copy()
     every_second[:, ::2] = 0.0
-    beside = asked(points_m, lasers, turn._replace(range_m=every_second))[:, BESIDE]
+    beside = asked(points_m, lasers, sweep._replace(range_m=every_second))[:, BESIDE]
     # The half turn's seam has a neighbour on one side alone.
     assert np.isclose(beside, 0.5).mean() > 0.98
 
 
 def test_points_that_nobody_looked_at_say_nothing_and_answers_add_up() -> None:
-    points_m, lasers, turn = recorded(0.0)
+    points_m, lasers, sweep = recorded(0.0)
     rest = np.array([[np.inf, 0.0, 0.0], [np.nan, 1.0, 0.0], [5.0, 0.0, 20.0], [0.0, 0.0, 0.0]], np.float32)
-    assert not asked(rest, lasers, turn).any()
-    found = asked(points_m, lasers, turn)
+    assert not asked(rest, lasers, sweep).any()
+    found = asked(points_m, lasers, sweep)
     twice = found.copy()
-    look_up_scans(points_m, lasers, turn, twice)
+    look_up_scans(points_m, lasers, sweep, twice)
     assert np.array_equal(twice, 2.0 * found)

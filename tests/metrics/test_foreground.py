@@ -15,7 +15,7 @@ from nvsf_core.metrics.foreground import (
 from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d
 from nvsf_core.sensors.linear_pano import LinearPano
 
-PANO = LinearPano(height=16, width=64, quirks=True)
+PANO = LinearPano(height=16, width=64, reference_quirks=True)
 BOX = np.diag([2.0, 4.0, 2.0, 1.0])[None].copy()
 BOX[0, :3, 3] = (8.0, 0.0, -1.0)
 NONE = np.zeros((0, 4, 4))

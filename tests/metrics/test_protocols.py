@@ -6,7 +6,7 @@ import pytest
 from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d, project_scan, raw
 from nvsf_core.sensors.linear_pano import LinearPano
 
-PANO = LinearPano(height=16, width=64, quirks=True)
+PANO = LinearPano(height=16, width=64, reference_quirks=True)
 
 
 def _scan(n: int = 800, seed: int = 0) -> Scan:
@@ -69,9 +69,9 @@ def test_returns_beyond_80_m_count_on_neither_side() -> None:
         intensity=np.append(scan.intensity, 1.0),
         laser=np.append(scan.laser, 0),
     )
-    rays, answers = _rays(far), _rays(far)
-    answers.range_m[-1] = np.inf
-    found = raw(scan, answers, far, rays, 4)
+    rays, rendered = _rays(far), _rays(far)
+    rendered.range_m[-1] = np.inf
+    found = raw(scan, rendered, far, rays, 4)
     assert found["range_missing"].value == 0.0
     assert found["range_missing"].n_valid == 800
     assert found["chamfer_m2"].value == 0.0

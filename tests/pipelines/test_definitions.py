@@ -31,14 +31,16 @@ def test_every_stage_is_an_asset_with_group_description_partitions_and_its_check
         assert {key.to_user_string() for key in node.parent_keys} == set(stage.inputs)
         assert node.group_name == stage.group and node.description and node.is_partitioned
         specs = [graph.get_check_spec(key) for key in graph.get_check_keys_for_assets({node.key})]
-        expected = {CHECK_NAME: True} | {law.name: law.blocking for law in stage.laws}
+        expected = {CHECK_NAME: True} | {named.name: named.blocking for named in stage.named_checks}
         assert {spec.name: spec.blocking for spec in specs} == expected
         assert all(spec.description for spec in specs)
 
 
 def test_what_may_go_wrong_unnoticed_is_a_check_of_its_own():
-    laws = {stage.name: stage.laws for stage in STAGES}
-    assert [name for name in ("sweeps", "field", "novel_views", "scene_metrics") if not laws[name]] == []
+    named_checks = {stage.name: stage.named_checks for stage in STAGES}
+    assert [
+        name for name in ("sweeps", "field", "novel_views", "scene_metrics") if not named_checks[name]
+    ] == []
 
 
 def test_workspace_file_and_project_load_the_same_location(run_process, tmp_path):

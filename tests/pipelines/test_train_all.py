@@ -40,8 +40,8 @@ def _ingest(task):
     if task.scene.name == "bad":
         raise DataError("the scan is torn")
     (task.folder / "rows").write_text("1")
-    law = Check(name="rows_are_whole", passed=True, detail="1 row", blocking=True)
-    return StageOutput(metadata={"rows": 1}, checks=[law])
+    named = Check(name="rows_are_whole", passed=True, detail="1 row", blocking=True)
+    return StageOutput(metadata={"rows": 1}, checks=[named])
 
 
 def _measure(task):

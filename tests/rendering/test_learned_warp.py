@@ -214,7 +214,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     moved[:, 0, 3] = centres
     one = camera_view(
         pose(0.0), CAMERA, wall_points(), shown_images(images, VALID, 2, shadows), PLACES, SPEC, leave_out=1,
-        things=[MovingPoints(plate(0.0), moved)],
+        moving=[MovingPoints(plate(0.0), moved)],
     )  # fmt: skip
     networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
     error = np.abs(render_view(networks, one, SPEC).rgb.astype(float) - images[1]).max(axis=-1)

@@ -19,15 +19,15 @@ def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_can
     )
     rays = origin[:5000], direction[:5000].copy()
     rays[1][:100] = (0.0, 0.0, 1.0)  # nothing is up there
-    vote = generator.uniform(0.0, 1.0, 5000).astype(np.float32)
-    answers = reproject_rays(surfels, *rays, vote, most=24, far_m=50.0)
+    hit_prior = generator.uniform(0.0, 1.0, 5000).astype(np.float32)
+    rendered = reproject_rays(surfels, *rays, hit_prior, most=24, far_m=50.0)
     found = candidates_of(surfels, *rays, most=24, near_m=NEAR_M, far_m=50.0)
     weights = found.weights
     median = weighted_median_index(torch.from_numpy(weights)).numpy()
     there = found.voxel[:, 0] >= 0
     assert 0.9 < there.mean() < 1.0 and (median > 3).any()
-    assert np.array_equal(answers.range_m[there], found.range_m[np.arange(5000), median][there])
+    assert np.array_equal(rendered.range_m[there], found.range_m[np.arange(5000), median][there])
     mean = (weights * surfels.intensity[found.voxel]).sum(axis=1)[there] / weights.sum(axis=1)[there]
-    assert np.abs(answers.intensity[there] - mean).max() < 1e-6
-    assert np.array_equal(answers.hit, np.where(there, vote, 0.0))
-    assert np.isinf(answers.range_m[~there]).all() and (answers.intensity[~there] == 0.0).all()
+    assert np.abs(rendered.intensity[there] - mean).max() < 1e-6
+    assert np.array_equal(rendered.hit, np.where(there, hit_prior, 0.0))
+    assert np.isinf(rendered.range_m[~there]).all() and (rendered.intensity[~there] == 0.0).all()

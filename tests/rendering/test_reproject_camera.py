@@ -44,7 +44,7 @@ def test_a_wall_between_two_photographs_is_seen_again() -> None:
     sources = [pose(-0.5), pose(0.5)]
     images = np.stack([photograph(place) for place in sources])
     view = render_by_warping(pose(0.1), CAMERA, wall_points(), images, np.stack(sources), sweep=None)
-    assert view.answered.all()
+    assert view.is_covered.all()
     assert psnr_db(view.rgb, photograph(pose(0.1))) > 40.0
 
 
@@ -78,8 +78,8 @@ def test_the_plane_sweep_finds_depth_where_there_is_no_return() -> None:
 def test_what_no_source_shows_is_black_and_unanswered() -> None:
     image = photograph(pose(0.0))[None]
     view = render_by_warping(pose(8.0), CAMERA, wall_points(), image, pose(0.0)[None])
-    assert view.answered.any() and not view.answered.all()
-    assert (view.rgb[~view.answered] == 0).all()
+    assert view.is_covered.any() and not view.is_covered.all()
+    assert (view.rgb[~view.is_covered] == 0).all()
 
 
 def test_masked_source_pixels_do_not_answer() -> None:
@@ -87,7 +87,7 @@ def test_masked_source_pixels_do_not_answer() -> None:
     valid[:, :40] = False
     image = photograph(pose(0.0))[None]
     view = render_by_warping(pose(0.0), CAMERA, wall_points(), image, pose(0.0)[None], source_valid=valid)
-    np.testing.assert_array_equal(view.answered, valid)
+    np.testing.assert_array_equal(view.is_covered, valid)
 
 
 def test_without_any_return_the_view_is_as_far_as_the_sky() -> None:

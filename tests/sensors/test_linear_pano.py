@@ -38,7 +38,9 @@ def _random_scan(seed, count=20_000):
 def test_with_quirks_it_equals_the_plain_loop_on_random_points(seed):
     points, intensity = _random_scan(seed)
     for ours, loop in zip(
-        LinearPano(quirks=True).project(points, intensity), _plain_loop(points, intensity), strict=True
+        LinearPano(reference_quirks=True).project(points, intensity),
+        _plain_loop(points, intensity),
+        strict=True,
     ):
         np.testing.assert_array_equal(ours, loop)
 
@@ -46,7 +48,7 @@ def test_with_quirks_it_equals_the_plain_loop_on_random_points(seed):
 @pytest.mark.parametrize("scene", ["k360_street", "kitti0005_van_cyclist"])
 def test_with_quirks_it_equals_the_plain_loop_on_real_scans(scene, real_scans):
     for scan in real_scans(scene, 16):
-        ours = LinearPano(quirks=True).project(scan[:, :3], scan[:, 3])
+        ours = LinearPano(reference_quirks=True).project(scan[:, :3], scan[:, 3])
         loop = _plain_loop(scan[:, :3], scan[:, 3])
         np.testing.assert_array_equal(ours[0], loop[0])
         # Equally near returns of one cell may differ in intensity; the first of them wins in both.
@@ -58,9 +60,9 @@ def test_the_seam_wraps_unless_quirks_are_asked_for():
     intensity = np.float32([0.5, 0.6])
     _, wrapped = LinearPano().project(just_past[:1], intensity[:1])
     assert wrapped[:, 0].max() == np.float32(0.5)
-    dropped_m, _ = LinearPano(quirks=True).project(just_past[:1], intensity[:1])
+    dropped_m, _ = LinearPano(reference_quirks=True).project(just_past[:1], intensity[:1])
     assert not dropped_m.any()
-    kept_m, _ = LinearPano(quirks=True).project(just_past[1:], intensity[1:])
+    kept_m, _ = LinearPano(reference_quirks=True).project(just_past[1:], intensity[1:])
     assert (kept_m[:, 0] > 0).sum() == 1
 
 
@@ -68,7 +70,7 @@ def test_off_the_seam_quirks_change_nothing():
     points, intensity = _random_scan(5)
     away = np.abs(np.arctan2(points[:, 1], points[:, 0])) < 3.1
     plain = LinearPano().project(points[away], intensity[away])
-    quirky = LinearPano(quirks=True).project(points[away], intensity[away])
+    quirky = LinearPano(reference_quirks=True).project(points[away], intensity[away])
     np.testing.assert_array_equal(plain[0], quirky[0])
 
 

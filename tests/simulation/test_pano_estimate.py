@@ -11,7 +11,7 @@ from nvsf_core.simulation.pano_estimate import QUANTILES, PanoRays, combine_phas
 from nvsf_core.simulation.scan import RenderedSweep
 
 SMALL = LinearPano(height=3, width=5)
-PANO = LinearPano(quirks=True)
+PANO = LinearPano(reference_quirks=True)
 FIRINGS = 300
 STILL = Trajectory(np.arange(3) * 0.1, np.tile(np.eye(4), (3, 1, 1)), np.zeros(3))
 
@@ -69,9 +69,9 @@ def test_the_same_phase_twice_is_that_phase() -> None:
 
 
 def test_one_certain_turn_is_the_projection_of_its_scan() -> None:
-    rays, answers = fired(0.5)
-    estimate = estimate_pano(lambda _: (rays, answers), PANO, 1)
-    points, intensity, _ = RenderedSweep.of(rays, answers).scan()
+    rays, rendered = fired(0.5)
+    estimate = estimate_pano(lambda _: (rays, rendered), PANO, 1)
+    points, intensity, _ = RenderedSweep.of(rays, rendered).scan()
     range_m, bright = PANO.project(points, intensity)
     # A scan's points are float32: a few lie on the border between two cells.
     assert np.mean((estimate.hit > 0.5) != (range_m > 0)) < 1e-3

@@ -6,7 +6,7 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.simulation.pano_neighbours import RecordedPanos, ask_neighbours
 
-PANO = LinearPano(quirks=True)
+PANO = LinearPano(reference_quirks=True)
 STEP_M, RADIUS_M = 1.0, 15.0
 TIMES_S = np.arange(3) * 0.1
 

@@ -28,14 +28,14 @@ def scene() -> tuple[RecordedSweeps, SweepRays, RenderedRays]:
     hit_grid = rng.uniform(size=(SCANS, 64, FIRINGS)) < 0.8
     ranges = np.where(hit_grid, 10.0, 0.0).astype(np.float32)
     fraction = np.tile(rays.fraction[:FIRINGS].astype(np.float32), (SCANS, 1))
-    turns = RecordedSweeps(
+    scan_grids = RecordedSweeps(
         DropPrior(path.times_s, fraction, hit_grid), LASERS, ranges, 0.3 * hit_grid.astype(np.float32),
         path, HDL_64E, PERIOD_S, HDL_64E.elevation_correction_rad,
     )  # fmt: skip
     count = len(rays.laser)
     range_m = np.where(rng.uniform(size=count) < 0.9, 10.0, np.inf).astype(np.float32)
-    hit, shine, vote = rng.uniform(size=(3, count)).astype(np.float32)
-    return turns, rays, RenderedRays(range_m, np.where(np.isfinite(range_m), hit, 0.0), shine, vote)
+    hit, shine, hit_prior = rng.uniform(size=(3, count)).astype(np.float32)
+    return scan_grids, rays, RenderedRays(range_m, np.where(np.isfinite(range_m), hit, 0.0), shine, hit_prior)
 
 
 def logit(share: np.ndarray, limit: float) -> np.ndarray:
@@ -44,34 +44,36 @@ def logit(share: np.ndarray, limit: float) -> np.ndarray:
 
 
 def test_an_untrained_network_leaves_the_mean_of_vote_and_ray_head() -> None:
-    turns, rays, answers = scene()
+    scan_grids, rays, rendered = scene()
     network = hits_network(SPEC, torch.Generator().manual_seed(0))
-    corrected = SweepRaydrop(network, turns, EVEN)(rays, answers, NEAR)
-    assert answers.vote is not None
-    answered = np.isfinite(answers.range_m)
-    mean = 0.5 * logit(answers.vote, 0.02) + 0.5 * logit(answers.hit, 0.003)
+    corrected = SweepRaydrop(network, scan_grids, EVEN)(rays, rendered, NEAR)
+    assert rendered.hit_prior is not None
+    answered = np.isfinite(rendered.range_m)
+    mean = 0.5 * logit(rendered.hit_prior, 0.02) + 0.5 * logit(rendered.hit, 0.003)
     assert np.allclose(logit(corrected.hit, 1e-6)[answered], mean[answered], atol=1e-3)
     assert not corrected.hit[~answered].any(), "what nothing answers stays dropped"
-    assert np.array_equal(corrected.range_m, answers.range_m)
-    assert np.array_equal(corrected.intensity, answers.intensity)
+    assert np.array_equal(corrected.range_m, rendered.range_m)
+    assert np.array_equal(corrected.intensity, rendered.intensity)
 
 
 def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
-    turns, rays, answers = scene()
+    scan_grids, rays, rendered = scene()
     network = hits_network(replace(SPEC, layers=0), torch.Generator().manual_seed(0))
     with torch.no_grad():
         # Logit += 3 x the expected intensity of the cell itself, which is the last feature but one.
         network.layers[0].weight[0, -2, 1, 1] = 3.0  # type: ignore[index]
-    found = SweepRaydrop(network, turns, HitBlend(network=1.0, ray_head=0.0, offset=0.0))(rays, answers, NEAR)
-    assert answers.vote is not None
-    answered = np.isfinite(answers.range_m)
-    expected = logit(answers.vote, 0.02) + 3.0 * answers.intensity
+    found = SweepRaydrop(network, scan_grids, HitBlend(network=1.0, ray_head=0.0, offset=0.0))(
+        rays, rendered, NEAR
+    )
+    assert rendered.hit_prior is not None
+    answered = np.isfinite(rendered.range_m)
+    expected = logit(rendered.hit_prior, 0.02) + 3.0 * rendered.intensity
     assert np.allclose(logit(found.hit, 1e-9)[answered], expected[answered], atol=1e-2)
 
 
 def test_one_column_is_one_azimuth_and_each_firing_is_told_once() -> None:
-    turns, rays, answers = scene()
-    column = sweep_cells(turns, rays, answers, NEAR).column.numpy()
+    scan_grids, rays, rendered = scene()
+    column = sweep_cells(scan_grids, rays, rendered, NEAR).column.numpy()
     assert np.array_equal(np.sort(column, axis=1), np.tile(np.arange(FIRINGS), (len(LASERS), 1)))
     azimuth = np.take_along_axis(rays.azimuth_rad.reshape(rays.shape), column, axis=1)
     apart = np.angle(np.exp(1j * (azimuth - azimuth[:1])))
@@ -79,14 +81,14 @@ def test_one_column_is_one_azimuth_and_each_firing_is_told_once() -> None:
 
 
 def test_what_is_told_is_moderate_and_nothing_of_the_ray_heads_hits() -> None:
-    turns, rays, answers = scene()
-    cells = sweep_cells(turns, rays, answers, NEAR)
+    scan_grids, rays, rendered = scene()
+    cells = sweep_cells(scan_grids, rays, rendered, NEAR)
     assert torch.isfinite(cells.features).all() and cells.features.abs().max() < 3.0
-    other = sweep_cells(turns, rays, replace(answers, hit=1.0 - answers.hit), NEAR)
+    other = sweep_cells(scan_grids, rays, replace(rendered, hit=1.0 - rendered.hit), NEAR)
     assert torch.equal(cells.features, other.features) and torch.equal(cells.prior_logit, other.prior_logit)
 
 
 def test_answers_without_votes_are_refused() -> None:
-    turns, rays, answers = scene()
+    scan_grids, rays, rendered = scene()
     with pytest.raises(ShapeError, match="expected answers with votes"):
-        sweep_cells(turns, rays, replace(answers, vote=None), NEAR)
+        sweep_cells(scan_grids, rays, replace(rendered, hit_prior=None), NEAR)

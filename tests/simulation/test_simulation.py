@@ -22,8 +22,8 @@ LEARNED = replace(HDL_64E, range_bias_m=np.full(64, 0.03))
 
 def test_a_scan_is_laser_by_laser_with_ascending_azimuth() -> None:
     rays = still_sweep()
-    answers = RenderedRays(*(np.full(len(rays.laser), v, np.float32) for v in (12.0, 1.0, 0.5)))
-    points, intensity, laser = RenderedSweep.of(rays, answers).scan()
+    rendered = RenderedRays(*(np.full(len(rays.laser), v, np.float32) for v in (12.0, 1.0, 0.5)))
+    points, intensity, laser = RenderedSweep.of(rays, rendered).scan()
     azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
     assert (np.diff(laser) >= 0).all()
     assert (np.diff(azimuth)[np.diff(laser) == 0] >= 0).all()

@@ -48,10 +48,10 @@ def _moving(scene: SceneEvidence) -> NearObjects | None:
 
 def test_a_static_scene_queries_nothing_dynamic() -> None:
     scene, origin, direction = _wall()
-    render = evidence_renderer(scene.standing, _moving(scene), most=8, far_m=50.0)
-    vote = np.ones(8, np.float32)
-    early = render(origin, direction, vote, np.zeros(8))
-    late = render(origin, direction, vote, np.full(8, 99.0))
+    render = evidence_renderer(scene.static, _moving(scene), most=8, far_m=50.0)
+    hit_prior = np.ones(8, np.float32)
+    early = render(origin, direction, hit_prior, np.zeros(8))
+    late = render(origin, direction, hit_prior, np.full(8, 99.0))
     assert np.array_equal(early.range_m, late.range_m)
     assert np.abs(early.range_m - 9.0).max() < 0.11
 
@@ -60,11 +60,11 @@ def test_a_field_of_a_static_scene_asks_nobody_about_motion_and_answers_from_its
     scene, origin, direction = _wall()
     bounds = Bounds(centre_m=(0.0, 0.0, 0.0), half_m=20.0)
     field = LidarField(FieldSpec(levels=2, log2_table=8), bounds, torch.Generator().manual_seed(0))
-    vote = np.full(8, 0.7, np.float32)
-    render = field_renderer(field, scene.standing, _moving(scene), most=8, far_m=50.0)
-    answers = render(origin, direction, vote, np.full(8, 99.0))
+    hit_prior = np.full(8, 0.7, np.float32)
+    render = field_renderer(field, scene.static, _moving(scene), most=8, far_m=50.0)
+    rendered = render(origin, direction, hit_prior, np.full(8, 99.0))
     batch = surface_batch(scene.surfels, origin, direction, most=8, near_m=NEAR_M, far_m=50.0)
-    assert (batch.vote < 0.0).all()
-    expected = render_rays(field, batch, torch.from_numpy(vote))
+    assert (batch.hit_prior < 0.0).all()
+    expected = render_rays(field, batch, torch.from_numpy(hit_prior))
     for name in ("range_m", "hit", "intensity"):
-        assert np.array_equal(getattr(answers, name), getattr(expected, name)), name
+        assert np.array_equal(getattr(rendered, name), getattr(expected, name)), name

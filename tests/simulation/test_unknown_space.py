@@ -24,19 +24,21 @@ LASERS = np.arange(8, 12, dtype=np.int16)
 def of_unknown(asked: list[int]):
     """A renderer that notes how many rays it is asked about and puts all of them 7 m away."""
 
-    def answer(origin_m, direction, vote, time_s) -> RenderedRays:
-        asked.append(len(vote))
-        return RenderedRays(np.full(len(vote), 7.0, np.float32), vote, np.full(len(vote), 0.5, np.float32))
+    def answer(origin_m, direction, hit_prior, time_s) -> RenderedRays:
+        asked.append(len(hit_prior))
+        return RenderedRays(
+            np.full(len(hit_prior), 7.0, np.float32), hit_prior, np.full(len(hit_prior), 0.5, np.float32)
+        )
 
     return answer
 
 
-def answers_half(origin_m, direction, vote, time_s) -> RenderedRays:
+def answers_half(origin_m, direction, hit_prior, time_s) -> RenderedRays:
     """Every other ray meets something at 20 m."""
-    met = np.arange(len(vote)) % 2 == 0
+    met = np.arange(len(hit_prior)) % 2 == 0
     return RenderedRays(
         np.where(met, 20.0, np.inf).astype(np.float32), np.where(met, 0.6, 0.0).astype(np.float32),
-        np.full(len(vote), 0.1, np.float32),
+        np.full(len(hit_prior), 0.1, np.float32),
     )  # fmt: skip
 
 
@@ -59,8 +61,8 @@ def scene() -> LidarRecording:
     return LidarRecording(sweeps=sweeps, evidence=evidence)
 
 
-def fire(plan: SweepPlan, unknown) -> RenderedRays:
-    model = SceneModel(lidar=answers_half, camera=None, unknown=unknown, votes=SCANS)
+def fire(plan: SweepPlan, unobserved) -> RenderedRays:
+    model = SceneModel(lidar=answers_half, camera=None, unobserved=unobserved, prior_scans=SCANS)
     return fire_sweep(model, scene(), plan, PERIOD_S)[1]
 
 

@@ -239,9 +239,9 @@ def test_where_the_sensor_stands_a_scan_in_snow_answers_for_no_ray(drive: Path, 
     _stand(layout)
     _run(layout, ("frames", "sweeps", "evidence"))
     evidence = read_evidence(SceneStore(tmp_path / "home", "tiny"))
-    assert evidence is not None and evidence.at_rest is not None
-    assert evidence.prior.is_silent.tolist() == [False, True, False]
-    assert evidence.at_rest.scan.tolist() == [0, 2]
+    assert evidence is not None and evidence.stationary is not None
+    assert evidence.prior.is_unidentified.tolist() == [False, True, False]
+    assert evidence.stationary.scan.tolist() == [0, 2]
 
 
 def test_a_scan_with_ten_times_the_points_is_doubted(drive: Path, tmp_path: Path, usual: set[str]) -> None:

@@ -162,13 +162,16 @@ def test_the_report_of_a_camera_only_drive_has_no_scan_in_it(camera_only: Run) -
 def test_the_demos_images_are_judged_in_the_report_and_show_something(
     camera_only: Run, lidar_only: Run
 ) -> None:
-    laws = ("rendered_images_are_not_blank", "images_are_like_the_training_images")
+    named_checks = ("rendered_images_are_not_blank", "images_are_like_the_training_images")
     checks = {check.name: check for check in camera_only.outcomes["novel_views"].checks}
-    assert [(checks[law].passed, checks[law].limit) for law in laws] == [(True, 0.0), (True, 1.0)]
+    assert [(checks[named].passed, checks[named].limit) for named in named_checks] == [
+        (True, 0.0),
+        (True, 1.0),
+    ]
     assert checks["rendered_images_are_not_blank"].detail.startswith("0 of 2 images are blank; plainest view")
-    assert all(law.replace("_", " ") in camera_only.report() for law in laws)
+    assert all(named.replace("_", " ") in camera_only.report() for named in named_checks)
     unseen = {check.name: check for check in lidar_only.outcomes["novel_views"].checks}
-    assert all(unseen[law].detail.startswith("not run: no rendered image") for law in laws)
+    assert all(unseen[named].detail.startswith("not run: no rendered image") for named in named_checks)
 
 
 def test_a_lidar_only_drive_passes_every_stage_and_ends_with_lidar_rows_alone(lidar_only: Run) -> None:

@@ -97,7 +97,7 @@ def _write_images(store: SceneStore) -> None:
 
 
 def _write_prediction(store: SceneStore, name: str, stretch: float, frames: tuple[int, ...]) -> None:
-    pano = LinearPano(quirks=True)
+    pano = LinearPano(reference_quirks=True)
     parts = [_returns(frame) for frame in frames]
     scans = [(stretch * part[0]).astype(np.float32) for part in parts]
     panos = [pano.project(scan, part[1]) for scan, part in zip(scans, parts, strict=True)]

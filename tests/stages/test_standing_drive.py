@@ -24,12 +24,12 @@ RECIPE = replace(
     lidar_field=FieldSpec(levels=2, log2_table=8),
     lidar_training=TrainingSpec(steps=60, rays=1024, threads=1),
 )
-PANO = LinearPano(quirks=True)
+PANO = LinearPano(reference_quirks=True)
 KEYS = ("points_m", "intensity", "laser")
 
 
 @pytest.fixture(scope="module")
-def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+def static(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     """Mean CD, F and range PSNR of the held-out scans (`lidar4d_scan`), by method."""
     run = proven_drive(
         tmp_path_factory.mktemp("standing"), RECIPE, firings=1000, held_out=HELD_OUT,
@@ -40,8 +40,8 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     view = held_out_view(recording, HELD_OUT)
     assert recording.lidar is not None and view is not None and view.sweeps is not None
     lidar, plan = recording.lidar, view.sweeps
-    at_rest = lidar.evidence.at_rest
-    assert at_rest is not None and len(at_rest.scan) == FRAMES - len(HELD_OUT)
+    stationary = lidar.evidence.stationary
+    assert stationary is not None and len(stationary.scan) == FRAMES - len(HELD_OUT)
     copied = copied_scans(lidar, plan)
     found = {"copy_nearest": _scores(lidar.sweeps.arrays, copied)}
     models = {
@@ -51,7 +51,7 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     for name, model in models.items():
         assert model.lidar is not None
         made = [
-            simulate_sweep(replace(model, correct=None, unknown=None), lidar, plan, float(instant))
+            simulate_sweep(replace(model, correct=None, unobserved=None), lidar, plan, float(instant))
             for instant in plan.time_s
         ]
         joined = {key: np.concatenate([getattr(one, key) for one in made]) for key in KEYS}
@@ -77,9 +77,9 @@ def _scan(arrays: dict[str, np.ndarray], number: int) -> Scan:
 
 
 @pytest.mark.parametrize("method", ["reproject", "model"])
-def test_copying_never_wins_where_the_sensor_stands(standing: dict[str, np.ndarray], method: str) -> None:
-    chamfer_m2, f_score, psnr_db = standing[method]
-    copied_chamfer_m2, copied_f_score, copied_psnr_db = standing["copy_nearest"]
+def test_copying_never_wins_where_the_sensor_stands(static: dict[str, np.ndarray], method: str) -> None:
+    chamfer_m2, f_score, psnr_db = static[method]
+    copied_chamfer_m2, copied_f_score, copied_psnr_db = static["copy_nearest"]
     assert chamfer_m2 <= copied_chamfer_m2
     assert f_score >= copied_f_score
     assert psnr_db >= copied_psnr_db

@@ -154,8 +154,11 @@ def _votes() -> Reading:
     prior = DropPrior(np.arange(3.0), np.tile(fraction, (3, 1)), is_hit)
     asked = np.array([-0.5, -0.6, 0.499, 0.7, float(fraction[0]), float(fraction[-1])])
     laser = np.zeros(len(asked), np.int64)
-    all_in, none_in = prior.vote(laser, asked, np.array([0])), prior.vote(laser, asked, np.array([1]))
-    ends = prior.vote(laser, asked, np.array([2]))
+    all_in, none_in = (
+        prior.hit_prior(laser, asked, np.array([0])),
+        prior.hit_prior(laser, asked, np.array([1])),
+    )
+    ends = prior.hit_prior(laser, asked, np.array([2]))
     sound = bool((all_in == 1).all()) and bool((none_in == 0).all())
     sound &= ends.tolist() == [1.0, 1.0, 0.0, 0.0, 1.0, 0.0]
     return Reading(outcome="1, 0, and the nearest end beyond the turn", is_refuted=not sound)
@@ -165,8 +168,8 @@ def _one_firing() -> Reading:
     """A turn of one firing answers for the whole turn."""
     fraction = np.array([[0.0, math.inf, math.inf]], np.float32)
     prior = DropPrior(np.zeros(1), fraction, np.array([[[True, False, False]]]))
-    votes = prior.vote(np.zeros(3, np.int64), np.array([-0.4, 0.0, 0.4]), np.array([0]))
-    return Reading(outcome=f"votes {votes.tolist()}", is_refuted=votes.tolist() != [1.0, 1.0, 1.0])
+    found = prior.hit_prior(np.zeros(3, np.int64), np.array([-0.4, 0.0, 0.4]), np.array([0]))
+    return Reading(outcome=f"votes {found.tolist()}", is_refuted=found.tolist() != [1.0, 1.0, 1.0])
 
 
 def _stray(points: np.ndarray) -> Reading:

@@ -101,14 +101,14 @@ def _street(trajectory: Trajectory, offset: np.ndarray) -> tuple[Surfels, np.nda
 
 def _evidence(shift_m: tuple[float, float, float]) -> Reading:
     """Ranges that evidence proposes on the same rays, with and without the shift."""
-    answers = []
+    rendered = []
     for shift in ((0.0, 0.0, 0.0), shift_m):
         offset = _origin_shift(shift)
         surfels, origins, directions = _street(drive(shift), offset)
         chosen = slice(0, None, 40)
         found = candidates_of(surfels, origins[chosen], directions[chosen], most=4, near_m=0.5, far_m=80.0)
-        answers.append((found.range_m[:, 0], len(surfels.hits), found.voxel[:, 0] >= 0))
-    (near, n_near, there), (far, n_far, also) = answers
+        rendered.append((found.range_m[:, 0], len(surfels.hits), found.voxel[:, 0] >= 0))
+    (near, n_near, there), (far, n_far, also) = rendered
     wrong = np.abs(near - far)
     share = float((wrong > SHIFTED_POSE_M).mean())
     return Reading(

@@ -172,14 +172,14 @@ def _half_precision() -> Reading:
         torch.randn(500, 3, generator=torch.Generator().manual_seed(2)), dim=1
     )
 
-    def answers() -> tuple[Tensor, Tensor]:
+    def rendered() -> tuple[Tensor, Tensor]:
         sigma, geometry = field.density(points, 1.0, "lidar")
         intensity, hit = field.lidar(direction, geometry)
         return sigma, torch.stack([intensity, hit])
 
-    full = [a.detach() for a in answers()]
+    full = [a.detach() for a in rendered()]
     with torch.autocast("cpu", torch.bfloat16):
-        half = answers()
+        half = rendered()
         loss = half[0].float().mean() + half[1].float().mean()
     loss.backward()
     gradients = [p.grad for p in field.parameters() if p.grad is not None]

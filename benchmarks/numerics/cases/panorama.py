@@ -78,9 +78,9 @@ def _equal_ranges() -> Reading:
     return Reading(error=float((found != expected).sum()), limit=0.0, unit="cells")
 
 
-def _inverse(quirks: bool) -> Reading:
+def _inverse(reference_quirks: bool) -> Reading:
     """A cell's own point falls into that cell, every cell of the pano."""
-    pano = LinearPano(quirks=quirks)
+    pano = LinearPano(reference_quirks=reference_quirks)
     ranges = np.full((pano.height, pano.width), 20.0, np.float32)
     points = pano.points(ranges)
     row, column, _, kept = pano.cells(points)
@@ -89,8 +89,8 @@ def _inverse(quirks: bool) -> Reading:
     lost = int((~kept).sum())
     return Reading(
         error=float(wrong.sum()), limit=0.0, unit="cells",
-        outcome=f"{lost} cells lost" + (": the papers' discarded half column" if quirks else ""),
-        is_refuted=lost > 0 and not quirks,
+        outcome=f"{lost} cells lost" + (": the papers' discarded half column" if reference_quirks else ""),
+        is_refuted=lost > 0 and not reference_quirks,
     )  # fmt: skip
 
 

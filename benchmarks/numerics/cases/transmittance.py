@@ -163,10 +163,10 @@ def _samples() -> Reading:
     broken = []
     for generator in (None, torch.Generator().manual_seed(0)):
         t, delta = uniform_samples(near, far, 768, generator)
-        laws: Sequence[Tensor] = (
+        named_checks: Sequence[Tensor] = (
             torch.isfinite(t), t >= near[:, None], t <= far[:, None], t.diff(dim=1) >= 0, delta >= 0,
         )  # fmt: skip
-        broken += [k for k, law in enumerate(laws) if not bool(law.all())]
+        broken += [k for k, law in enumerate(named_checks) if not bool(law.all())]
     exact = near.double()[:, None] + (far - near).double()[:, None] * torch.linspace(0, 1, 768).double()
     t, _ = uniform_samples(near, far, 768)
     scale = torch.maximum(far, near).double()[:, None] * torch.finfo(torch.float32).eps

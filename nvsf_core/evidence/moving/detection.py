@@ -38,19 +38,19 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     if returns.scan_count < _LEAST_SCANS or len(returns.point_m) == 0:
         return nothing
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
-    standing = _judge(returns, range_m)
+    above_ground = _judge(returns, range_m)
     spacing_rad = returns.laser_spacing_rad
     density = laser_density(spacing_rad)
     clusters = []
     for scan in range(returns.scan_count):
-        part = slice(int(standing.offsets[scan]), int(standing.offsets[scan + 1]))
-        index = standing.index[part]
+        part = slice(int(above_ground.offsets[scan]), int(above_ground.offsets[scan + 1]))
+        index = above_ground.index[part]
         clusters.append(
             cluster_scan(
                 scan,
                 index,
                 returns.point_m[index],
-                standing.label[part],
+                above_ground.label[part],
                 returns.time_s[index],
                 range_m[index],
                 pull_together(
@@ -62,9 +62,9 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
     for path in paths:
         solve_path(path, returns)
-        if carry_on(path, returns, standing):
+        if carry_on(path, returns, above_ground):
             solve_path(path, returns)
-    return _whole_objects(paths, returns, standing, density) if paths else nothing
+    return _whole_objects(paths, returns, above_ground, density) if paths else nothing
 
 
 def _judge(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
@@ -79,7 +79,7 @@ def _judge(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
 
 
 def _whole_objects(
-    paths: list[Path], returns: TimedReturns, standing: AboveGround, density: float
+    paths: list[Path], returns: TimedReturns, above_ground: AboveGround, density: float
 ) -> MovingObjects:
     """Give each object all loose returns near its accumulated shape, biggest first, and its extent."""
     object_id = np.full(len(returns.point_m), -1, np.int32)
@@ -89,7 +89,7 @@ def _whole_objects(
         own = np.concatenate(path.members)
         shape_o = moving.to_object(returns.point_m[own].astype(np.float64), returns.time_s[own])
         shape_o = _thinned(shape_o)
-        taken = _take(moving, shape_o, returns, standing, object_id)
+        taken = _take(moving, shape_o, returns, above_ground, object_id)
         local = moving.to_object(returns.point_m[taken].astype(np.float64), returns.time_s[taken])
         if not _is_object(taken, local, returns, _LEAST_RETURNS * density):
             continue
@@ -111,7 +111,7 @@ def _take(
     moving: MovingObject,
     shape_o: np.ndarray,
     returns: TimedReturns,
-    standing: AboveGround,
+    above_ground: AboveGround,
     object_id: np.ndarray,
 ) -> np.ndarray:
     """Indices of all free loose returns within 0.3 m of the shape (k, 3), in its frame at their own time."""
@@ -119,7 +119,7 @@ def _take(
     reach = np.abs(shape_o).max() + _GROW_M + 1.0
     taken = []
     for scan, pose in zip(moving.scan, moving.pose, strict=True):
-        near = standing.loose_near(returns, int(scan), pose[:3] - reach, pose[:3] + reach)
+        near = above_ground.loose_near(returns, int(scan), pose[:3] - reach, pose[:3] + reach)
         near = near[object_id[near] < 0]
         local = moving.to_object(returns.point_m[near].astype(np.float64), returns.time_s[near])
         distance, _ = tree.query(local, distance_upper_bound=_GROW_M)

@@ -16,7 +16,7 @@ _RAYS = ("origin_m", "direction", "range_m", "intensity", "is_hit", "scan")
 class DynamicEvidence:
     """The scene without what moves, and what moves by itself; a static scene has none of this."""
 
-    background: Surfels
+    static: Surfels
     """Surfels of what stays; the objects' rays see through, too."""
     objects: tuple[ObjectEvidence, ...]
     """At least one."""
@@ -29,7 +29,7 @@ class DynamicEvidence:
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
         paths, rays = [one.path for one in self.objects], [one.rays for one in self.objects]
-        arrays = {f"background_{name}": value for name, value in self.background.to_arrays().items()}
+        arrays = {f"background_{name}": value for name, value in self.static.to_arrays().items()}
         arrays["object_path_offsets"] = _offsets([len(path.scan) for path in paths])
         arrays["object_ray_offsets"] = _offsets([len(one.scan) for one in rays])
         arrays["object_bounds_m"] = np.array([[path.low_m, path.high_m] for path in paths], np.float64)
@@ -69,8 +69,8 @@ class DynamicEvidence:
                     arrays.get(f"object_flow_m_{number}"),
                 )
             )
-        background = {name: arrays[f"background_{name}"] for name in Surfels.ARRAYS}
-        return DynamicEvidence(Surfels.from_arrays(background), tuple(objects))
+        static = {name: arrays[f"background_{name}"] for name in Surfels.ARRAYS}
+        return DynamicEvidence(Surfels.from_arrays(static), tuple(objects))
 
 
 def _offsets(lengths: list[int]) -> np.ndarray:

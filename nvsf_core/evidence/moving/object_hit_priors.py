@@ -32,9 +32,9 @@ class ObjectHitPriors:
         self, asked: Sequence[tuple[MovingObject, np.ndarray]], time_s: float
     ) -> tuple["NearHitPriors", ...]:
         """The votes on each object of some of its scans (k,) about a time; silent ones are not asked."""
-        is_silent = self.prior.is_silent
+        is_unidentified = self.prior.is_unidentified
         paths = [path for path, _ in asked]
-        speaking = [scans[~is_silent[scans]] for _, scans in asked]
+        speaking = [scans[~is_unidentified[scans]] for _, scans in asked]
         own_s = [path.time_s[np.searchsorted(path.scan, s)] for path, s in zip(paths, speaking, strict=True)]
         # One look-up for all objects: of so few times it costs the same.
         to_sensor = invert_pose(pose_from_parts(*self.trajectory.at(np.concatenate([*own_s, np.zeros(0)]))))
@@ -54,7 +54,7 @@ class ObjectHitPriors:
 class NearHitPriors:
     """Some scans that saw an object, ready to be asked about any place on it."""
 
-    votes: ObjectHitPriors
+    hit_priors: ObjectHitPriors
     scans: np.ndarray
     """(k,) int64 training scans."""
     weight: np.ndarray
@@ -69,10 +69,10 @@ class NearHitPriors:
         """
         if len(self.scans) == 0:
             return np.ones(len(place_o), np.float32)
-        votes, table, prior = self.votes, self.votes.table, self.votes.prior
+        hit_priors, table, prior = self.hit_priors, self.hit_priors.table, self.hit_priors.prior
         found: np.ndarray = share_of_scans(
             np.ascontiguousarray(place_o, np.float64), self.object_to_sensor, self.weight,
-            votes.elevation_correction_rad, votes.lasers.astype(np.int64), table.elevation_rad,
+            hit_priors.elevation_correction_rad, hit_priors.lasers.astype(np.int64), table.elevation_rad,
             table.vertical_offset_m, table.horizontal_offset_m,
             (table.phase_steps - table.firing_shift_steps) * table.step_rad, self.scans, prior.fraction,
             prior.is_hit,

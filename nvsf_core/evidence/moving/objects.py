@@ -26,10 +26,10 @@ class ObjectSurfels:
     """Of the scene's objects."""
     path: MovingObject
     surfels: Surfels
-    votes: NearHitPriors
+    hit_priors: NearHitPriors
     """Its nearest scans, to be asked whether they returned at a place on it."""
 
-    def vote(
+    def hit_prior(
         self, found: Candidates, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
     ) -> np.ndarray:
         """Share (r,) float32 of its nearest scans that returned where rays (r, 3) end on it.
@@ -41,7 +41,7 @@ class ObjectSurfels:
         row = np.arange(len(far))
         range_m = found.range_m[row, (far >= 0.5 * far[:, -1:]).argmax(axis=1)]
         point = origin_m + direction * range_m[:, None]
-        return self.votes.share(self.path.to_object(point.astype(np.float64), time_s))
+        return self.hit_priors.share(self.path.to_object(point.astype(np.float64), time_s))
 
 
 def prove_objects(
@@ -90,7 +90,7 @@ def prove_objects(
 def objects_at(
     evidence: tuple[ObjectEvidence, ...],
     time_s: float,
-    votes: ObjectHitPriors,
+    hit_priors: ObjectHitPriors,
     *,
     leave_out: int | None = None,
 ) -> tuple[ObjectSurfels, ...]:
@@ -105,13 +105,13 @@ def objects_at(
         if not path.is_there(spare).any():
             continue
         scans = one.scans_near(time_s, leave_out=leave_out)
-        surfels = one.surfels_from(scans, time_s + _lag_s(one.path, scans, votes))
+        surfels = one.surfels_from(scans, time_s + _lag_s(one.path, scans, hit_priors))
         if surfels is not None:
             there.append((number, path, surfels))
             asked.append((path, scans))
     return tuple(
         ObjectSurfels(*one, own_votes)
-        for one, own_votes in zip(there, votes.near(asked, time_s), strict=True)
+        for one, own_votes in zip(there, hit_priors.near(asked, time_s), strict=True)
     )
 
 
@@ -119,11 +119,15 @@ class NearObjects:
     """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
 
     def __init__(
-        self, evidence: tuple[ObjectEvidence, ...], votes: ObjectHitPriors, *, leave_out: int | None = None
+        self,
+        evidence: tuple[ObjectEvidence, ...],
+        hit_priors: ObjectHitPriors,
+        *,
+        leave_out: int | None = None,
     ) -> None:
         """Of the objects as all scans but the training scan `leave_out` prove them."""
         self.evidence = evidence
-        self._votes = votes
+        self._votes = hit_priors
         self._leave_out = leave_out
         self._instant: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
@@ -201,13 +205,13 @@ def merge_objects(
     return Candidates(range_m, voxel, opacity, cosine)
 
 
-def _lag_s(path: MovingObject, scans: np.ndarray, votes: ObjectHitPriors) -> float:
+def _lag_s(path: MovingObject, scans: np.ndarray, hit_priors: ObjectHitPriors) -> float:
     """How long after a sweep's instant an object is met, as in some of its scans (k,).
 
     By the recording sensor: another one, turned by half a turn, meets it up to half a frame earlier or later.
     """
     met_s = path.time_s[np.searchsorted(path.scan, scans)]
-    return float(np.median(met_s - votes.prior.time_s[scans])) if len(scans) else 0.0
+    return float(np.median(met_s - hit_priors.prior.time_s[scans])) if len(scans) else 0.0
 
 
 def _some(column: np.ndarray) -> np.ndarray:

@@ -91,17 +91,17 @@ def start_path(track: Track) -> Path:
     )
 
 
-def carry_on(path: Path, returns: TimedReturns, standing: AboveGround) -> bool:
+def carry_on(path: Path, returns: TimedReturns, above_ground: AboveGround) -> bool:
     """Follow the object into scans where it made no cluster, at both ends; True where any was added."""
-    grown = _carry(path, returns, standing, forward=True)
-    return _carry(path, returns, standing, forward=False) or grown
+    grown = _carry(path, returns, above_ground, forward=True)
+    return _carry(path, returns, above_ground, forward=False) or grown
 
 
-def _carry(path: Path, returns: TimedReturns, standing: AboveGround, *, forward: bool) -> bool:
+def _carry(path: Path, returns: TimedReturns, above_ground: AboveGround, *, forward: bool) -> bool:
     step, misses, grown = (1 if forward else -1), 0, False
     scan = (path.scan[-1] if forward else path.scan[0]) + step
     while 0 <= scan < returns.scan_count and misses < _MOST_MISSES:
-        found = _find_in_scan(path, returns, standing, scan, forward=forward)
+        found = _find_in_scan(path, returns, above_ground, scan, forward=forward)
         if found is None:
             misses += 1
         else:
@@ -112,7 +112,7 @@ def _carry(path: Path, returns: TimedReturns, standing: AboveGround, *, forward:
 
 
 def _find_in_scan(
-    path: Path, returns: TimedReturns, standing: AboveGround, scan: int, *, forward: bool
+    path: Path, returns: TimedReturns, above_ground: AboveGround, scan: int, *, forward: bool
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
     """Members, mean time and pose of the object in a scan beyond the path's end; None where it is not."""
     moving = _end(path, forward).as_object(returns.frame_s)
@@ -122,7 +122,7 @@ def _find_in_scan(
     # The sweep's phase shifts the object's own time by up to half a turn: look again with that time.
     for _ in range(2):
         pose = moving.pose_at(np.array([time_s]))[0]
-        near = standing.loose_near(returns, scan, pose[:3] - margin, pose[:3] + margin)
+        near = above_ground.loose_near(returns, scan, pose[:3] - margin, pose[:3] + margin)
         if len(near) < _LEAST_RETURNS:
             return None
         time_s = float(returns.time_s[near].mean())

@@ -23,24 +23,24 @@ _CONFIRMED_SHARE = 0.5
 _MOST_IMAGE_BYTES = 1 << 30
 
 
-def classify_returns(returns: TimedReturns, standing: np.ndarray) -> np.ndarray:
+def classify_returns(returns: TimedReturns, above_ground: np.ndarray) -> np.ndarray:
     """Say of each standing return whether it stayed or left.
 
     Args:
         returns: The training returns.
-        standing: (m,) int64 indices of the returns to judge.
+        above_ground: (m,) int64 indices of the returns to judge.
 
     Returns:
         (m,) int8 of UNKNOWN, STATIC, SEED. Everything is UNKNOWN where fewer than two lasers are known.
     """
     lasers = np.unique(returns.laser[returns.laser >= 0])
-    label = np.zeros(len(standing), np.int8)
-    if len(lasers) < 2 or len(standing) == 0:
+    label = np.zeros(len(above_ground), np.int8)
+    if len(lasers) < 2 or len(above_ground) == 0:
         return label
     images = _range_images(returns, lasers)
     counts = look_back(
-        returns.point_m[standing],
-        returns.scan_of(standing).astype(np.int32),
+        returns.point_m[above_ground],
+        returns.scan_of(above_ground).astype(np.int32),
         images,
         _to_sensor(returns),
         returns.table.elevation_rad[lasers].astype(np.float32),

@@ -29,7 +29,7 @@ class DropPrior:
         return self.is_hit.shape[1]
 
     @property
-    def is_silent(self) -> np.ndarray:
+    def is_unidentified(self) -> np.ndarray:
         """(n,) bool: scans of which no laser is known, where others' are; none where no scan's is."""
         speaks = np.asarray(self.is_hit.any(axis=(1, 2)))
         return ~speaks & bool(speaks.any())
@@ -47,10 +47,10 @@ class DropPrior:
             order = order[np.abs(self.time_s[order] - leave_out_s) > 1e-6]
         if len(order) == 0:
             raise DataError(f"ray-drop prior: expected another training scan than the one at {leave_out_s} s")
-        speaking = order[~self.is_silent[order]]
+        speaking = order[~self.is_unidentified[order]]
         return (speaking if len(speaking) > 0 else order)[:count]
 
-    def vote(self, laser: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
+    def hit_prior(self, laser: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
         """Share (r,) float32 of `scans` whose firing nearest to each ray (laser, fraction: (r,)) returned."""
         total = np.zeros(len(laser), np.float32)
         for scan in scans:
@@ -58,7 +58,7 @@ class DropPrior:
         return total / np.float32(len(scans))
 
     def hit_prior_of_sweep(self, lasers: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
-        """`vote` (l, f) of a whole turn: lasers (l,) that all fire at the sweep fractions (f,)."""
+        """`hit_prior` (l, f) of a whole turn: lasers (l,) that all fire at the sweep fractions (f,)."""
         total = np.zeros((len(lasers), len(fraction)), np.float32)
         for scan in scans:
             # Whole rows first: they lie in one piece.

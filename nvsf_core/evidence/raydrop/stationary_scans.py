@@ -120,7 +120,7 @@ def keep_scans(
 
 
 def look_up_stationary(
-    at_rest: StationaryScans,
+    stationary: StationaryScans,
     prior: DropPrior,
     rays: FiredRays,
     instant_s: float,
@@ -134,7 +134,7 @@ def look_up_stationary(
     Where no training scan was fired from the same place they are what the surfaces say, bit by bit.
 
     Args:
-        at_rest: What was measured.
+        stationary: What was measured.
         prior: Of the same drive.
         rays: Any number of rays of the sweep.
         instant_s: Of the sweep's pose.
@@ -142,26 +142,26 @@ def look_up_stationary(
         period_s: Seconds of a turn.
         leave_out: A training scan that is not asked.
     """
-    apart_s = np.abs(prior.time_s[at_rest.scan] - instant_s)
+    apart_s = np.abs(prior.time_s[stationary.scan] - instant_s)
     order = np.argsort(apart_s, kind="stable")
-    order = order[at_rest.scan[order] != leave_out] if leave_out is not None else order
+    order = order[stationary.scan[order] != leave_out] if leave_out is not None else order
     frame_s = float(np.median(np.diff(trajectory.times_s))) if len(trajectory.times_s) > 1 else period_s
     there = [
-        (int(row), *_apart(prior.time_s[at_rest.scan[row]], instant_s, trajectory, period_s))
+        (int(row), *_apart(prior.time_s[stationary.scan[row]], instant_s, trajectory, period_s))
         for row in order[:NEAREST_SCANS]
     ]
     there = [one for one in there if np.abs(one[1]).min() < MOST_APART_M]
     if not there:
         return rays.range_m, rays.hit, rays.intensity
-    answers = rays.range_m.copy(), rays.hit.copy(), rays.intensity.copy()
+    rendered = rays.range_m.copy(), rays.hit.copy(), rays.intensity.copy()
     for start in range(0, len(rays.laser), _CHUNK_RAYS):
         part = slice(start, start + _CHUNK_RAYS)
         some = FiredRays(*(getattr(rays, name)[part] for name in FiredRays.__slots__))
-        asked = _ask(at_rest, prior, some, there, instant_s, frame_s)
+        asked = _ask(stationary, prior, some, there, instant_s, frame_s)
         rows = np.flatnonzero(asked.weight.any(axis=0))
-        for target, values in zip(answers, _decide(asked, some, rows), strict=True):
+        for target, values in zip(rendered, _decide(asked, some, rows), strict=True):
             target[part][rows] = values
-    return answers
+    return rendered
 
 
 def _apart(
@@ -177,7 +177,7 @@ def _apart(
 
 
 def _ask(
-    at_rest: StationaryScans,
+    stationary: StationaryScans,
     prior: DropPrior,
     rays: FiredRays,
     there: list[tuple[int, np.ndarray, np.ndarray]],
@@ -186,16 +186,16 @@ def _ask(
 ) -> _Asked:
     moments = np.linspace(-0.5, 0.5, _MOMENTS)
     shape = (len(there), len(rays.laser))
-    scan_s = np.array([prior.time_s[at_rest.scan[row]] for row, _, _ in there])
+    scan_s = np.array([prior.time_s[stationary.scan[row]] for row, _, _ in there])
     frames = (scan_s - instant_s) / frame_s
     ranges, shine, weight, moved = (np.zeros(shape, np.float32) for _ in range(4))
     asked = _Asked(ranges, shine, weight, moved, frames)
     for k, (row, moved_m, angle_rad) in enumerate(there):
-        scan = int(at_rest.scan[row])
+        scan = int(stationary.scan[row])
         column = prior.nearest_firing(scan, rays.fraction)
         step_rad = 2.0 * np.pi / prior.firings_of(scan)
-        asked.range_m[k] = at_rest.range_m[row, rays.laser, column]
-        asked.intensity[k] = at_rest.intensity[row, rays.laser, column]
+        asked.range_m[k] = stationary.range_m[row, rays.laser, column]
+        asked.intensity[k] = stationary.intensity[row, rays.laser, column]
         asked.moved_m[k] = np.interp(rays.fraction, moments, moved_m)
         reach_m = np.where(asked.range_m[k] > 0, asked.range_m[k], np.minimum(rays.range_m, 1e3))
         footprint_m = _NOISE_M + _FOOTPRINT_STEPS * step_rad * reach_m

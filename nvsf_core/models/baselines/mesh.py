@@ -31,8 +31,8 @@ def mesh_baseline(mesh: Mesh | None, recording: Recording) -> SceneModel | None:
 def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
     """A ray returns where it meets the mesh and the nearest scans' votes say so; motion is unknown to it."""
 
-    def answer(
-        origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+    def render(
+        origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
         del time_s
         range_m, intensity = cast(origin_m + NEAR_M * direction, direction)
@@ -40,11 +40,11 @@ def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
         met = range_m < far_m
         return RenderedRays(
             range_m=np.where(met, range_m, np.inf).astype(np.float32),
-            hit=np.where(met, vote, 0.0).astype(np.float32),
+            hit=np.where(met, hit_prior, 0.0).astype(np.float32),
             intensity=np.where(met, intensity, 0.0).astype(np.float32),
         )
 
-    return answer
+    return render
 
 
 def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:

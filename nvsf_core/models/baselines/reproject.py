@@ -21,8 +21,8 @@ def reprojection(recording: Recording) -> SceneModel:
     """The baseline of a scene, the same for every recipe."""
     lidar = None if recording.lidar is None else carrying_renderer(recording.lidar)
     camera = warping_renderer(recording) if recording.cameras else None
-    unknown = None if recording.lidar is None else unobserved_renderer(recording.lidar)
-    return SceneModel(lidar=lidar, camera=camera, unknown=unknown, votes=EvidenceSpec().votes)
+    unobserved = None if recording.lidar is None else unobserved_renderer(recording.lidar)
+    return SceneModel(lidar=lidar, camera=camera, unobserved=unobserved, prior_scans=EvidenceSpec().votes)
 
 
 def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
@@ -34,10 +34,10 @@ def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
 
 def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
     """What may lie in unknown space; None where no space beside what is proven is unknown."""
-    unknown = lidar.evidence.unknown
-    if unknown is None:
+    unobserved = lidar.evidence.unobserved
+    if unobserved is None:
         return None
-    return evidence_renderer(unknown, None, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
+    return evidence_renderer(unobserved, None, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
 
 
 def warping_renderer(recording: Recording) -> ImageRenderer:

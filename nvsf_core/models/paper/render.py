@@ -33,7 +33,7 @@ class PaperModel:
     """Corrects the hit probabilities of panos; None where there is none, or before it is trained."""
 
     def render_rays(
-        self, origin_m: np.ndarray, direction: np.ndarray, vote: np.ndarray, time_s: np.ndarray
+        self, origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
         """Answer LiDAR rays; all at the mean of their times, because the field has one time a batch."""
         frame = self.frame_at(float(time_s.mean())) if len(time_s) else 0.0

@@ -108,8 +108,8 @@ def _verdict(
     aligned with the others, whose poses would know their pixels; afterwards all are.
     """
     recording = given.given
-    silent = {name: validation_images(_images(recording, name), spec) for name in shown}
-    aligned = aligned_by(given.world, align_drive(given.world, list(shown) if spec.aligned else [], silent))
+    left_out = {name: validation_images(_images(recording, name), spec) for name in shown}
+    aligned = aligned_by(given.world, align_drive(given.world, list(shown) if spec.aligned else [], left_out))
     metadata: dict[str, Scalar] = {}
     learned, better = [], []
     for name, images in shown.items():
@@ -119,7 +119,7 @@ def _verdict(
         }
         if name in aligned.corrections:
             candidates["aligned"] = _by_networks(networks, aligned, name, images, spec)
-        found, ours = compare(_METRICS, silent[name], candidates), "learned"
+        found, ours = compare(_METRICS, left_out[name], candidates), "learned"
         if "aligned" in candidates:
             gain_db = found.of("aligned", "psnr_db") - found.of("learned", "psnr_db")
             metadata[f"{name}_judged_aligned_gain_db"] = gain_db
@@ -153,7 +153,7 @@ def camera_renderer(
         one = world.recording.cameras[camera]
         view = camera_view(
             drive.pose_at(camera, pose, time_s), pinhole, world.static_points(time_s), shown[camera],
-            one.training.pose, spec, things=world.things(time_s, one.training_time_s),
+            one.training.pose, spec, moving=world.moving(time_s, one.training_time_s),
         )  # fmt: skip
         return render_view(networks, view, spec)
 
@@ -222,7 +222,7 @@ def _left_out_view(
     return camera_view(
         drive.left_out_pose(camera, index), images.pinhole, world.static_points(time_s, leave_out=True),
         images_shown, images.pose, spec, leave_out=index,
-        things=world.things(time_s, one.training_time_s, leave_out=True),
+        moving=world.moving(time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip
 
 

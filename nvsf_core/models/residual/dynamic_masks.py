@@ -41,7 +41,7 @@ class MovingWorld:
         scans = depth_scans(sweeps, instant_s, leave_out=leave_out)[:most]
         return np.concatenate([self._still_of(sweeps, scan) for scan in scans])
 
-    def things(
+    def moving(
         self, instant_s: float, image_time_s: np.ndarray, *, leave_out: bool = False
     ) -> list[MovingPoints]:
         """The objects that move and may be seen at an instant; none in a static scene.
@@ -73,7 +73,7 @@ class MovingWorld:
         images, times = camera.training, camera.training_time_s
         found = np.zeros(images.rgb.shape[:3], np.bool_)
         for number, instant_s in enumerate(times.tolist()):
-            points = [thing.points_m for thing in self.things(instant_s, times)]
+            points = [thing.points_m for thing in self.moving(instant_s, times)]
             if points:
                 still = self.static_points(instant_s, most=_SHADOW_SCANS)
                 found[number] = moving_pixels(images.pose[number], images.pinhole, still, points)

@@ -30,10 +30,12 @@ _METRICS = {
 }  # fmt: skip
 """As in `lidar4d_scan`, and whether higher is better; but hits are those of the firings: a pano's cells hide
 false returns behind nearer ones."""
-_PANO = LinearPano(quirks=True)
+_PANO = LinearPano(reference_quirks=True)
 
 
-def judge(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording) -> tuple[bool, dict[str, Scalar]]:
+def choose(
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording
+) -> tuple[bool, dict[str, Scalar]]:
     """Whether the field shows left-out scans better than `reproject` does, and the figures that say so.
 
     Neither renderer's evidence holds a return of a judge, neither its objects nor its votes, and the field
@@ -49,7 +51,7 @@ def judge(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording) -> t
 
     found = compare(
         _METRICS,
-        left_out.judges.tolist(),
+        left_out.validation.tolist(),
         {"field": partial(score, by_field=True), "reproject": partial(score, by_field=False)},
     )
     shows_field = found.wins("field", "reproject")
@@ -66,7 +68,7 @@ def _renderer(
     moving = lidar.moving(leave_out=number)
     if by_field:
         most = recipe.evidence.lidar_candidates
-        return field_renderer(field, left_out.standing, moving, most=most, far_m=lidar.far_m)
+        return field_renderer(field, left_out.static, moving, most=most, far_m=lidar.far_m)
     most = EvidenceSpec().lidar_candidates
     return evidence_renderer(left_out.for_rendering, moving, most=most, far_m=lidar.far_m)
 
@@ -86,15 +88,15 @@ def _score(
     sweeps, evidence = lidar.sweeps, lidar.evidence
     time_s = float(evidence.prior.time_s[number])
     plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
-    model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes)
-    rays, answers = fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
-    points_m, intensity, laser = RenderedSweep.of(rays, answers).scan()
+    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes)
+    rays, rendered = fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
+    points_m, intensity, laser = RenderedSweep.of(rays, rendered).scan()
     shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
     found = {
         **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),
         **range_image_metrics(shown.range_m, truth.range_m),
         **intensity_image_metrics(shown.intensity, truth.intensity),
     }
-    expected = np.isfinite(answers.range_m) & rays_return(answers.hit)
+    expected = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
     returned = evidence.prior.is_hit[number, rays.laser, evidence.prior.nearest_firing(number, rays.fraction)]
     return [*(found[name].value for name in list(_METRICS)[:-1]), float((expected == returned).mean())]

@@ -33,7 +33,7 @@ def needs(recipe: ResidualRecipe, recording: Recording) -> dict[str, Scalar]:
     if recording.lidar is not None and fields.lidar is not None:
         evidence, a = recording.lidar.evidence, recording.lidar.sweeps.arrays
         samples = samples_a_ray(
-            evidence.standing, a["origin_m"], a["direction"],
+            evidence.static, a["origin_m"], a["direction"],
             most=recipe.evidence.lidar_candidates, far_m=recording.lidar.far_m,
         )  # fmt: skip
         layout = fields.lidar.grid.layout

@@ -118,14 +118,14 @@ def train_pano(
         lambda _, drawn: [cell_step(network, examples, training, recipe.losses, drawn)],
     )  # fmt: skip
     judging = time.perf_counter()
-    verdict, corrected = judge(network, [left_out[number] for number in judged])
+    verdict, corrected = choose(network, [left_out[number] for number in judged])
     preparation += time.perf_counter() - judging
     return TrainedPano(
         states={"pano": state}, preparation_seconds=preparation, metadata=verdict, corrected=corrected
     )
 
 
-def judge(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
+def choose(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
     """What the network does better than the phases, part by part, and the figures that say so.
 
     A corrected hit must raise the range image's PSNR without losing hits, a corrected intensity must raise
@@ -200,7 +200,7 @@ def expected_pano(
     plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, lidar.sweeps.table, True)
     return estimate_pano(
         lambda phase: fire_sweep(model, lidar, plan, time_s, phase=phase, leave_out_s=leave_out_s),
-        LinearPano(quirks=True), spec.phases, parts=spec.parts,
+        LinearPano(reference_quirks=True), spec.phases, parts=spec.parts,
     )  # fmt: skip
 
 
@@ -212,9 +212,9 @@ def leave_out(
     assert recipe.pano is not None
     time_s, moving = float(panos.time_s[scan]), lidar.moving(leave_out=scan)
     render = field_renderer(
-        field, lidar.evidence.standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
+        field, lidar.evidence.static, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m
     )
-    model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes, correct=correct)
+    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes, correct=correct)
     estimate = expected_pano(model, lidar, recipe.pano, time_s, None, leave_out_s=time_s)
     return LeftOutPano(
         estimate=estimate,
@@ -227,7 +227,7 @@ def leave_out(
 def recorded_panos(lidar: LidarRecording) -> RecordedPanos:
     """All training scans as the papers project them."""
     sweeps, a = lidar.sweeps, lidar.sweeps.arrays
-    pano = LinearPano(quirks=True)
+    pano = LinearPano(reference_quirks=True)
     training = np.flatnonzero(sweeps.is_training)
     parts = [sweeps.returns_of(int(scan)) for scan in training]
     images = [pano.project(a["points_m"][part], a["intensity"][part]) for part in parts]
@@ -251,7 +251,7 @@ def _neighbours(
     leave_out_s: float | None = None,
 ) -> Neighbours:
     scans = lidar.evidence.prior.nearest_scans(time_s, spec.neighbours, leave_out_s=leave_out_s)
-    return ask_neighbours(panos, scans, estimate.median_m, time_s, LinearPano(quirks=True))
+    return ask_neighbours(panos, scans, estimate.median_m, time_s, LinearPano(reference_quirks=True))
 
 
 def _score(

@@ -48,21 +48,21 @@ class AlignedDrive:
 
 
 def align_drive(
-    world: MovingWorld, cameras: Sequence[str], silent: Mapping[str, Collection[int]] | None = None
+    world: MovingWorld, cameras: Sequence[str], left_out: Mapping[str, Collection[int]] | None = None
 ) -> dict[str, PoseCorrection]:
     """Align the images of the named cameras, each camera's by themselves; without a LiDAR none are.
 
     Args:
         world: With the poses as they were recorded.
         cameras: Whose images are aligned.
-        silent: By camera, numbers of training images that nothing is learned from, others' poses included.
+        left_out: By camera, numbers of training images that nothing is learned from, others' poses included.
     """
     if world.recording.lidar is None:
         return {}
     corrections = {}
     for name in cameras:
         one = world.recording.cameras[name]
-        unheard = () if silent is None else silent.get(name, ())
+        unheard = () if left_out is None else left_out.get(name, ())
         heard = [index for index in range(len(one.training.rgb)) if index not in unheard]
         time_s = one.training_time_s[heard]
         returns_m = [_own_returns(world, instant_s) for instant_s in time_s.tolist()]

@@ -57,18 +57,18 @@ class ValidationSweep:
     """(r,) float32."""
     ray_head_logit: np.ndarray
     """(r,) float32."""
-    is_answered: np.ndarray
+    is_met: np.ndarray
     """(r,) bool: whether anything is there that could return."""
     returned: np.ndarray
     """(r,) bool."""
 
     def accuracy(self, logit: np.ndarray) -> float:
         """Share of all firings whose return, or its absence, is expected by logits (r,)."""
-        return float(((self.is_answered & (logit >= 0.0)) == self.returned).mean())
+        return float(((self.is_met & (logit >= 0.0)) == self.returned).mean())
 
     def nats(self, logit: np.ndarray) -> float:
         """Mean cross-entropy of logits (r,), of the answered firings."""
-        return nats(logit[self.is_answered], self.returned[self.is_answered])
+        return nats(logit[self.is_met], self.returned[self.is_met])
 
     def scores(self, logit: np.ndarray) -> list[float]:
         """Accuracy and cross-entropy of logits (r,)."""
@@ -89,12 +89,12 @@ def train_hits(
         few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to judge a network by"}
         return TrainedHits(states={}, preparation_seconds=0.0, metadata=few, correct=None)
     started = time.perf_counter()
-    turns = recorded_sweeps(lidar)
+    scan_grids = recorded_sweeps(lidar)
     learned = [number for number, _ in learned_scans(lidar)]
     chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
     examples = []
     for index in chosen.tolist():
-        examples.append(_example(field, recipe, lidar, turns, learned[index]))
+        examples.append(_example(field, recipe, lidar, scan_grids, learned[index]))
         session.say("hits", f"expected {len(examples)} of {len(chosen)}")
     preparation = time.perf_counter() - started
     generator = torch.Generator().manual_seed(session.seed * 5 + 4)
@@ -104,35 +104,38 @@ def train_hits(
         lambda _, drawn: [cell_step(network, examples, spec.training, recipe.losses, drawn)],
     )  # fmt: skip
     judging = time.perf_counter()
-    judged = [
-        _judged(field, recipe, lidar, turns, network, number, left_out.standing)
-        for number in left_out.judges.tolist()
+    validated = [
+        _judged(field, recipe, lidar, scan_grids, network, number, left_out.static)
+        for number in left_out.validation.tolist()
     ]
-    blend, metadata = blend_in_rotation(judged)
+    blend, metadata = blend_in_rotation(validated)
     preparation += time.perf_counter() - judging
     return TrainedHits(
         states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
-        correct=None if blend is None else SweepRaydrop(network, turns, blend),
+        correct=None if blend is None else SweepRaydrop(network, scan_grids, blend),
     )  # fmt: skip
 
 
-def blend_in_rotation(judged: Sequence[ValidationSweep]) -> tuple[HitBlend | None, dict[str, Scalar]]:
+def blend_in_rotation(validated: Sequence[ValidationSweep]) -> tuple[HitBlend | None, dict[str, Scalar]]:
     """How network and ray head are blended, None where the ray head alone is better, and figures.
 
     Each of at least two judges is told by a blend that was fitted on the others; what is shown, on all.
     """
 
     def blended(number: int) -> list[float]:
-        one, others = judged[number], [other for place, other in enumerate(judged) if place != number]
+        one, others = validated[number], [other for place, other in enumerate(validated) if place != number]
         return one.scores(_fitted(others).logit(one.network_logit, one.ray_head_logit))
 
     found = compare(
         {"accuracy": True, "nats": False},
-        range(len(judged)),
-        {"blend": blended, "ray head": lambda number: judged[number].scores(judged[number].ray_head_logit)},
+        range(len(validated)),
+        {
+            "blend": blended,
+            "ray head": lambda number: validated[number].scores(validated[number].ray_head_logit),
+        },
     )
     is_better = found.is_better("blend", "accuracy", "ray head")
-    blend = _fitted(judged)
+    blend = _fitted(validated)
     metadata: dict[str, Scalar] = {
         **found.figures({"blend": "hits_judged_", "ray head": "hits_judged_ray_head_"}),
         "hits_blend": f"{blend.network:.2f} network {blend.ray_head:+.2f} ray head {blend.offset:+.2f}",
@@ -141,9 +144,9 @@ def blend_in_rotation(judged: Sequence[ValidationSweep]) -> tuple[HitBlend | Non
     return blend if is_better else None, metadata
 
 
-def _fitted(judged: Sequence[ValidationSweep]) -> HitBlend:
+def _fitted(validated: Sequence[ValidationSweep]) -> HitBlend:
     """On all answered firings of some judges."""
-    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_answered) for one in judged]
+    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_met) for one in validated]
     network, ray_head, returned, answered = (np.concatenate(x) for x in zip(*parts, strict=True))
     return fit_blend(network[answered], ray_head[answered], returned[answered])
 
@@ -176,20 +179,20 @@ def recorded_sweeps(lidar: LidarRecording) -> RecordedSweeps:
 
 
 def _example(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedSweeps, number: int
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, scan_grids: RecordedSweeps, number: int
 ) -> CellExample:
     """A training scan by the others' votes and turns, on surfaces that its own returns helped to prove.
 
     Where no surface was proven nothing is learned.
     """
-    told: list[SweepCells] = []
+    listened: list[SweepCells] = []
 
-    def listen(rays: SweepRays, answers: RenderedRays, near: np.ndarray) -> RenderedRays:
-        told.append(sweep_cells(turns, rays, answers, near))
-        return answers
+    def listen(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
+        listened.append(sweep_cells(scan_grids, rays, rendered, near))
+        return rendered
 
-    rays, _ = _fire(field, recipe, lidar, lidar.evidence.standing, number, listen)
-    (cells,), prior = told, lidar.evidence.prior
+    rays, _ = _fire(field, recipe, lidar, lidar.evidence.static, number, listen)
+    (cells,), prior = listened, lidar.evidence.prior
     lasers, firings = rays.shape
     recorded = prior.nearest_firing(number, rays.fraction[:firings])[cells.column.numpy()]
     is_hit = prior.is_hit[number, rays.laser[::firings, None], recorded]
@@ -197,40 +200,40 @@ def _example(
         features=cells.features,
         hit_logit=cells.prior_logit,
         intensity_logit=torch.zeros(lasers, firings),
-        weight=cells.is_answered.float(),
+        weight=cells.is_met.float(),
         returned=torch.from_numpy(is_hit),
         true_intensity=torch.zeros(lasers, firings),
     )
 
 
 def _judged(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, turns: RecordedSweeps,
-    network: CellNetwork, number: int, standing: Surfels,
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, scan_grids: RecordedSweeps,
+    network: CellNetwork, number: int, static: Surfels,
 ) -> ValidationSweep:  # fmt: skip
     """A judge as others prove it, and whether its firings returned."""
-    told: list[tuple[np.ndarray, np.ndarray]] = []
+    listened: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def listen(rays: SweepRays, answers: RenderedRays, near: np.ndarray) -> RenderedRays:
-        told.append(hit_logits(network, turns, rays, answers, near))
-        return answers
+    def listen(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
+        listened.append(hit_logits(network, scan_grids, rays, rendered, near))
+        return rendered
 
-    rays, answers = _fire(field, recipe, lidar, standing, number, listen)
-    ((network_logit, ray_head_logit),), prior = told, lidar.evidence.prior
+    rays, rendered = _fire(field, recipe, lidar, static, number, listen)
+    ((network_logit, ray_head_logit),), prior = listened, lidar.evidence.prior
     firing = prior.nearest_firing(number, rays.fraction)
     return ValidationSweep(
-        network_logit, ray_head_logit, np.isfinite(answers.range_m), prior.is_hit[number, rays.laser, firing]
+        network_logit, ray_head_logit, np.isfinite(rendered.range_m), prior.is_hit[number, rays.laser, firing]
     )
 
 
 def _fire(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, standing: Surfels, number: int,
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, static: Surfels, number: int,
     correct: SweepCorrector | None,
 ) -> tuple[SweepRays, RenderedRays]:  # fmt: skip
     """A training scan as the field, some evidence of what stays, and all other scans have it."""
     sweeps = lidar.sweeps
     time_s = float(lidar.evidence.prior.time_s[number])
     moving = lidar.moving(leave_out=number)
-    render = field_renderer(field, standing, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
+    render = field_renderer(field, static, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
     plan = SweepPlan("hits", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
-    model = SceneModel(lidar=render, camera=None, votes=recipe.evidence.votes, correct=correct)
+    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes, correct=correct)
     return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)

@@ -78,9 +78,9 @@ def load(
     torch.set_num_threads(recipe.lidar_training.threads)
     facts = weights.facts
     fields = make_fields(recipe, recording, 0)
-    model = SceneModel(lidar=None, camera=None, votes=recipe.evidence.votes)
+    model = SceneModel(lidar=None, camera=None, prior_scans=recipe.evidence.votes)
     if recording.lidar is not None:
-        model = replace(model, unknown=unobserved_renderer(recording.lidar))
+        model = replace(model, unobserved=unobserved_renderer(recording.lidar))
         if not facts.get(SHOWS_FIELD, True):
             # Its pano is the projection of its scan, as the baseline's.
             model = replace(model, lidar=carrying_renderer(recording.lidar))
@@ -102,7 +102,7 @@ def _with_lidar(
     facts = weights.facts
     weights.load_into(fields.lidar, "lidar.")
     render = field_renderer(
-        fields.lidar, lidar.evidence.standing, lidar.moving(), most=recipe.evidence.lidar_candidates,
+        fields.lidar, lidar.evidence.static, lidar.moving(), most=recipe.evidence.lidar_candidates,
         far_m=lidar.far_m,
     )  # fmt: skip
     correct = None

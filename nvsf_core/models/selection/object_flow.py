@@ -27,15 +27,15 @@ def choose_flow(objects: tuple[ObjectEvidence, ...]) -> tuple[ObjectEvidence, ..
 
 
 def _bends(one: ObjectEvidence) -> bool:
-    judges = _judges(one)
-    if len(judges) < _FEWEST_JUDGES:
+    validation = _judges(one)
+    if len(validation) < _FEWEST_JUDGES:
         return False
     # Spread over the drive, so that the first few have seen all of it.
-    order = np.argsort(np.arange(len(judges)) * 0.618 % 1.0)
-    gains = [_gain_m(one, int(scan)) for scan in judges[order[:_FIRST_JUDGES]]]
+    order = np.argsort(np.arange(len(validation)) * 0.618 % 1.0)
+    gains = [_gain_m(one, int(scan)) for scan in validation[order[:_FIRST_JUDGES]]]
     if np.mean(gains) <= 0.0:
         return False
-    gains += [_gain_m(one, int(scan)) for scan in judges[order[_FIRST_JUDGES:]]]
+    gains += [_gain_m(one, int(scan)) for scan in validation[order[_FIRST_JUDGES:]]]
     return is_sure(gains)
 
 
@@ -43,8 +43,8 @@ def _judges(one: ObjectEvidence) -> np.ndarray:
     """At most 12 of its scans but for the first and the last (j,): those that saw enough of it near by."""
     rays = one.rays
     near = rays.scan[rays.is_hit & (rays.range_m < _RESOLVED_M)]
-    judges = np.array([s for s in one.path.scan[1:-1] if (near == s).sum() >= _FEWEST_RETURNS], np.int64)
-    return judges[np.linspace(0, len(judges) - 1, min(len(judges), _JUDGES)).astype(np.int64)]
+    validation = np.array([s for s in one.path.scan[1:-1] if (near == s).sum() >= _FEWEST_RETURNS], np.int64)
+    return validation[np.linspace(0, len(validation) - 1, min(len(validation), _JUDGES)).astype(np.int64)]
 
 
 def _gain_m(one: ObjectEvidence, scan: int) -> float:

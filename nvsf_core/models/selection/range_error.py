@@ -26,9 +26,9 @@ def mean_range_error_m(
         far_m: How far a ray is followed.
         worst_m: Most that a ray counts as off, and what one without an answer counts: beyond, wrong is wrong.
     """
-    answers = reproject_rays(
+    rendered = reproject_rays(
         surfels, origin_m, direction, np.ones(len(range_m), np.float32),
         most=EvidenceSpec().lidar_candidates, far_m=far_m,
     )  # fmt: skip
-    off_m = np.abs(answers.range_m.astype(np.float64) - range_m)
+    off_m = np.abs(rendered.range_m.astype(np.float64) - range_m)
     return float(np.minimum(np.where(np.isfinite(off_m), off_m, worst_m), worst_m).mean())

@@ -35,7 +35,7 @@ class ScanRays:
     """(n,) float32."""
     scan: np.ndarray
     """(n,) int64 number of the scan."""
-    stays: np.ndarray
+    is_static: np.ndarray
     """(n,) bool: not of a moving object."""
 
     def surfels(
@@ -44,7 +44,7 @@ class ScanRays:
         """Of what stays, proven by chosen returns."""
         return build_surfels(
             self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
-            voxel_m=voxel_m, threads=threads, is_surface=self.stays[chosen], shaped=shaped,
+            voxel_m=voxel_m, threads=threads, is_surface=self.is_static[chosen], shaped=shaped,
         )  # fmt: skip
 
 
@@ -55,9 +55,9 @@ class VoxelChoice:
     errors_m: dict[float, float]
     """Size to mean absolute range error along the judges' recorded rays, metres, each ray's at most 1 m and
     1 m where there is no answer."""
-    judges: np.ndarray
+    validation: np.ndarray
     """(2,) int64 numbers of the scans that judged."""
-    standing: Surfels
+    static: Surfels
     """What stays, as all other scans prove it, for a field."""
     rendered: dict[float, Surfels]
     """Size to the same for the renderer that learns nothing."""
@@ -68,36 +68,38 @@ class VoxelChoice:
         return min(self.errors_m, key=lambda voxel_m: self.errors_m[voxel_m])
 
 
-def choose_voxel_m(rays: ScanRays, *, silent: np.ndarray, far_m: float, threads: int) -> VoxelChoice | None:
+def choose_voxel_m(
+    rays: ScanRays, *, unidentified: np.ndarray, far_m: float, threads: int
+) -> VoxelChoice | None:
     """Score sizes on two training scans that the evidence is built without; coarser while it gets better.
 
     Args:
         rays: Of the training scans.
-        silent: (s,) numbers of scans that never judge: no laser is known that could have returned or not.
+        unidentified: (s,) numbers of scans that are never left out: their lasers are not known.
         far_m: How far a ray is followed.
         threads: Of the walk.
 
     Returns:
         Only sizes that were tried. None where there is too little to judge.
     """
-    scans = np.setdiff1d(np.flatnonzero(np.bincount(rays.scan)), silent)
+    scans = np.setdiff1d(np.flatnonzero(np.bincount(rays.scan)), unidentified)
     if len(scans) < _FEWEST_SCANS:
         return None
-    judges = scans[(np.arange(1, _JUDGES + 1) * len(scans)) // (_JUDGES + 1)]
-    judged = np.isin(rays.scan, judges)
-    asked = np.flatnonzero(judged & rays.stays)
+    validation = scans[(np.arange(1, _JUDGES + 1) * len(scans)) // (_JUDGES + 1)]
+    is_validation = np.isin(rays.scan, validation)
+    asked = np.flatnonzero(is_validation & rays.is_static)
     if len(asked) == 0:
         return None
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, _JUDGES * _RAYS_A_JUDGE).astype(np.int64))]
     errors_m: dict[float, float] = {}
     rendered: dict[float, Surfels] = {}
     for voxel_m in CANDIDATES_M:
-        rendered[voxel_m] = rays.surfels(voxel_m, threads, ~judged, shaped=True)
+        rendered[voxel_m] = rays.surfels(voxel_m, threads, ~is_validation, shaped=True)
         errors_m[voxel_m] = mean_range_error_m(
             rendered[voxel_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
             far_m=far_m, worst_m=_WORST_M,
         )  # fmt: skip
         if errors_m[voxel_m] > min(errors_m.values()):
             break
-    standing = rays.surfels(FIELD_VOXEL_M, threads, ~judged, shaped=False)
-    return VoxelChoice(errors_m=errors_m, judges=judges, standing=standing, rendered=rendered)
+    static = rays.surfels(FIELD_VOXEL_M, threads, ~is_validation, shaped=False)
+    return VoxelChoice(errors_m=errors_m, validation=validation, static=static, rendered=rendered)

@@ -37,7 +37,7 @@ LOSS = NamedCheck(
     "fifth of its curve and two standard errors of their difference: single batches differ much. Value: the "
     "worst part's last, less these two, over its first.",
 )
-ANSWERS = NamedCheck(
+RAYS_IN_LIMITS = NamedCheck(
     name="training_scan_is_rendered_within_limits",
     description="Lasers of the middle training scan, rendered by the model just trained, have no NaN, no "
     "range below 0 or beyond the sensor's (and a tenth, for its lever arms), no probability or intensity "
@@ -54,8 +54,8 @@ INTENSITY = NamedCheck(
     description="Earth mover's distance between the intensity histograms of the middle training scan, "
     f"rendered and recorded. {SPREAD_LIMIT}",
 )
-NAMED_CHECKS = (WEIGHTS, LOSS, ANSWERS, HIT_RATE, INTENSITY)
-_OF_RENDERING = (ANSWERS, HIT_RATE, INTENSITY)
+NAMED_CHECKS = (WEIGHTS, LOSS, RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
+_OF_RENDERING = (RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
 _FIFTH = 5
 _NORMAL_MAD, _MEDIAN_ERROR = 1.4826, 1.2533
 """Of a normal distribution: its standard deviation over its median absolute deviation, and the standard error
@@ -69,7 +69,7 @@ def check_weights(tensors: Mapping[str, Tensor]) -> Check:
     total = sum(value.numel() for value in tensors.values())
     named = ", ".join(f"{count} in {name}" for name, count in broken.items() if count)
     detail = f"{total:,} numbers in {len(tensors)} tensors: " + (f"not finite {named}" if named else "finite")
-    return WEIGHTS.judged(sum(broken.values()) / max(1, total), 0.0, detail)
+    return WEIGHTS.outcome(sum(broken.values()) / max(1, total), 0.0, detail)
 
 
 def check_loss(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> Check:
@@ -81,7 +81,7 @@ def check_loss(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> Check:
         f"{part} {first:.4f} to {last:.4f} ± {error:.4f}" for part, (first, last, error) in ends.items()
     )
     worst = max((last - 2.0 * error) / max(first, 1e-12) for first, last, error in ends.values())
-    return LOSS.judged(worst, 1.0, detail)
+    return LOSS.outcome(worst, 1.0, detail)
 
 
 def _ends(losses: Sequence[float]) -> tuple[float, float, float]:
@@ -97,14 +97,14 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     """Render some lasers of the middle training scan and judge them; what has no LiDAR is not judged.
 
     Returns:
-        Checks of `ANSWERS`, `HIT_RATE` and `INTENSITY`.
+        Checks of `RAYS_IN_LIMITS`, `HIT_RATE` and `INTENSITY`.
     """
     if recording.lidar is None or model.lidar is None:
-        return [law.not_run("drive or model has no LiDAR") for law in _OF_RENDERING]
+        return [named.not_run("drive or model has no LiDAR") for named in _OF_RENDERING]
     sweeps, evidence = recording.lidar.sweeps, recording.lidar.evidence
     norms = norms_of(sweeps.arrays, sweeps.is_training)
     if norms is None:
-        return [law.not_run(NO_NORMS) for law in _OF_RENDERING]
+        return [named.not_run(NO_NORMS) for named in _OF_RENDERING]
     middle = len(norms.time_s) // 2
     time_s = float(norms.time_s[middle])
     plan = plan_sweeps(
@@ -116,22 +116,22 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     )  # fmt: skip
     # A few lasers tell as much of a whole scan, in a tenth of the time.
     lasers = evidence.lasers[np.unique(np.linspace(0, len(evidence.lasers) - 1, _MOST_LASERS).astype(int))]
-    _, answers = fire_sweep(
-        replace(model, correct=None, unknown=None),
+    _, rendered = fire_sweep(
+        replace(model, correct=None, unobserved=None),
         replace(recording.lidar, evidence=replace(evidence, lasers=lasers)),
         plan, time_s, leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
     )  # fmt: skip
-    returned = np.isfinite(answers.range_m) & rays_return(answers.hit)
+    returned = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
     place = f"training frame {int(plan.frame[0])}"
     recorded = _recorded_intensity(sweeps, time_s, lasers)
     rate = float(returned.mean()) - len(recorded) / (len(lasers) * float(norms.firings[middle]))
     spreads = []
-    intensity = np.clip(answers.intensity[returned], 0.0, 1.0)
+    intensity = np.clip(rendered.intensity[returned], 0.0, 1.0)
     if len(recorded) and len(intensity) and np.isfinite(intensity).all():
         apart = spread_distance(intensity_spread(intensity), intensity_spread(recorded))
         spreads = [(apart, place)]
     return [
-        _within_limits(answers, recording.lidar.far_m * LEVER, place),
+        _within_limits(rendered, recording.lidar.far_m * LEVER, place),
         *check_likeness(HIT_RATE, INTENSITY, [(rate, place)], spreads, norms),
     ]
 
@@ -143,18 +143,20 @@ def _recorded_intensity(sweeps: Sweeps, time_s: float, lasers: np.ndarray) -> np
     return found
 
 
-def _within_limits(answers: RenderedRays, far_m: float, place: str) -> Check:
+def _within_limits(rendered: RenderedRays, far_m: float, place: str) -> Check:
     """An infinite range is no answer; what such a ray says beside it is never used."""
-    unanswered = np.isposinf(answers.range_m)
+    unanswered = np.isposinf(rendered.range_m)
     columns = {
-        "range": (answers.range_m >= 0.0) & (answers.range_m <= far_m),
-        "hit probability": _is_share(answers.hit),
-        "intensity": _is_share(answers.intensity),
+        "range": (rendered.range_m >= 0.0) & (rendered.range_m <= far_m),
+        "hit probability": _is_share(rendered.hit),
+        "intensity": _is_share(rendered.intensity),
     }
     wrong = {name: int(np.count_nonzero(~(sound | unanswered))) for name, sound in columns.items()}
     named = ", ".join(f"{count} by {name}" for name, count in wrong.items() if count) or "none"
-    share = max(wrong.values()) / max(1, len(answers.range_m))
-    return ANSWERS.judged(share, 0.0, f"{place}, {len(answers.range_m):,} rays, out of limits: {named}")
+    share = max(wrong.values()) / max(1, len(rendered.range_m))
+    return RAYS_IN_LIMITS.outcome(
+        share, 0.0, f"{place}, {len(rendered.range_m):,} rays, out of limits: {named}"
+    )
 
 
 def _is_share(values: np.ndarray) -> np.ndarray:

@@ -62,7 +62,7 @@ def check_images(task: Task) -> list[Check]:
     images = list(_judged(task))
     if not images:
         reason = "no rendered image with training images of its camera"
-        return [law.not_run(reason) for law in NAMED_CHECKS]
+        return [named.not_run(reason) for named in NAMED_CHECKS]
     blank = [image for image in images if image.is_blank]
     named = blank[:_NAMED] or [min(images, key=lambda image: image.deviation / image.blank_below)]
     words = "; ".join(image.in_words() for image in named)
@@ -74,8 +74,8 @@ def check_images(task: Task) -> list[Check]:
         f"{beyond} of {len(images)} images beyond theirs"
     )
     return [
-        BLANK.judged(len(blank) / len(images), 0.0, found),
-        GREYS.judged(worst.apart / worst.apart_limit, 1.0, far),
+        BLANK.outcome(len(blank) / len(images), 0.0, found),
+        GREYS.outcome(worst.apart / worst.apart_limit, 1.0, far),
     ]
 
 

@@ -75,7 +75,7 @@ def _in_range(rows: Sequence[Row]) -> Check:
         for row in wrong[:_NAMED]
     )
     detail = f"{len(wrong)} of {len(rows)} values lie outside" + (f": {named}" if named else "")
-    return IN_RANGE.judged(float(len(wrong)), 0.0, detail)
+    return IN_RANGE.outcome(float(len(wrong)), 0.0, detail)
 
 
 def _is_possible(metric: str, value: float) -> bool:
@@ -104,7 +104,7 @@ def _better(rows: Sequence[Row]) -> Check:
     worse = [number for number, value in compared if _is_worse(number[2], value, copied[number])]
     named = ", ".join(" ".join(number) for number in worse[:_NAMED])
     detail = f"worse in {len(worse)} of {len(compared)} main numbers" + (f": {named}" if named else "")
-    return BETTER.judged(len(worse) / len(compared), _HALF, detail)
+    return BETTER.outcome(len(worse) / len(compared), _HALF, detail)
 
 
 def _is_worse(metric: str, value: float, copied: float) -> bool:

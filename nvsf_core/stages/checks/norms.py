@@ -64,10 +64,10 @@ def check_likeness(
     ]
 
 
-def _judge_worst(law: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
+def _judge_worst(named: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
     if not apart:
-        return law.not_run("no scan by the recording sensor with returns on both sides")
+        return named.not_run("no scan by the recording sensor with returns on both sides")
     worst, place = max(apart, key=lambda one: abs(one[0]))
     beyond = sum(abs(distance) > limit for distance, _ in apart)
     detail = f"worst {words.format(worst)} ({place}); {beyond} of {len(apart)} scans beyond {limit:.3f}"
-    return law.judged(abs(worst), limit, detail)
+    return named.outcome(abs(worst), limit, detail)

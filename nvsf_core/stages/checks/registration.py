@@ -49,7 +49,7 @@ def check_registration(task: Task) -> list[Check]:
     """Register neighbouring scans of the sweeps in the task's folder."""
     path = task.folder / "returns.zarr"
     if read_arrays(path, "frame")["frame"].size == 0:
-        return [law.not_run("this drive has no scan") for law in (FRAME_CHECK, ORDER_CHECK)]
+        return [named.not_run("this drive has no scan") for named in (FRAME_CHECK, ORDER_CHECK)]
     names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
     arrays = read_arrays(path, *names)
     poses = arrays["lidar_to_world"].copy()

@@ -76,10 +76,10 @@ class _Count:
         if wrong:
             self.places.append(f"{wrong} of {total} in {place}")
 
-    def judged(self, law: NamedCheck, fault: str) -> Check:
+    def outcome(self, named: NamedCheck, fault: str) -> Check:
         share = self.wrong / max(1, self.total)
         found = "; ".join(self.places) if self.places else f"none of {self.total:,} numbers"
-        return law.judged(share, 0.0, f"{fault}: {found}")
+        return named.outcome(share, 0.0, f"{fault}: {found}")
 
 
 def check_views(task: Task) -> list[Check]:
@@ -99,9 +99,9 @@ def check_views(task: Task) -> list[Check]:
             _limits(within, place, arrays, sensor_table(attrs["sensor"]).max_range_m * LEVER)
             scans.append((path.parent.name, arrays, attrs))
     norms = read_norms(task.store)
-    checks = [finite.judged(FINITE, "not finite"), within.judged(WITHIN, "out of limits")]
+    checks = [finite.outcome(FINITE, "not finite"), within.outcome(WITHIN, "out of limits")]
     if norms is None:
-        return [*checks, *(law.not_run(NO_NORMS) for law in (RETURNS, HIT_RATE, INTENSITY))]
+        return [*checks, *(named.not_run(NO_NORMS) for named in (RETURNS, HIT_RATE, INTENSITY))]
     return [*checks, _empty(scans, norms), *_likeness(scans, norms, _recording_sensor(task))]
 
 
@@ -143,7 +143,7 @@ def _empty(scans: list[_View], norms: ScanNorms) -> Check:
         for instant in time_s[returns == 0]
     )
     detail = f"{empty} of {len(returns)} held-out scans without a return where training scans have them"
-    return RETURNS.judged(empty / max(1, len(returns)), 0.5, detail)
+    return RETURNS.outcome(empty / max(1, len(returns)), 0.5, detail)
 
 
 def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:

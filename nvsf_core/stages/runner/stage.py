@@ -97,7 +97,7 @@ class NamedCheck:
     blocking: bool = False
     """Whether what breaks it is unusable; else breaking it is a doubt, and warns."""
 
-    def judged(self, value: float, limit: float, detail: str, unit: str = "") -> Check:
+    def outcome(self, value: float, limit: float, detail: str, unit: str = "") -> Check:
         """The law's check: it holds where the value is at most the limit; NaN breaks it."""
         return Check(
             name=self.name, passed=value <= limit, detail=detail, blocking=self.blocking, value=value,
@@ -174,7 +174,7 @@ class Stage:
     """Judges what lies in the task's folder, just made or published earlier."""
     check_version: str = ""
     """Raised when `check` judges otherwise: outputs that are up to date are judged again, not made again."""
-    laws: tuple[NamedCheck, ...] = ()
+    named_checks: tuple[NamedCheck, ...] = ()
     """The checks, of `run` or `check`, that are shown by themselves."""
 
     def location(self, config: RunConfig) -> str:

@@ -92,12 +92,12 @@ def measure_lidar(
     if frames.size == 0:
         return
     a = read_arrays(path, *_PREDICTED)
-    pano = LinearPano(quirks=True)
+    pano = LinearPano(reference_quirks=True)
     for i, frame in enumerate(frames.tolist()):
         truth, truth_rays = recording.scan(frame)
         own, rays = part(a["offsets"], i), part(a["ray_offsets"], i)
         predicted = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
-        answers = RenderedRays(range_m=a["ray_range_m"][rays], intensity=a["ray_intensity"][rays])
+        rendered = RenderedRays(range_m=a["ray_range_m"][rays], intensity=a["ray_intensity"][rays])
         image = PanoImage(
             range_m=a["pano_range_m"][i], intensity=a["pano_intensity"][i], hit=a["pano_hit"][i]
         )
@@ -106,13 +106,13 @@ def measure_lidar(
         found: dict[tuple[str, str], Mapping[str, Measure]] = {
             (protocol, "all"): lidar4d(side, true_image, pano, lpips) for protocol, side in panos.items()
         }
-        found["raw", "all"] = raw(predicted, answers, truth, truth_rays, recording.n_lasers)
+        found["raw", "all"] = raw(predicted, rendered, truth, truth_rays, recording.n_lasers)
         if boxes is not None:
             here = boxes.in_lidar(frame)
             for protocol, side in panos.items():
                 regions = lidar4d_regions(side, true_image, pano, here, lpips)
                 found |= {(protocol, region): measures for region, measures in regions.items()}
-            masked = masked_regions(predicted, answers, truth, truth_rays, recording.n_lasers, here)
+            masked = masked_regions(predicted, rendered, truth, truth_rays, recording.n_lasers, here)
             ranges = masked_range_regions(image, true_image, pano, here)
             found |= {("masked", region): {**masked[region], **ranges[region]} for region in masked}
         seconds = float(a["lidar_render_seconds"][i])

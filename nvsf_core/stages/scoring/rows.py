@@ -103,7 +103,7 @@ class Ledger:
         checks = [
             Check(name="some_frame_was_measured", passed=bool(self.rows), detail=detail),
             # A lost object, or a sky that the recording sensor never saw, is a finding and no fault.
-            DEFINED.judged(
+            DEFINED.outcome(
                 float(self.n_undefined_whole + np.isinf(values[is_whole]).sum()),
                 0.0,
                 f"{detail}; {reasons}" if reasons else detail,

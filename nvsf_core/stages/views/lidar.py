@@ -73,9 +73,9 @@ def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneMode
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         part = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
         rays = (a[name][part] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
-        answers = render_along(model, lidar, float(instant), *rays)
-        ranges.append(answers.range_m)
-        intensities.append(answers.intensity)
+        rendered = render_along(model, lidar, float(instant), *rays)
+        ranges.append(rendered.range_m)
+        intensities.append(rendered.intensity)
     return {
         "ray_offsets": _offsets([len(r) for r in ranges]),
         "ray_range_m": np.concatenate(ranges).astype(np.float32),
@@ -88,7 +88,7 @@ def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray
     sweeps = lidar.sweeps
     a = sweeps.arrays
     training = np.flatnonzero(sweeps.is_training)
-    pano = LinearPano(quirks=True)
+    pano = LinearPano(reference_quirks=True)
     scans, panos, rays, seconds = [], [], [], []
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         started = time.perf_counter()
@@ -131,10 +131,10 @@ def copied_sweeps(
     """
     a = lidar.sweeps.arrays
     training = np.flatnonzero(lidar.sweeps.is_training)
-    pano = LinearPano(quirks=True)
+    pano = LinearPano(reference_quirks=True)
     lasers, firings = grid["grid_azimuth_rad"].shape[1:]
     laser = np.repeat(lidar.evidence.lasers.astype(np.int64), firings)
-    scans, panos, answers, seconds = [], [], [], []
+    scans, panos, rendered, seconds = [], [], [], []
     for instant, azimuth_rad in zip(plan.time_s, grid["grid_azimuth_rad"], strict=True):
         started = time.perf_counter()
         source = lidar.sweeps.returns_of(
@@ -143,11 +143,11 @@ def copied_sweeps(
         scan = (a["points_m"][source], a["intensity"][source], a["laser"][source])
         towards = np.stack([np.cos(azimuth_rad).ravel(), np.sin(azimuth_rad).ravel()], axis=1)
         centre_m = np.linalg.norm(scan[0], axis=1)
-        answers.append(copied_ranges(scan[0], scan[2], centre_m, scan[1], towards, laser))
+        rendered.append(copied_ranges(scan[0], scan[2], centre_m, scan[1], towards, laser))
         scans.append(scan)
         panos.append(pano.project(scan[0], scan[1]))
         seconds.append(time.perf_counter() - started)
-    centre_m, shine = (np.stack(one).reshape(-1, lasers, firings) for one in zip(*answers, strict=True))
+    centre_m, shine = (np.stack(one).reshape(-1, lasers, firings) for one in zip(*rendered, strict=True))
     pano_range_m, pano_intensity = (np.stack(one) for one in zip(*panos, strict=True))
     found = np.isfinite(centre_m)
     return _joined(scans) | {

@@ -61,12 +61,12 @@ def test_what_moves_is_found_and_what_stands_is_not(street) -> None:
     returns, instance, world, moving = street
     to_street = invert_pose(world.street_to_world)
     height = transform_points(to_street, returns.point_m + returns.trajectory.scene_origin_m)[:, 2]
-    standing = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
+    above_ground = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     truth = np.isin(instance, [mover.object_id for mover in world.street.movers])
     found = moving.object_id >= 0
-    hits = (truth & found & standing).sum()
-    assert hits / (found & standing).sum() >= 0.95
-    assert hits / (truth & standing).sum() >= 0.95
+    hits = (truth & found & above_ground).sum()
+    assert hits / (found & above_ground).sum() >= 0.95
+    assert hits / (truth & above_ground).sum() >= 0.95
 
 
 def test_centres_move_as_they_did_to_two_centimetres_a_frame(street) -> None:

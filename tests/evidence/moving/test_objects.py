@@ -54,8 +54,8 @@ def passing() -> tuple[DynamicEvidence, Surfels]:
     moving = MovingObjects((path,), np.where(on_plate, 0, -1).astype(np.int32))
     rays = (origin, direction, range_m.astype(np.float32), intensity)
     objects = prove_objects(moving, *rays, time_s, np.arange(SCANS + 1) * count)
-    background = build_surfels(*rays, voxel_m=0.2, threads=1, is_surface=~on_plate)
-    return DynamicEvidence(background, objects), build_surfels(*rays, voxel_m=0.2, threads=1)
+    static = build_surfels(*rays, voxel_m=0.2, threads=1, is_surface=~on_plate)
+    return DynamicEvidence(static, objects), build_surfels(*rays, voxel_m=0.2, threads=1)
 
 
 def votes_of(is_hit: np.ndarray) -> ObjectHitPriors:
@@ -77,7 +77,7 @@ def test_a_place_votes_as_the_near_scans_returned_there(passing) -> None:
     (plate,) = objects_at(dynamic.objects, 0.25, votes_of(is_hit))
     ahead, height = np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.4, 0.4, 33))
     place = np.column_stack([0.0 * ahead.ravel(), ahead.ravel(), height.ravel()])
-    share = plate.votes.share(place)
+    share = plate.hit_priors.share(place)
     assert share[place[:, 2] < -0.06].max() == 0.0
     assert share[place[:, 2] > 0.06].min() == 1.0
     # Between the last laser that returns and the first that does not it falls evenly.
@@ -88,22 +88,22 @@ def test_a_place_votes_as_the_near_scans_returned_there(passing) -> None:
 
 def test_the_nearest_scan_in_time_counts_most(passing) -> None:
     dynamic, _ = passing
-    votes, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
+    hit_priors, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
     for dropped, low, high in ((2, 0.5, 0.6), (0, 0.85, 0.95)):
-        votes.prior.is_hit[...] = True
-        votes.prior.is_hit[dropped, 1:] = False
-        (plate,) = objects_at(dynamic.objects, 0.2, votes)
-        assert low < plate.votes.share(place)[0] < high
+        hit_priors.prior.is_hit[...] = True
+        hit_priors.prior.is_hit[dropped, 1:] = False
+        (plate,) = objects_at(dynamic.objects, 0.2, hit_priors)
+        assert low < plate.hit_priors.share(place)[0] < high
 
 
 def test_a_scan_of_which_no_laser_is_known_has_no_vote_on_an_object(passing) -> None:
     dynamic, _ = passing
-    votes, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
-    votes.prior.is_hit[2] = False
-    (plate,) = objects_at(dynamic.objects, 0.2, votes)
-    assert plate.votes.share(place)[0] == 1.0
+    hit_priors, place = votes_of(np.ones((64, 400), bool)), np.zeros((1, 3))
+    hit_priors.prior.is_hit[2] = False
+    (plate,) = objects_at(dynamic.objects, 0.2, hit_priors)
+    assert plate.hit_priors.share(place)[0] == 1.0
     # Where no scan that saw it has a vote it is known by its returns alone.
-    (nobody,) = votes.near([(plate.path, np.array([2]))], 0.2)
+    (nobody,) = hit_priors.near([(plate.path, np.array([2]))], 0.2)
     assert nobody.share(place).tolist() == [1.0]
 
 
@@ -113,23 +113,23 @@ def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:
     y_m = np.random.default_rng(2).uniform(-4.5, 4.5, 2000)
     away = np.abs(y_m - plate_centre_m(time_s))
     origin, direction = ray_towards(y_m, np.full(2000, 0.1))
-    answers = reproject_rays(
-        dynamic.background, origin, direction, np.ones(2000, np.float32), most=24, far_m=50.0,
+    rendered = reproject_rays(
+        dynamic.static, origin, direction, np.ones(2000, np.float32), most=24, far_m=50.0,
         objects=objects_at(dynamic.objects, 0.25, ALWAYS), time_s=time_s,
     )  # fmt: skip
-    depth = answers.range_m * direction[:, 0]
+    depth = rendered.range_m * direction[:, 0]
     on, off = away < 0.9, away > 1.1
     # A voxel at the edge with too few returns for a plane is known to its own size only.
     assert np.abs(depth[on] - PLATE_M).max() < 0.1
     assert np.mean(np.abs(depth[on] - PLATE_M) < 0.02) > 0.97
-    assert np.mean(np.abs(answers.intensity[on] - 0.9) < 0.05) > 0.95
+    assert np.mean(np.abs(rendered.intensity[on] - 0.9) < 0.05) > 0.95
     assert np.abs(depth[off] - WALL_M).max() < 0.05
 
 
 def test_what_moves_leaves_no_smear_in_the_background(passing) -> None:
     dynamic, everything = passing
     assert np.abs(everything.mean_m[:, 0] - PLATE_M).min() < 0.2
-    assert np.abs(dynamic.background.mean_m[:, 0] - PLATE_M).min() > 3.0
+    assert np.abs(dynamic.static.mean_m[:, 0] - PLATE_M).min() > 3.0
 
 
 def test_an_object_is_gone_long_after_its_last_scan(passing) -> None:
@@ -191,7 +191,7 @@ def test_objects_without_times_are_refused(passing) -> None:
     origin, direction = ray_towards(np.zeros(3), np.zeros(3))
     with pytest.raises(ShapeError, match="times"):
         reproject_rays(
-            dynamic.background, origin, direction, np.ones(3, np.float32), most=8, far_m=50.0,
+            dynamic.static, origin, direction, np.ones(3, np.float32), most=8, far_m=50.0,
             objects=objects_at(dynamic.objects, 0.2, ALWAYS),
         )  # fmt: skip
 
@@ -204,7 +204,7 @@ def test_evidence_comes_back_from_its_arrays(passing) -> None:
     )  # fmt: skip
     own = np.zeros((1, 4), np.float32)
     scene = SceneEvidence(
-        everything, prior, np.zeros(1, np.int16), np.array([4]), own, own, dynamic, unknown=everything
+        everything, prior, np.zeros(1, np.int16), np.array([4]), own, own, dynamic, unobserved=everything
     )
     arrays = scene.to_arrays()
     again = SceneEvidence.from_arrays(arrays).to_arrays()

@@ -24,8 +24,10 @@ def three_scans():
 
 def test_a_beam_that_never_returned_gets_no_vote() -> None:
     prior = three_scans()
-    vote = prior.vote(np.array([1, 1, 0]), np.array([0.125, -0.125, 0.125]), prior.nearest_scans(0.05, 3))
-    assert vote.tolist() == [0.0, 1.0, 1.0]
+    hit_prior = prior.hit_prior(
+        np.array([1, 1, 0]), np.array([0.125, -0.125, 0.125]), prior.nearest_scans(0.05, 3)
+    )
+    assert hit_prior.tolist() == [0.0, 1.0, 1.0]
 
 
 def test_a_whole_turn_votes_as_its_rays_do() -> None:
@@ -34,7 +36,7 @@ def test_a_whole_turn_votes_as_its_rays_do() -> None:
     lasers, fraction = np.array([1, 0, 1]), np.linspace(-0.5, 0.5, 9)
     scans = prior.nearest_scans(0.05, 2)
     turn = prior.hit_prior_of_sweep(lasers, fraction, scans)
-    rays = prior.vote(np.repeat(lasers, 9), np.tile(fraction, 3), scans)
+    rays = prior.hit_prior(np.repeat(lasers, 9), np.tile(fraction, 3), scans)
     assert turn.shape == (3, 9) and np.array_equal(turn.ravel(), rays) and len(np.unique(turn)) == 3
 
 
@@ -53,7 +55,7 @@ def test_one_scan_alone_cannot_be_left_out() -> None:
 def test_a_scan_of_which_no_laser_is_known_is_never_asked() -> None:
     prior = three_scans()
     prior.is_hit[1] = False
-    assert prior.is_silent.tolist() == [False, True, False]
+    assert prior.is_unidentified.tolist() == [False, True, False]
     assert prior.nearest_scans(0.11, 3).tolist() == [2, 0]
     assert prior.nearest_scans(0.11, 1).tolist() == [2], "another one is asked in its place"
     assert prior.nearest_scans(0.0, 3, leave_out_s=0.0).tolist() == [2]
@@ -64,7 +66,7 @@ def test_silent_scans_are_asked_where_no_other_is_left() -> None:
     prior.is_hit[:2] = False
     assert prior.nearest_scans(0.2, 3, leave_out_s=0.2).tolist() == [1, 0]
     prior.is_hit[:] = False
-    assert not prior.is_silent.any(), "beside none that speaks none is silent"
+    assert not prior.is_unidentified.any(), "beside none that speaks none is silent"
     assert prior.nearest_scans(0.0, 3).tolist() == [0, 1, 2]
 
 

@@ -39,9 +39,9 @@ def surfaces(range_m: float, hit: float = 1.0) -> FiredRays:
 
 def answer(range_m: np.ndarray, rays: FiredRays, *, speed_m_s: float = 0.0, leave_out: int | None = None):
     trajectory = driving(speed_m_s)
-    at_rest, prior = measured(range_m)
+    stationary, prior = measured(range_m)
     return look_up_stationary(
-        at_rest, prior, rays, HELD_OUT * FRAME_S, trajectory, FRAME_S, leave_out=leave_out
+        stationary, prior, rays, HELD_OUT * FRAME_S, trajectory, FRAME_S, leave_out=leave_out
     )
 
 
@@ -96,8 +96,8 @@ def test_beams_that_mostly_do_not_return_are_not_expected_to() -> None:
 
 def test_scans_of_another_place_are_not_asked() -> None:
     rays = surfaces(24.0)
-    answers = answer(np.full(len(TRAINING), 20.0), rays, speed_m_s=9.0)
-    for given, kept in zip(answers, (rays.range_m, rays.hit, rays.intensity), strict=True):
+    rendered = answer(np.full(len(TRAINING), 20.0), rays, speed_m_s=9.0)
+    for given, kept in zip(rendered, (rays.range_m, rays.hit, rays.intensity), strict=True):
         assert np.array_equal(given, kept)
 
 

@@ -146,19 +146,19 @@ def test_a_ray_that_passes_a_pole_by_meets_what_is_behind_it() -> None:
 
 def test_the_reprojected_range_is_the_walls(wall) -> None:
     origin, direction, range_m = rays_to_wall(500, 7)
-    answers = reproject_rays(wall, origin, direction, np.ones(500, np.float32), most=24, far_m=120.0)
-    assert np.median(np.abs(answers.range_m - range_m)) < 1e-3
-    assert (np.abs(answers.range_m - range_m) < 0.05).mean() > 0.99
-    assert np.allclose(answers.intensity, 0.4, atol=1e-4)
+    rendered = reproject_rays(wall, origin, direction, np.ones(500, np.float32), most=24, far_m=120.0)
+    assert np.median(np.abs(rendered.range_m - range_m)) < 1e-3
+    assert (np.abs(rendered.range_m - range_m) < 0.05).mean() > 0.99
+    assert np.allclose(rendered.intensity, 0.4, atol=1e-4)
 
 
 def test_a_ray_that_meets_nothing_answers_nothing(wall) -> None:
     backwards = np.array([[-1.0, 0.0, 0.0]], np.float32)
-    answers = reproject_rays(
+    rendered = reproject_rays(
         wall, np.zeros((1, 3), np.float32), backwards, np.ones(1, np.float32), most=4, far_m=120.0
     )
-    assert np.isinf(answers.range_m[0])
-    assert answers.hit[0] == 0.0
+    assert np.isinf(rendered.range_m[0])
+    assert rendered.hit[0] == 0.0
 
 
 def test_candidates_come_in_order_and_weights_never_exceed_one(wall) -> None:

@@ -111,10 +111,10 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
     ]
     views = [held_out_view(replace(recording, lidar=lidar), (2,)) for lidar in lidars]
 
-    def made(answers: SceneModel) -> list[dict[str, np.ndarray]]:
+    def made(rendered: SceneModel) -> list[dict[str, np.ndarray]]:
         both = zip(lidars, [view.sweeps for view in views], strict=True)
         return [
-            sweep_arrays(task, lidar, plan, answers, "model") | along_recorded_rays(lidar, plan, answers)
+            sweep_arrays(task, lidar, plan, rendered, "model") | along_recorded_rays(lidar, plan, rendered)
             for lidar, plan in both
         ]
 

@@ -9,7 +9,7 @@ import pytest
 
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.models.residual.lidar import SHOWS_FIELD, judge
+from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose
 from nvsf_core.models.residual.render import make_fields
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
@@ -43,7 +43,7 @@ class Judged:
     recording: Recording
     lidar: LidarRecording
 
-    def answers(self, model: SceneModel) -> RenderedRays:
+    def rendered(self, model: SceneModel) -> RenderedRays:
         """Along the held-out scan's own rays."""
         assert model.lidar is not None
         a, part = self.lidar.sweeps.arrays, self.lidar.sweeps.returns_of(HELD_OUT)
@@ -53,7 +53,7 @@ class Judged:
 
     def is_reproject(self, model: SceneModel) -> bool:
         """Whether every answer is the baseline's."""
-        one, other = self.answers(model), self.answers(reprojection(self.recording))
+        one, other = self.rendered(model), self.rendered(reprojection(self.recording))
         return all(
             np.array_equal(getattr(one, name), getattr(other, name))
             for name in ("range_m", "hit", "intensity")
@@ -100,29 +100,29 @@ def test_a_field_wins_where_the_baseline_knows_less(broken: Judged) -> None:
     )  # fmt: skip
     left_out = replace(evidence.left_out, rendered=one_scan)
     poor = replace(broken.lidar, evidence=replace(evidence, left_out=left_out))
-    shows_field, said = judge(field, BROKEN, poor)
+    shows_field, said = choose(field, BROKEN, poor)
     assert shows_field and said["lidar_shows"] == "field"
     assert float(said["lidar_judged_chamfer_m2"]) < float(said["lidar_judged_reproject_chamfer_m2"])
 
 
 def test_judges_are_not_trained_on_and_what_judges_is_proven_without_them(broken: Judged) -> None:
     evidence, sweeps = broken.lidar.evidence, broken.lidar.sweeps
-    assert evidence.left_out is not None and len(evidence.left_out.judges) == 2
+    assert evidence.left_out is not None and len(evidence.left_out.validation) == 2
     training = np.flatnonzero(sweeps.is_training)
-    others = [int(scan) for scan in np.delete(training, evidence.left_out.judges)]
+    others = [int(scan) for scan in np.delete(training, evidence.left_out.validation)]
     assert HELD_OUT not in training and len(others) == FRAMES - 3
     seen = ~sweeps.arrays["is_own_vehicle"]
     returns = sum(int(seen[sweeps.returns_of(scan)].sum()) for scan in others)
     drops = sum(
         int((~evidence.prior.is_hit[number][evidence.lasers]).sum())
-        for number in np.delete(np.arange(len(training)), evidence.left_out.judges)
+        for number in np.delete(np.arange(len(training)), evidence.left_out.validation)
     )
     assert returns < int(broken.outcome.metadata["training_rays"]) <= returns + drops
-    assert int(evidence.left_out.standing.hits.sum()) <= returns < int(evidence.surfels.hits.sum())
+    assert int(evidence.left_out.static.hits.sum()) <= returns < int(evidence.surfels.hits.sum())
 
 
 def test_a_drive_of_few_scans_is_not_judged_and_shows_the_field(broken: Judged) -> None:
     field = make_fields(BROKEN, broken.recording, 0).lidar
     assert field is not None
     few = replace(broken.lidar, evidence=replace(broken.lidar.evidence, left_out=None))
-    assert judge(field, BROKEN, few) == (True, {"lidar_shows": "field: too few scans to judge it by"})
+    assert choose(field, BROKEN, few) == (True, {"lidar_shows": "field: too few scans to judge it by"})

@@ -52,8 +52,8 @@ def test_a_static_scene_says_so_with_its_sensors_and_extent(static: tuple[Record
     said = outcome.metadata
     assert str(said["profile"]).startswith("static street: no time branch; LiDAR and image_00; about ")
     assert said["moving_objects"] == 0 and said["cameras"] == 1
-    unknown = recording.lidar.evidence.unknown
-    assert unknown is not None and said["unknown_voxels"] == len(unknown.hits) > 0
+    unobserved = recording.lidar.evidence.unobserved
+    assert unobserved is not None and said["unknown_voxels"] == len(unobserved.hits) > 0
     assert 0.0 < float(said["point_spacing_m"]) <= float(said["voxel_m"])
     assert 1.0 < float(said["extent_x_m"]) < 200.0
 
@@ -91,12 +91,12 @@ def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcom
     rays = [lidar.sweeps.arrays[name][:256] for name in ("origin_m", "direction")]
     sys.setprofile(note)
     try:
-        render = field_renderer(field, lidar.evidence.standing, lidar.moving(), most=8, far_m=lidar.far_m)
+        render = field_renderer(field, lidar.evidence.static, lidar.moving(), most=8, far_m=lidar.far_m)
         with torch.no_grad():
-            answers = render(*rays, np.ones(256, np.float32), np.zeros(256))
+            rendered = render(*rays, np.ones(256, np.float32), np.zeros(256))
     finally:
         sys.setprofile(None)
-    assert np.isfinite(answers.range_m).any()
+    assert np.isfinite(rendered.range_m).any()
     assert any(name.endswith("fields/lidar_field.py") for name in called)
     assert not [name for name in called if name.endswith(OF_MOTION)]
 
@@ -125,10 +125,10 @@ def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of
     assert outcome.metadata["rendered_voxel_m"] == FIELD_VOXEL_M
     own = evidence.rendered
     assert own is not None and evidence.for_rendering is own
-    assert len(own.precision) == own.index.count and len(evidence.standing.precision) == 0
+    assert len(own.precision) == own.index.count and len(evidence.static.precision) == 0
     again = SceneEvidence.from_arrays(evidence.to_arrays()).for_rendering.to_arrays()
     assert all(np.array_equal(again[name], value) for name, value in own.to_arrays().items())
-    assert replace(evidence, rendered=None).for_rendering is evidence.standing
+    assert replace(evidence, rendered=None).for_rendering is evidence.static
 
 
 def test_spacing_is_that_of_a_plane_of_points() -> None:

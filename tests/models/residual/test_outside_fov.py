@@ -67,7 +67,7 @@ def _plan(drive: Recording, entry: ViewEntry) -> SweepPlan:
 def _sweep(drive: Recording, above, entry: ViewEntry = VLP_16) -> SimulatedSweep:
     lidar, plan, model = drive.lidar, _plan(drive, entry), reprojection(drive)
     assert lidar is not None
-    model = replace(model, above=above, unknown=None)
+    model = replace(model, above=above, unobserved=None)
     return simulate_sweep(model, lidar, plan, float(plan.time_s[0]))
 
 
@@ -79,8 +79,8 @@ def test_only_lasers_above_all_that_recorded_ask_images(drive: Recording) -> Non
     assert not looks_above(
         lidar, _plan(drive, ViewEntry(name="aside", shift_m=(0.0, 1.0, 0.0), frames=(AT,)))
     )
-    unknown = replace(lidar, evidence=replace(lidar.evidence, lasers=np.zeros(0, np.int16)))
-    assert not looks_above(unknown, _plan(drive, VLP_16)), "nobody knows where recorded lasers looked"
+    unobserved = replace(lidar, evidence=replace(lidar.evidence, lasers=np.zeros(0, np.int16)))
+    assert not looks_above(unobserved, _plan(drive, VLP_16)), "nobody knows where recorded lasers looked"
 
 
 def test_what_the_lidar_answers_stays_as_it_is(both: tuple[SimulatedSweep, SimulatedSweep]) -> None:

@@ -108,21 +108,21 @@ def test_a_scan_of_which_no_laser_is_known_teaches_no_drops(drive: Drive, tmp_pa
     evidence = drive.lidar.evidence
     is_hit = evidence.prior.is_hit.copy()
     is_hit[3] = False
-    unknown = replace(evidence, prior=replace(evidence.prior, is_hit=is_hit))
+    unobserved = replace(evidence, prior=replace(evidence.prior, is_hit=is_hit))
     accuracy = [
         float(drive.train(SMALL, tmp_path / name, lidar).metadata["hits_judged_accuracy"])
-        for name, lidar in (("all", drive.lidar), ("unknown", replace(drive.lidar, evidence=unknown)))
+        for name, lidar in (("all", drive.lidar), ("unknown", replace(drive.lidar, evidence=unobserved)))
     ]
     assert accuracy[1] > accuracy[0] - 0.01
 
 
 def test_recorded_turns_hold_every_training_return_where_the_prior_has_it(drive: Drive) -> None:
-    turns, prior = recorded_sweeps(drive.lidar), drive.lidar.evidence.prior
-    assert np.array_equal(turns.range_m > 0.0, prior.is_hit)
+    scan_grids, prior = recorded_sweeps(drive.lidar), drive.lidar.evidence.prior
+    assert np.array_equal(scan_grids.range_m > 0.0, prior.is_hit)
     sweeps = drive.lidar.sweeps
     first = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[0]))
     recorded = sweeps.arrays["range_m"][first]
-    assert np.array_equal(np.sort(turns.range_m[0][prior.is_hit[0]]), np.sort(recorded))
+    assert np.array_equal(np.sort(scan_grids.range_m[0][prior.is_hit[0]]), np.sort(recorded))
 
 
 def test_the_seconds_of_training_a_pano_are_all_that_it_took(drive: Drive, tmp_path: Path) -> None:

@@ -36,10 +36,10 @@ def error_m(walk: Walk, one: ObjectEvidence) -> float:
         time_s = FRAME_S * (scan + 0.5)
         origin, direction, range_m, is_hit = rays_towards(walk, time_s)
         surfels = one.surfels_from(one.scans_near(time_s), time_s)
-        answers = reproject_rays(
+        rendered = reproject_rays(
             surfels, origin[is_hit], direction[is_hit], np.ones(is_hit.sum(), np.float32), most=24, far_m=60.0
         )
-        off_m.append(np.abs(answers.range_m - range_m[is_hit]))
+        off_m.append(np.abs(rendered.range_m - range_m[is_hit]))
     off = np.concatenate(off_m)
     return float(np.minimum(np.where(np.isfinite(off), off, 0.5), 0.5).mean())
 
@@ -74,9 +74,9 @@ def test_an_object_is_shown_as_it_is_when_the_sweep_meets_it(walking: Walk, lag_
     instants = met_s - lag_s
     prior = DropPrior(instants, np.zeros((SCANS, 1), np.float32), np.ones((SCANS, 64, 1), bool))
     still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
-    votes = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
+    hit_priors = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
     between_s = float(0.5 * (met_s[6] + met_s[7]))
-    (one,) = objects_at((shown,), between_s - lag_s, votes)
+    (one,) = objects_at((shown,), between_s - lag_s, hit_priors)
     expected = shown.surfels_from(np.arange(5, 9), between_s)
     assert expected is not None
     np.testing.assert_allclose(one.surfels.mean_m, expected.mean_m, atol=1e-5)

@@ -29,12 +29,12 @@ def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> Sca
         range_m=range_m.astype(np.float32),
         intensity=np.full(count, 0.5, np.float32),
         scan=np.repeat(np.arange(scans), rays_a_scan),
-        stays=np.ones(count, bool),
+        is_static=np.ones(count, bool),
     )
 
 
 def chosen(rays: ScanRays) -> VoxelChoice:
-    choice = choose_voxel_m(rays, silent=NOBODY, far_m=FAR_M, threads=1)
+    choice = choose_voxel_m(rays, unidentified=NOBODY, far_m=FAR_M, threads=1)
     assert choice is not None
     return choice
 
@@ -54,38 +54,38 @@ def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() ->
     rays = wall_seen_from_one_place(8, 400, 0.1)
     assert chosen(rays).errors_m == chosen(rays).errors_m
     few = wall_seen_from_one_place(5, 400, 0.1)
-    assert choose_voxel_m(few, silent=NOBODY, far_m=FAR_M, threads=1) is None
+    assert choose_voxel_m(few, unidentified=NOBODY, far_m=FAR_M, threads=1) is None
 
 
 def test_moving_objects_do_not_vote_on_the_size() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
-    rays.stays[:] = False
-    assert choose_voxel_m(rays, silent=NOBODY, far_m=FAR_M, threads=1) is None
+    rays.is_static[:] = False
+    assert choose_voxel_m(rays, unidentified=NOBODY, far_m=FAR_M, threads=1) is None
 
 
 def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.0)
-    rays.stays[::2] = False
+    rays.is_static[::2] = False
     surfels = rays.surfels(0.3, 1, shaped=True)
     assert surfels.index.voxel_m == 0.3
-    assert int(surfels.hits.sum()) == int(rays.stays.sum())
+    assert int(surfels.hits.sum()) == int(rays.is_static.sum())
     assert surfels.mean_m[:, 0] == pytest.approx(10.0, abs=1e-3)
 
 
 def test_what_judges_are_judged_by_is_proven_by_the_others_alone() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     choice = chosen(rays)
-    assert len(choice.judges) == 2 and choice.standing.index.voxel_m == FIELD_VOXEL_M
-    assert len(choice.standing.precision) == 0
-    for surfels in (choice.standing, *choice.rendered.values()):
-        assert int(surfels.hits.sum()) == int((~np.isin(rays.scan, choice.judges)).sum())
+    assert len(choice.validation) == 2 and choice.static.index.voxel_m == FIELD_VOXEL_M
+    assert len(choice.static.precision) == 0
+    for surfels in (choice.static, *choice.rendered.values()):
+        assert int(surfels.hits.sum()) == int((~np.isin(rays.scan, choice.validation)).sum())
 
 
 def test_silent_scans_prove_but_never_judge() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
-    silent = chosen(rays).judges[:1]
-    choice = choose_voxel_m(rays, silent=silent, far_m=FAR_M, threads=1)
-    assert choice is not None and len(np.unique(choice.judges)) == 2
-    assert not np.isin(silent, choice.judges).any()
-    assert int(choice.standing.hits.sum()) == 6 * 400
-    assert choose_voxel_m(rays, silent=np.arange(3), far_m=FAR_M, threads=1) is None
+    unidentified = chosen(rays).validation[:1]
+    choice = choose_voxel_m(rays, unidentified=unidentified, far_m=FAR_M, threads=1)
+    assert choice is not None and len(np.unique(choice.validation)) == 2
+    assert not np.isin(unidentified, choice.validation).any()
+    assert int(choice.static.hits.sum()) == 6 * 400
+    assert choose_voxel_m(rays, unidentified=np.arange(3), far_m=FAR_M, threads=1) is None

@@ -29,9 +29,9 @@ def recording(tiny_catalogue, tmp_path_factory):
 def _answering(**values):
     """A LiDAR that answers every ray alike."""
 
-    def answer(origin_m, direction, vote, time_s):
+    def answer(origin_m, direction, hit_prior, time_s):
         columns = {"range_m": 10.0, "hit": 1.0, "intensity": 0.5} | values
-        return RenderedRays(**{k: np.full(len(vote), value, np.float32) for k, value in columns.items()})
+        return RenderedRays(**{k: np.full(len(hit_prior), value, np.float32) for k, value in columns.items()})
 
     return answer
 

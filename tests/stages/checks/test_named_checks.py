@@ -68,7 +68,7 @@ def store(tmp_path, monkeypatch):
 
 def _view(folder, scan):
     """The model's held-out view as `novel_views` stores it."""
-    counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2])}
+    counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2]), "lidar_to_world": np.eye(4)[None]}
     along = {"ray_range_m": np.array([10.0, np.inf], np.float32), "ray_intensity": np.zeros(2, np.float32)}
     images = {
         f"{CAMERA}_rgb": _image(np.random.default_rng(5))[None],
@@ -163,7 +163,7 @@ def _shown(instance, stage, names):
 
 
 @pytest.mark.parametrize(
-    ("damage", "law", "blocks"),
+    ("damage", "named", "blocks"),
     [
         (_nan, "stored_views_are_finite", True),
         (_far, "stored_views_lie_within_limits", True),
@@ -177,12 +177,12 @@ def _shown(instance, stage, names):
         (_half_black, "images_are_like_the_training_images", False),
     ],
 )
-def test_a_damaged_view_fails_its_check_in_dagster(store, damage, law, blocks):
-    names = [one.name for one in novel_views.STAGE.laws]
+def test_a_damaged_view_fails_its_check_in_dagster(store, damage, named, blocks):
+    names = [one.name for one in novel_views.STAGE.named_checks]
     with dg.DagsterInstance.ephemeral() as instance:
         result = _materialize(_views_stage(damage), instance)
         shown = _shown(instance, "novel_views", [CHECK_NAME, *names])
-    passed, severity, metadata = shown[law]
+    passed, severity, metadata = shown[named]
     assert (passed, severity) == (False, "ERROR" if blocks else "WARN")
     assert metadata["value"].value > metadata["limit"].value
     assert result.success is not blocks and not shown[CHECK_NAME][0]
@@ -192,8 +192,10 @@ def test_a_damaged_view_fails_its_check_in_dagster(store, damage, law, blocks):
 def test_a_sound_view_passes_all_and_the_record_keeps_value_and_limit(store):
     with dg.DagsterInstance.ephemeral() as instance:
         assert _materialize(_views_stage(_nothing), instance).success
-        shown = _shown(instance, "novel_views", [one.name for one in novel_views.STAGE.laws])
-    assert all(passed for passed, _, _ in shown.values()) and len(shown) == len(novel_views.STAGE.laws)
+        shown = _shown(instance, "novel_views", [one.name for one in novel_views.STAGE.named_checks])
+    assert all(passed for passed, _, _ in shown.values()) and len(shown) == len(
+        novel_views.STAGE.named_checks
+    )
     record = read_record(store.path("novel_views/smoke/0"))
     assert {check["name"] for check in record["checks"]} == set(shown)
     assert all(check["value"] <= check["limit"] for check in record["checks"])
@@ -250,10 +252,13 @@ def test_an_output_made_before_its_check_is_judged_and_not_made_again(store):
         made.append("made")
         return StageOutput(checks=[Check(name="old", passed=True, detail="kept")])
 
-    law = NamedCheck(name="new", description="of files")
+    named = NamedCheck(name="new", description="of files")
     before = Stage(name="pano", group="prepare", inputs=(), description="-", version="1", run=make)
     after = replace(
-        before, laws=(law,), check_version="1", check=lambda task: [law.judged(2.0, 1.0, "too many")]
+        before,
+        named_checks=(named,),
+        check_version="1",
+        check=lambda task: [named.outcome(2.0, 1.0, "too many")],
     )
     run_named_stage("pano", run, str, stages=[before])
     outcome = run_named_stage("pano", run, str, stages=[after])

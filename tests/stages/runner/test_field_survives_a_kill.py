@@ -81,7 +81,7 @@ def train(root: Path, home: Path, recipe: Recipe, phase: str = "") -> None:
 
     checkpoints.save_tensors = save_or_die
     # A field of six steps loses, and nothing would be learned of what it shows.
-    residual_training.judge = lambda *_: (True, {"lidar_shows": "field"})
+    residual_training.choose = lambda *_: (True, {"lidar_shows": "field"})
     with (home / "said.txt").open("w") as said:
         run_named_stage("field", run_of(root, home, recipe), lambda line: print(line, file=said))
 

@@ -85,9 +85,9 @@ def train_flow(
     state = TrainingState(flow, optimiser, generator)
     last = max(1, count - 1)
 
-    def step(_: int, draws: torch.Generator) -> Iterator[LossBreakdown]:
-        row = int(torch.randint(len(clouds), (1,), generator=draws))
-        yield flow_loss(flow, recipe, clouds, frame, row, float(frame[row]) / last, draws)
+    def step(_: int, sampler: torch.Generator) -> Iterator[LossBreakdown]:
+        row = int(torch.randint(len(clouds), (1,), generator=sampler))
+        yield flow_loss(flow, recipe, clouds, frame, row, float(frame[row]) / last, sampler)
 
     loop = TrainingSpec(
         steps=steps, rays=recipe.flow.points, final_share=spec.final_share, checkpoint_s=1e9,

@@ -23,7 +23,7 @@ class LidarRays:
     """(n,) float32; 0 where nothing returned."""
     intensity: np.ndarray
     """(n,) float32; 0 where nothing returned."""
-    vote: np.ndarray
+    hit_prior: np.ndarray
     """(n,) float32: share of the nearest other training scans that returned here."""
     objects: ObjectSurfaces | None = None
     """Moving objects as the other scans prove them, at these rays' times; None where nothing moves."""
@@ -35,7 +35,7 @@ class LidarRays:
 
 def join_rays(parts: list[LidarRays]) -> LidarRays:
     """One after the other."""
-    names = ("origin_m", "direction", "range_m", "intensity", "vote")
+    names = ("origin_m", "direction", "range_m", "intensity", "hit_prior")
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     objects = [part.objects for part in parts if part.objects is not None]
     joined = join_surfaces(objects, [len(part) for part in parts]) if objects else None
@@ -65,6 +65,6 @@ def dropped_rays(
     fired_s = prior.time_s[scan] + when * period_s
     origin, direction = trajectory.move_rays(origin, direction, fired_s)
     nothing = np.zeros(len(laser), np.float32)
-    vote = prior.vote(laser, when, near_scans)
-    rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, vote)
+    hit_prior = prior.hit_prior(laser, when, near_scans)
+    rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, hit_prior)
     return rays, fired_s

@@ -36,7 +36,7 @@ def lidar_step(
         surfels, rays.origin_m[drawn], rays.direction[drawn], most=most, near_m=NEAR_M, far_m=far_m,
         objects=None if rays.objects is None else rays.objects.of(drawn),
     )  # fmt: skip
-    rendered = render_lidar(field, batch, torch.from_numpy(rays.vote[drawn]))
+    rendered = render_lidar(field, batch, torch.from_numpy(rays.hit_prior[drawn]))
     true_range_m = torch.from_numpy(rays.range_m[drawn])
     returned = (true_range_m > 0) & batch.is_there[:, 0]
     seen = batch.is_there[:, 0]
@@ -56,9 +56,9 @@ def _depth(rendered: LidarRender, batch: SurfaceBatch, returned: Tensor, true_ra
 
     A moving object is thin, seen by few rays and mostly edge: there weights must stay shares of the rays.
     """
-    answers = rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]
-    off_m = depth_loss(*answers)
-    if not bool((batch.vote >= 0.0).any()):
+    of_returns = rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]
+    off_m = depth_loss(*of_returns)
+    if not bool((batch.hit_prior >= 0.0).any()):
         return off_m
-    meets = batch.spread((batch.vote >= 0.0).float()[:, None])[returned, :, 0].any(dim=1)
-    return torch.where(meets, surface_likelihood(*answers), off_m)
+    meets = batch.spread((batch.hit_prior >= 0.0).float()[:, None])[returned, :, 0].any(dim=1)
+    return torch.where(meets, surface_likelihood(*of_returns), off_m)

@@ -21,18 +21,18 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
         DataError: There is no ray at all.
     """
     sweeps, evidence = lidar.sweeps, lidar.evidence
-    alone = int((~evidence.prior.is_silent).sum()) == 1
+    alone = int((~evidence.prior.is_unidentified).sum()) == 1
     parts = []
     for number, scan in learned_scans(lidar):
         time_s = float(sweeps.arrays["time_s"][scan])
-        votes = evidence.prior.nearest_scans(
+        prior_scans = evidence.prior.nearest_scans(
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
         )
         both = (
-            _returned_rays(lidar, scan, votes),
+            _returned_rays(lidar, scan, prior_scans),
             dropped_rays(
                 sweeps.table, evidence.prior, number, evidence.lasers, sweeps.trajectory, sweeps.period_s,
-                votes,
+                prior_scans,
             ),
         )  # fmt: skip
         parts += [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
@@ -50,9 +50,9 @@ def learned_scans(lidar: LidarRecording) -> list[tuple[int, int]]:
 
     Where no laser is known, a firing without a return is no drop.
     """
-    left_out, is_learned = lidar.evidence.left_out, ~lidar.evidence.prior.is_silent
+    left_out, is_learned = lidar.evidence.left_out, ~lidar.evidence.prior.is_unidentified
     if left_out is not None:
-        is_learned[left_out.judges] = False
+        is_learned[left_out.validation] = False
     training = np.flatnonzero(lidar.sweeps.is_training)
     return [(number, int(training[number])) for number in np.flatnonzero(is_learned).tolist()]
 
@@ -66,7 +66,7 @@ def _returned_rays(lidar: LidarRecording, scan: int, near_scans: np.ndarray) -> 
     rays = LidarRays(
         a["origin_m"][part][kept], a["direction"][part][kept], a["range_m"][part][kept],
         sweeps.even_intensity(part)[kept],
-        lidar.evidence.prior.vote(a["laser"][part][kept], fraction, near_scans),
+        lidar.evidence.prior.hit_prior(a["laser"][part][kept], fraction, near_scans),
     )  # fmt: skip
     return rays, float(a["time_s"][scan]) + fraction.astype(np.float64) * sweeps.period_s
 

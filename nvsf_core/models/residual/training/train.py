@@ -8,7 +8,7 @@ import torch
 from nvsf_core._types import Scalar
 from nvsf_core.models.family import Trained
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, train_camera
-from nvsf_core.models.residual.lidar import SHOWS_FIELD, judge
+from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose
 from nvsf_core.models.residual.pano import CORRECTED, train_pano
 from nvsf_core.models.residual.raydrop import HITS_BLEND, train_hits
 from nvsf_core.models.residual.render import make_fields
@@ -36,10 +36,10 @@ def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession
         seconds = time.perf_counter() - started
         states["lidar"] = fit(
             session, "lidar", _state(session, field, recipe.lidar_training), recipe.lidar_training,
-            lambda _, generator: [lidar_step(field, evidence.standing, rays, recipe, far_m, generator)],
+            lambda _, generator: [lidar_step(field, evidence.static, rays, recipe, far_m, generator)],
         )  # fmt: skip
         judging = time.perf_counter()
-        facts[SHOWS_FIELD], verdict = judge(field, recipe, recording.lidar)
+        facts[SHOWS_FIELD], verdict = choose(field, recipe, recording.lidar)
         seconds += time.perf_counter() - judging
         metadata |= verdict
         session.say("lidar", f"shows {verdict['lidar_shows']}")

@@ -22,9 +22,9 @@ MOVED = np.array([0.03, 0.0, -0.01], np.float32)
 def clouds(count: int = 300) -> list[np.ndarray]:
     """Three times the same points: half of them stand, the others move."""
     draws = np.random.default_rng(0)
-    standing = draws.uniform((-0.8, -0.8, -0.1), (-0.2, 0.8, 0.1), (count, 3))
+    static = draws.uniform((-0.8, -0.8, -0.1), (-0.2, 0.8, 0.1), (count, 3))
     moving = draws.uniform((0.3, -0.2, -0.1), (0.6, 0.2, 0.1), (count, 3))
-    return [np.concatenate([standing, moving + k * MOVED]).astype(np.float32) for k in range(3)]
+    return [np.concatenate([static, moving + k * MOVED]).astype(np.float32) for k in range(3)]
 
 
 def quiet(_: str) -> None:

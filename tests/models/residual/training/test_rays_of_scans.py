@@ -102,7 +102,7 @@ def test_rays_of_a_static_scene_carry_nothing_dynamic(drive: LidarRecording) -> 
     static = replace(drive, evidence=replace(drive.evidence, dynamic=None))
     rays = rays_of(static)
     assert rays.objects is None
-    assert static.evidence.standing is static.evidence.surfels
+    assert static.evidence.static is static.evidence.surfels
     assert len(rays) == SCANS * (RETURNS + 400)
 
 
@@ -123,13 +123,13 @@ def test_no_beam_is_dropped_by_a_scan_of_which_no_laser_is_known(drive: LidarRec
     rays = rays_of(unknown_lasers(drive, 1, 3))
     assert len(rays) == (SCANS - 2) * (RETURNS + 400)
     returned = rays.range_m > 0.0
-    assert (rays.vote[returned] == 1.0).all() and not rays.vote[~returned].any()
+    assert (rays.hit_prior[returned] == 1.0).all() and not rays.hit_prior[~returned].any()
 
 
 def test_one_scan_of_known_lasers_trains_as_one_scan_alone(drive: LidarRecording) -> None:
     rays = rays_of(unknown_lasers(drive, 0, 1, 3, 4, 5))
     assert len(rays) == RETURNS + 400
-    assert (rays.vote == (rays.range_m > 0.0)).all()
+    assert (rays.hit_prior == (rays.range_m > 0.0)).all()
 
 
 def test_neither_judges_nor_silent_scans_are_learned_from(drive: LidarRecording) -> None:
