@@ -1,7 +1,7 @@
-"""What a turn of a LiDAR recorded where it looked at given points, in numba on the CPU.
+"""Values looked up in a recorded sweep, in the direction of given points; numba on the CPU.
 
-A point's laser is the one whose elevation, e + v / r, is nearest to the point's; its firing is the one
-nearest to the point's azimuth. The sensor's pose is that of the moment at which it looked there.
+For each point the laser with the nearest elevation (e + v / r) and the firing with the nearest azimuth are
+found, with the sensor's pose at that firing's time.
 """
 
 import math
@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit, prange
 
 SAME, THROUGH, EMPTY, BESIDE, SHINE = range(5)
-"""Columns of the answer: the point's surface was recorded; one behind it; nothing; a return of the laser,
-with the firings beside it, 1 : 2 : 1; the intensity of what was recorded of the point's surface."""
+"""Columns of the result: whether the point's surface was recorded; one behind it; nothing; whether the laser
+returned there, averaged with the firings beside it as 1 : 2 : 1; the intensity of the point's surface."""
 _SAME_M, _SAME_SHARE = 0.3, 0.02
 """Two ranges are one surface's if they differ by less than a length and a share of it: the ray beside meets
 slanted surfaces elsewhere."""
@@ -41,10 +41,10 @@ class Lasers(NamedTuple):
 
 
 class SweepGrid(NamedTuple):
-    """One recorded turn."""
+    """One recorded sweep by laser and firing."""
 
     rotation: np.ndarray
-    """(m, 3, 3) float64 sensor to scene-local, at the middles of m equal parts of the turn."""
+    """(m, 3, 3) float64 sensor to scene-local, at the middles of m equal parts of the sweep."""
     position_m: np.ndarray
     """(m, 3) float64 likewise."""
     fraction: np.ndarray
@@ -56,7 +56,7 @@ class SweepGrid(NamedTuple):
 
 
 def look_up_scans(points_m: np.ndarray, lasers: Lasers, sweep: SweepGrid, found: np.ndarray) -> None:
-    """Add to `found` (n, 5) float32 what a turn says of points (n, 3) float32, scene-local.
+    """Add to `found` (n, 5) float32 what one sweep recorded towards points (n, 3) float32, scene-local.
 
     Points that are not finite are passed by. Angles are right to 0.0002, a tenth of a firing's.
     """

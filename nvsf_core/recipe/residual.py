@@ -8,36 +8,36 @@ from nvsf_core.recipe.base import Recipe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvidenceSpec:
-    """How the LiDAR's own proof is used."""
+    """How the evidence is used in rendering."""
 
     votes: int = 6
-    """Nearest training scans that vote on whether a laser's firing returns."""
+    """Training scans, nearest in time, whose share of returns is the prior of a ray's hit probability."""
     lidar_candidates: int = 24
-    """Most surfaces that a LiDAR ray looks at."""
+    """Most surfaces along one LiDAR ray that are composited."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSpec:
-    """The largest residual field of the LiDAR; a scene gets what its evidence fills of it."""
+    """The largest residual field of the LiDAR; a scene whose evidence is smaller gets a smaller one."""
 
     levels: int = 8
     """Most levels of the hash grid."""
     features: int = 2
-    """Features an entry."""
+    """Features per table entry."""
     log2_table: int = 17
-    """Most entries a level, as a power of two."""
+    """Most entries per level, as a power of two."""
     coarsest_cell_m: float = 4.0
     """Cell of the coarsest level."""
     finest_cell_m: float = 0.06
     """Smallest cell of the finest level."""
     hidden: int = 32
-    """Width of the network at a sample."""
+    """Width of the network that is evaluated at each surface along a ray."""
     decoded: int = 8
-    """Features that are composited along a ray and decoded once."""
+    """Features that are composited along a ray, then decoded once per ray."""
     decoder_hidden: int = 64
-    """Width of the network at a ray."""
+    """Width of the network that decodes a ray."""
     max_shift_m: float = 0.15
-    """Most that a surface may be moved along a ray."""
+    """Largest shift of a surface along the ray, either way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class CameraSpec:
     """The networks that choose depths for recorded images and blend them; the same for all cameras."""
 
     sources: int = 4
-    """Nearest training images that a view is made of."""
+    """Training images, nearest to the view, that are warped and blended into it."""
     planes: int = 48
     """Depths that are compared, evenly spaced in inverse depth."""
     near_m: float = 2.5
@@ -59,21 +59,21 @@ class CameraSpec:
     blend_channels: tuple[int, int] = (24, 32)
     """Widths of the network that blends, at half resolution and below."""
     refinements: int = 0
-    """Depths around each believed one that are compared on images of twice the planes' resolution; odd,
-    0 = believed depths stay as they are."""
+    """How many depths around the estimated one are compared at twice the planes' resolution; odd, 0 = the
+    estimate is used as it is."""
     refined_channels: int = 24
     """Width of the network that compares them."""
     aligned: bool = False
-    """The images' poses are corrected until LiDAR returns look alike in neighbouring images. The networks
-    learn with the poses as given: a wanted view's own error stays, and they are to reckon with it."""
+    """Whether camera poses are corrected so that LiDAR returns look alike in neighbouring images. Networks
+    are trained with the uncorrected poses, because the pose of a requested view has such an error, too."""
     varied: bool = False
-    """Every step's image, and its sources with it, in other colours and another light, every second in a
-    mirror: so long trainings learn the few images by heart later. It does not pay in short ones."""
+    """Whether each step's images get random colours and brightness, and half of them are mirrored: with few
+    images this delays overfitting in long trainings. It gains nothing in short ones."""
     members: int = 1
-    """Networks that learn apart from each other and are shown together. Each costs as much again, in training
-    and in rendering."""
+    """Networks in the ensemble, trained independently and averaged. Each multiplies the seconds of training
+    and of rendering."""
     judge_every: int = 9
-    """Of so many training images one is never learned from but decides whether learning beat `reproject`."""
+    """One of so many training images is kept for validation: it decides whether learning beat `reproject`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +102,8 @@ class LossWeights:
     """Weights of the loss terms; each term is in its own unit."""
 
     depth: float = 1.0
-    """Of the weighted distance of a ray's surfaces to the return, metres; of a ray that meets what moves, of
-    how unlikely they make it, nats."""
+    """Of the weighted distance of a ray's surfaces to its return, metres; for rays that meet moving objects,
+    of the return's negative log-likelihood, nats."""
     hit: float = 0.5
     """Of the cross-entropy of the hit probability, nats."""
     intensity: float = 5.0
@@ -115,7 +115,7 @@ class LossWeights:
     coarse: float = 3.0
     """Of the squared colour error of all depth planes' mean."""
     plane: float = 0.15
-    """Of the absolute colour error that a depth plane is believed to have."""
+    """Of the absolute colour error of each depth plane, weighted by the plane's probability."""
     structure: float = 0.0
     """Of 1 - SSIM in small windows: what is blurred costs as much in dim leaves as at bright edges."""
 
@@ -125,19 +125,19 @@ class PanoSpec:
     """The papers' range image as a view of its own, and not the projection of one simulated scan."""
 
     phases: int = 2
-    """Turns that are fired, each starting at another phase of the firings."""
+    """Sweeps that are simulated, each with another offset of its first firing."""
     parts: int = 4
-    """Every turn is looked at so many times, turned by parts of what lies between two phases."""
+    """How many rotated copies of each sweep are used, to fill the angles between two phases."""
     channels: int = 20
     """Width of the network over cells."""
     layers: int = 3
     """Layers of that width."""
     neighbours: int = 6
-    """Nearest training panos that the network is told of."""
+    """Training panos, nearest in time, that are inputs of the network."""
     frames: int = 28
     """Most training frames that the network learns from; evenly spread."""
     judge_every: int = 5
-    """Of so many of these frames one is never learned from but decides whether the network is used."""
+    """One of so many of these frames is kept for validation: it decides whether the network is used."""
     training: TrainingSpec | None = None
     """None = no network; `rays` are a step's cells."""
 
@@ -158,7 +158,7 @@ class HitsSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualRecipe(Recipe):
-    """Evidence first; what is left is learned."""
+    """Start from the evidence and learn what it gets wrong."""
 
     family: ClassVar[str] = "residual"
     """Which code trains it."""

@@ -178,27 +178,33 @@ def _stray(points: np.ndarray) -> Reading:
 
 _TWO = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
 CASES = (
-    Case("evidence.surfels.Surfels.opacity", "0 to 1e6 hits and passes", _opacity),
+    Case("evidence.static.surfels.Surfels.opacity", "0 to 1e6 hits and passes", _opacity),
     Case("fields.surface_batch.surface_batch", "logits after 0 and 1e6 observations", _logit),
-    Case("evidence.surfels.build_surfels", "1e6 returns in a voxel, 200 m out", _million_in_a_voxel),
-    Case("evidence.surfels.build_surfels", "one return, a thousand times", _identical_returns),
-    Case("evidence.surfels.candidates_of", "rays along axes, borders and edges", _axis_rays),
-    Case("evidence.surfels.candidates_of", "a wall at 10 m, voxels of 0.1 to 2 m", _median_on_the_wall),
-    Case("evidence.drop_prior.DropPrior.vote", "all, none; fractions at and beyond a turn's ends", _votes),
-    Case("evidence.drop_prior.DropPrior.vote", "one firing a turn", _one_firing),
+    Case("evidence.static.surfels.build_surfels", "1e6 returns in a voxel, 200 m out", _million_in_a_voxel),
+    Case("evidence.static.surfels.build_surfels", "one return, a thousand times", _identical_returns),
+    Case("evidence.static.surfels.candidates_of", "rays along axes, borders and edges", _axis_rays),
     Case(
-        "evidence.voxels.index_points", "no point (outside)", lambda: _stray(np.zeros((0, 3))),
+        "evidence.static.surfels.candidates_of", "a wall at 10 m, voxels of 0.1 to 2 m",
+        _median_on_the_wall,
     ),
     Case(
-        "evidence.voxels.index_points", "a stray point at 1e5 m (outside)",
+        "evidence.raydrop.prior.DropPrior.hit_prior", "all, none; fractions at and beyond a turn's ends",
+        _votes,
+    ),
+    Case("evidence.raydrop.prior.DropPrior.hit_prior", "one firing a turn", _one_firing),
+    Case(
+        "evidence.static.voxels.index_points", "no point (outside)", lambda: _stray(np.zeros((0, 3))),
+    ),
+    Case(
+        "evidence.static.voxels.index_points", "a stray point at 1e5 m (outside)",
         lambda: _stray(np.concatenate([_TWO, [[1e5, 1e5, 1e5]]])),
     ),
     Case(
-        "evidence.voxels.index_points", "a stray point at 1e10 m: beyond int32 (outside)",
+        "evidence.static.voxels.index_points", "a stray point at 1e10 m: beyond int32 (outside)",
         lambda: _stray(np.concatenate([_TWO, [[1e10, 0.0, 0.0]]])),
     ),
     Case(
-        "evidence.voxels.index_points", "NaN (outside)",
+        "evidence.static.voxels.index_points", "NaN (outside)",
         lambda: _stray(np.concatenate([_TWO, [[math.nan, 0.0, 0.0]]])),
     ),
 )  # fmt: skip

@@ -143,7 +143,7 @@ _SHIFTED = [
     for function, check in (
         ("sensors.sweep.compensate", _rays),
         ("simulation.lidar_rays.sweep_rays", _simulated),
-        ("evidence.surfels.build_surfels + candidates_of", _evidence),
+        ("evidence.static.surfels.build_surfels + candidates_of", _evidence),
         ("geometry.se3.interpolate_poses", _between),
     )
 ]

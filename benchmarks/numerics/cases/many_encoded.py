@@ -82,12 +82,12 @@ def _slope_error(encode: _Encode, positions: Tensor, table: Tensor, seed: int) -
 
 CASES = (
     Case(
-        "kernels.hash_grid.hash_grid_encode",
+        "kernels.encodings.hash_grid.hash_grid_encode",
         "1e7 points in ten chunks, oracle on 1e5; the paper's static hash",
         lambda: _encoded(_hash, (_STATIC.entries, _STATIC.features), 3),
     ),
     Case(
-        "kernels.planes.planes_sample", "1e7 points in ten chunks, oracle on 1e5; 8 x 256 x 256",
+        "kernels.encodings.planes.planes_sample", "1e7 points in ten chunks, oracle on 1e5; 8 x 256 x 256",
         lambda: _encoded(_plane, _PLANE, 2),
     ),
 )  # fmt: skip

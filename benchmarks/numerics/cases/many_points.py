@@ -83,7 +83,7 @@ def _chamfer() -> Reading:
 
 
 CASES = (
-    Case("evidence.voxels.index_points", "1e7 points at once, 0.2 m voxels", _voxels),
+    Case("evidence.static.voxels.index_points", "1e7 points at once, 0.2 m voxels", _voxels),
     Case("sensors.linear_pano.LinearPano.project", "1e7 points in ten chunks", _pano),
     Case("sensors.beam_table.recorded_ray_of_points", "1e7 points in ten chunks", _rays),
     Case("metrics.point_cloud.point_cloud_metrics", "2e5 points against 1e6", _chamfer),

@@ -16,7 +16,7 @@ from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.sampled_scan import GRID_ARRAYS, sample_scan
 
-TITLE = "Panos, grids and drawn scans"
+TITLE = "Panos, grids and sampled scans"
 _PANO = LinearPano()
 
 
@@ -166,11 +166,14 @@ CASES = (
     Case("sensors.project.nearest_in_cells", "equal ranges in one cell, 5e4 returns", _equal_ranges),
     Case("metrics.hit.hit_cells", "azimuth 0, -1e-300, ±180 degrees, the centre", _hit_cells),
     Case("losses.gradient_mask.double_gradient_mask", "constant ranges, a drop, one pixel", _mask),
-    Case("simulation.draw.sharpen_hits", "probabilities all 0, all 1, 1e-12 to 1", _sharpened),
-    Case("simulation.draw.draw_scan", "range inf and 0, hit 0, intensity 7", _drawn),
-    Case("simulation.draw.draw_scan", "hit NaN (outside)", lambda: _drawn_nan("grid_hit")),
-    Case("simulation.draw.draw_scan", "range NaN (outside)", lambda: _drawn_nan("grid_range_m")),
-    Case("simulation.draw.draw_scan", "intensity NaN (outside)", lambda: _drawn_nan("grid_intensity")),
+    Case("simulation.raydrop.sharpen_hits", "probabilities all 0, all 1, 1e-12 to 1", _sharpened),
+    Case("simulation.sampled_scan.sample_scan", "range inf and 0, hit 0, intensity 7", _drawn),
+    Case("simulation.sampled_scan.sample_scan", "hit NaN (outside)", lambda: _drawn_nan("grid_hit")),
+    Case("simulation.sampled_scan.sample_scan", "range NaN (outside)", lambda: _drawn_nan("grid_range_m")),
+    Case(
+        "simulation.sampled_scan.sample_scan", "intensity NaN (outside)",
+        lambda: _drawn_nan("grid_intensity"),
+    ),
     Case(
         f"{_LINEAR}.cells", "NaN (outside)",
         lambda: refused(DataError, lambda: _PANO.cells(np.array([[math.nan, 0.0, 0.0]]))),

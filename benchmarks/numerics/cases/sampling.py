@@ -96,7 +96,7 @@ def _none_drawable() -> Reading:
 
 
 _FIRST_PIXEL = (torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.int64))
-_DRAW = "sampling.error_map.ErrorMap.draw_pixels"
+_DRAW = "sampling.error_map.ErrorMap.sample_pixels"
 CASES = (
     Case(_DRAW, "one-hot weights, 500 draws of one cell", _one_hot),
     Case(_DRAW, "weights 1 and 1000: shares of 4,000 draws", lambda: _shares(1000.0)),

@@ -120,8 +120,8 @@ def _geometry(store: SceneStore, metrics: np.ndarray) -> _Found:
         origin_m=arrays["origin_m"].astype(np.float64),
         end_m=arrays["origin_m"].astype(np.float64) + _REACH_M * arrays["direction"].astype(np.float64),
         range_m=arrays["range_m"],
-        surfel_m=evidence.surfels.mean_m.astype(np.float64),
-        hits=evidence.surfels.hits,
+        surfel_m=evidence.static.surfels.mean_m.astype(np.float64),
+        hits=evidence.static.surfels.hits,
         metrics=metrics,
     )
 

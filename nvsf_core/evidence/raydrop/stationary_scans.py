@@ -1,9 +1,8 @@
-"""What the sensor measured where it stood or crawled: there, the same ray was fired again and again.
+"""Scans recorded where the sensor stood or crawled: the same ray was fired several times.
 
-A ray that was fired before from so nearly the same place that it meets the same footprint needs no
-surface: the nearest training scans say how far it goes. They vote, the nearer in time the more, and the
-answer from the surfaces votes with them: a car that drives by makes scans disagree, and then the scans
-around the ray's own time decide.
+The range of such a ray is taken from the nearest training scans that fired it, and not from surfaces. The
+scans are weighted by their distance in time, and the range from surfaces counts as one more scan: where a
+car drives by the scans disagree, and those around the ray's own time decide.
 """
 
 from dataclasses import dataclass
@@ -53,7 +52,7 @@ class StationaryScans:
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> "StationaryScans | None":
-        """Read back what `to_arrays` gave; None where the sensor was never at rest."""
+        """Read back what `to_arrays` gave; None where the sensor never stood or crawled."""
         if "at_rest_scan" not in arrays:
             return None
         return StationaryScans(*(arrays[f"at_rest_{name}"] for name in StationaryScans.__slots__))

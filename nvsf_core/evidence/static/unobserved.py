@@ -1,4 +1,4 @@
-"""Unknown space beside what is proven: voxels of which no ray tells anything, where a surface may go on."""
+"""Voxels beside proven surfaces that no ray observed: a surface may continue there."""
 
 import numpy as np
 
@@ -13,18 +13,18 @@ _NO_SHAPES = np.zeros((0, 6), np.float32)
 def unobserved_beside(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, *, threads: int
 ) -> Surfels | None:
-    """Voxels that share a face with a proven one, hold no return, and that no ray crossed before its own.
+    """Voxels that share a face with a proven one, hold no return, and that no ray crossed.
 
     Args:
-        surfels: What is proven.
-        origin_m: (n, 3) scene-local, of all rays: what ends on something that moves sees through, too.
+        surfels: The proven surfaces.
+        origin_m: (n, 3) scene-local, of all rays, those that end on moving objects included.
         direction: (n, 3) unit.
         range_m: (n,) to the returns.
         threads: Of the walk.
 
     Returns:
-        Surfels with neither hits nor passes, which makes their opacity one half; no planes, but round about
-        their voxels' middles; as bright as a voxel beside them. None where there are none.
+        Surfels with neither hits nor passes, so that their opacity is one half: no planes, centred in their
+        voxels, with the intensity of a proven neighbour. None where there are no such voxels.
     """
     voxel_m = surfels.index.voxel_m
     middle_m, beside = _empty_beside(surfels)
@@ -36,10 +36,10 @@ def unobserved_beside(
         range_m.astype(np.float32), index.origin_m, voxel_m, index.bricks, index.cells,
         np.zeros((index.count, 3), np.float32), _NO_SHAPES, threads,
     )  # fmt: skip
-    is_unknown = passes[voxel] == 0
-    if not is_unknown.any():
+    is_unobserved = passes[voxel] == 0
+    if not is_unobserved.any():
         return None
-    middle_m, beside = middle_m[is_unknown], beside[is_unknown]
+    middle_m, beside = middle_m[is_unobserved], beside[is_unobserved]
     index, voxel = index_points(middle_m, voxel_m)
     each = np.empty(index.count, np.int64)
     each[voxel] = np.arange(len(voxel))

@@ -26,14 +26,14 @@ def reprojection(recording: Recording) -> SceneModel:
 
 
 def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
-    """The evidence of what stays and of what moves, looked at along the asked rays."""
+    """Renders rays by evidence alone: static surfaces, and moving objects where they are at a ray's time."""
     return evidence_renderer(
         lidar.evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
     )
 
 
 def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
-    """What may lie in unknown space; None where no space beside what is proven is unknown."""
+    """Renders rays by unobserved voxels; None where the scene has none."""
     unobserved = lidar.evidence.unobserved
     if unobserved is None:
         return None

@@ -1,4 +1,4 @@
-"""A drive whose images lie where they agree with each other, and where a view then is that they show."""
+"""Camera poses corrected so that LiDAR returns look alike in neighbouring images, and views moved along."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from nvsf_core.rendering.image_alignment import PoseCorrection, align_images
 
 @dataclass(frozen=True, slots=True)
 class AlignedDrive:
-    """What the learned camera knows of a drive."""
+    """A drive with the recorded camera poses and with the corrected ones."""
 
     given: Recording
     """With the poses as they were recorded."""
@@ -24,10 +24,15 @@ class AlignedDrive:
     """By camera; one that is not named keeps its poses."""
 
     def pose_at(self, camera: str, pose: np.ndarray, time_s: float) -> np.ndarray:
-        """Where a view (4, 4) of any time lies among the corrected images.
+        """Pose (4, 4), camera to scene-local, of a view among the corrected images.
 
-        It goes with the camera that recorded at its time, as if both sat on one vehicle: a correction is one
-        of that camera's frame, and not of a view's that looks elsewhere.
+        The view is moved with the recording camera of its time, as if both were fixed to one vehicle: the
+        correction is expressed in that camera's frame, not in the view's.
+
+        Args:
+            camera: Whose corrections are used.
+            pose: (4, 4) of the view before the correction, camera to scene-local.
+            time_s: Of the view, seconds since the first frame.
         """
         correction = self.corrections.get(camera)
         if correction is None:
@@ -39,7 +44,7 @@ class AlignedDrive:
         return corrected
 
     def left_out_pose(self, camera: str, index: int) -> np.ndarray:
-        """Where a training image (4, 4) were looked for if it were held out: its own word is not heard."""
+        """Pose (4, 4) that a training image would get if it were held out: from the others alone."""
         one = self.given.cameras[camera]
         correction, pose = self.corrections.get(camera), one.training.pose[index]
         if correction is None:
@@ -50,30 +55,30 @@ class AlignedDrive:
 def align_drive(
     world: MovingWorld, cameras: Sequence[str], left_out: Mapping[str, Collection[int]] | None = None
 ) -> dict[str, PoseCorrection]:
-    """Align the images of the named cameras, each camera's by themselves; without a LiDAR none are.
+    """Correct the poses of the named cameras, each camera by itself; without a LiDAR nothing is corrected.
 
     Args:
-        world: With the poses as they were recorded.
-        cameras: Whose images are aligned.
-        left_out: By camera, numbers of training images that nothing is learned from, others' poses included.
+        world: The drive with its recorded poses.
+        cameras: Names.
+        left_out: By camera, numbers of training images that are used for nothing, not even others' poses.
     """
     if world.recording.lidar is None:
         return {}
     corrections = {}
     for name in cameras:
         one = world.recording.cameras[name]
-        unheard = () if left_out is None else left_out.get(name, ())
-        heard = [index for index in range(len(one.training.rgb)) if index not in unheard]
-        time_s = one.training_time_s[heard]
+        unused = () if left_out is None else left_out.get(name, ())
+        used = [index for index in range(len(one.training.rgb)) if index not in unused]
+        time_s = one.training_time_s[used]
         returns_m = [_own_returns(world, instant_s) for instant_s in time_s.tolist()]
-        images = (one.training.rgb[index] for index in heard)
-        twist = align_images(images, one.training.pinhole, one.training.pose[heard], returns_m)
+        images = (one.training.rgb[index] for index in used)
+        twist = align_images(images, one.training.pinhole, one.training.pose[used], returns_m)
         corrections[name] = PoseCorrection(time_s, twist)
     return corrections
 
 
 def aligned_by(world: MovingWorld, corrections: Mapping[str, PoseCorrection]) -> AlignedDrive:
-    """The drive of a world with the recorded poses, and with corrections that are known."""
+    """A drive with corrections that are known already, for example from a file."""
     given = world.recording
     if not corrections:
         return AlignedDrive(given, world, corrections)
@@ -86,7 +91,7 @@ def aligned_by(world: MovingWorld, corrections: Mapping[str, PoseCorrection]) ->
 
 
 def facts_of(corrections: Mapping[str, PoseCorrection]) -> dict[str, dict[str, object]]:
-    """Corrections as JSON can hold them."""
+    """Corrections as plain JSON values."""
     return {
         name: {"time_s": one.time_s.tolist(), "twist": one.twist.tolist()}
         for name, one in corrections.items()
@@ -94,7 +99,7 @@ def facts_of(corrections: Mapping[str, PoseCorrection]) -> dict[str, dict[str, o
 
 
 def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, PoseCorrection]:
-    """What `facts_of` said."""
+    """Read back what `facts_of` gave."""
     return {
         name: PoseCorrection(np.array(one["time_s"], np.float64), np.array(one["twist"], np.float64))
         for name, one in facts.items()
@@ -102,9 +107,9 @@ def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, Pos
 
 
 def _own_returns(world: MovingWorld, instant_s: float) -> np.ndarray:
-    """Returns (m, 3) of what stands still in the scan of an image's own instant; none where it is missing.
+    """Static returns (m, 3) float32, scene-local, of the scan of an image's own instant; none without it.
 
-    Another scan's err otherwise than the image's pose does, and do not tell how the image lies.
+    Only this scan shares the image's pose error: returns of other scans have errors of their own.
     """
     assert world.recording.lidar is not None
     sweeps = world.recording.lidar.sweeps

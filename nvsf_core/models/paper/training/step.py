@@ -23,7 +23,7 @@ def paper_step(
     In parts whose gradients add up: 2048 rays of 768 samples need not fit into memory together. Every epoch
     shows each frame once, in an order of its own that seed and epoch decide.
     """
-    frame, epoch = turn(frames, seed, step)
+    frame, epoch = frame_of_step(frames, seed, step)
     panos = frames.panos
     if panos is not None:
         for scan in np.flatnonzero(panos.frame == frame):
@@ -40,7 +40,7 @@ def paper_step(
         yield from camera_losses(trainee, frames, camera, row, epoch, generator)
 
 
-def turn(frames: PaperFrames, seed: int, step: int) -> tuple[float, int]:
+def frame_of_step(frames: PaperFrames, seed: int, step: int) -> tuple[float, int]:
     """Which frame a step learns from, and its epoch, counted from 0."""
     known = frames.frames
     epoch, place = divmod(step, len(known))
