@@ -84,7 +84,7 @@ def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> Re
         DivergedError: The field's opacities are NaN.
     """
     rays = _composite(field, batch, hit_prior)
-    require_finite("answer_rays: sum of the weights", rays.total)
+    require_finite("render_rays: sum of the weights", rays.total)
     answered = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
     range_m[answered] = rays.range_m[rays.median[answered]]

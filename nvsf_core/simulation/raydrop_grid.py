@@ -141,7 +141,9 @@ def sweep_cells(
         ShapeError: The answers do not tell the votes.
     """
     if rendered.hit_prior is None:
-        raise ShapeError("turn_cells: expected answers with votes, found none; a field's renderer gives them")
+        raise ShapeError(
+            "sweep_cells: expected rays with hit priors, found none; a field's renderer gives them"
+        )
     lasers, firings = rays.shape
     is_met = np.isfinite(rendered.range_m)
     range_m = np.where(is_met, rendered.range_m, 0.0).astype(np.float32)

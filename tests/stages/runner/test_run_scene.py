@@ -28,8 +28,8 @@ print(json.dumps([[outcome.stage, outcome.skipped, outcome.path.is_dir()] for ou
 LEASE_HOLDER = """
 import sys, time
 from pathlib import Path
-from nvsf_core.stages.runner.device_lock import device_lease
-with device_lease(Path(sys.argv[1]), print):
+from nvsf_core.stages.runner.device_lock import device_lock
+with device_lock(Path(sys.argv[1]), print):
     Path(sys.argv[1], "held").write_text("")
     time.sleep(60)
 """
