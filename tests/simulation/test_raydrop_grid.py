@@ -90,5 +90,5 @@ def test_what_is_told_is_moderate_and_nothing_of_the_ray_heads_hits() -> None:
 
 def test_answers_without_votes_are_refused() -> None:
     scan_grids, rays, rendered = scene()
-    with pytest.raises(ShapeError, match="expected answers with votes"):
+    with pytest.raises(ShapeError, match="expected rays with hit priors"):
         sweep_cells(scan_grids, rays, replace(rendered, hit_prior=None), NEAR)
