@@ -12,23 +12,23 @@ _WORDS = (1, 4)
 
 
 def checks_section(scene: SceneOutputs) -> str:
-    """What was judged by a number, doubts first; empty where nothing was.
+    """Every doubt, then what was compared with a limit; empty where there is neither.
 
     The newest run of a recipe stands in the open, older ones are folded away.
     """
     newest = f" {scene.runs[0].recipe} {scene.runs[0].seed}" if scene.runs else ""
     shown = [record for record in scene.records if " " not in record.stage or record.stage.endswith(newest)]
-    judged = [(record, check) for record in shown for check in _judged(record)]
+    judged = [(record, check) for record in shown for check in _shown(record)]
     if not judged:
         return ""
     doubts = sum(not check["passed"] for _, check in judged)
     older = [record for record in scene.records if record not in shown]
-    folded = [(record, check) for record in older for check in _judged(record)]
+    folded = [(record, check) for record in older for check in _shown(record)]
     parts = [
         "<h3>Can these numbers be trusted?</h3>",
         f'<div class="note {"" if doubts else "good"}">{_in_words(doubts, len(judged))}</div>',
         _table(judged),
-        '<p class="soft">Each check compares a number with the most that it may be. Limits of hit rates,'
+        '<p class="soft">A check with a number compares it with the most that it may be. Limits of hit rates,'
         " intensities and greys come from the training scans and images of this drive, never from held-out"
         " ones. What breaks a check that makes an output unusable (NaN, out of limits, empty) is not"
         " published at all.</p>",
@@ -38,12 +38,12 @@ def checks_section(scene: SceneOutputs) -> str:
     return "".join(parts)
 
 
-def _judged(record: StageRecord) -> list[Mapping[str, Any]]:
-    """Checks that have a limit, or would have one had they been run."""
+def _shown(record: StageRecord) -> list[Mapping[str, Any]]:
+    """Checks that failed, whatever they look at, and those that have a limit, or would have one if run."""
     return [
         check
         for check in record.checks
-        if check.get("limit") is not None or str(check["detail"]).startswith(_NOT_RUN)
+        if not check["passed"] or check.get("limit") is not None or str(check["detail"]).startswith(_NOT_RUN)
     ]
 
 

@@ -47,6 +47,13 @@ def test_older_runs_are_folded_away():
     assert text.index("<details>") < text.index("field lean 1")
 
 
-@pytest.mark.parametrize("records", [(), (_record("frames", _check("law", True, "3 of 3")),)])
+def test_a_doubt_without_a_number_is_shown_too():
+    copied = _check("every_scan_is_another", False, "1 group of frames with the same file: frames 7, 8")
+    text = checks_section(_scene(_record("frames", copied, _check("poses_are_there", True, "9 of 9"))))
+    assert "<b>1 of 1 checks raise a doubt</b>" in text and "frames 7, 8" in text
+    assert "poses are there" not in text, "what holds and has no number says nothing"
+
+
+@pytest.mark.parametrize("records", [(), (_record("frames", _check("poses_are_there", True, "3 of 3")),)])
 def test_a_scene_of_which_nothing_was_judged_by_a_number_has_no_section(records):
     assert checks_section(_scene(*records)) == ""
