@@ -14,7 +14,7 @@ STAMP := .venv/.installed
 TRAIN := $(BIN)/dagster job execute -j train_all_scenes
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo train test test-fast check bench ablation stability contract ui clean
+.PHONY: help install demo train test test-fast check docs bench ablation stability contract ui clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  \1\t/' | expand -t 14
@@ -47,10 +47,14 @@ FAST := architecture cameras drives encodings geometry losses metrics recipe ren
 test-fast: install ## the quick half of the suite, for the first green
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(FAST:%=tests/%)
 
-check: install ## ruff, mypy strict on the core, import contracts
+check: install docs ## ruff, mypy strict on the core, import contracts, the documentation site
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Both variables silence notices about future versions of the tools, which are pinned.
+docs: install ## build the documentation site into site/; any broken link is an error
+	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true PYTHONPATH=. $(BIN)/mkdocs build --quiet
 
 bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPES, SEEDS="0 1 2", SPLITS="full every2": error over training time and all metrics
 	$(BIN)/python -m benchmarks.run
@@ -69,5 +73,5 @@ ui: install $(DAGSTER_HOME)/dagster.yaml ## the Dagster UI on localhost, PORT=30
 	env -u DAGSTER_MODULE_NAME $(BIN)/dagster dev -w workspace.yaml -h 127.0.0.1 -p $(PORT)
 
 clean: ## remove .venv and caches; outputs under NVSF_HOME stay
-	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
