@@ -1,9 +1,9 @@
 """How far a return travels through the code, from a recorded `.bin` to an exported one.
 
-``python -m benchmarks.way_of_a_return`` trains `lean` and `paper`, cut to a few steps, on a short drive of a LiDAR
-alone, and notes each function of the core when it is first entered. It prints how many files were entered, how
-often the next file lies in another folder than the one before, and how often that folder belongs to a
-higher layer (a climb). What only names, stores, records or draws is not counted.
+``python -m benchmarks.way_of_a_return`` trains `lean` and `paper`, cut to a few steps, on a short drive of a
+LiDAR alone, and notes each function of the core when it is first entered. It prints how many files were
+entered, how often the next file lies in another folder than the one before, and how often that folder
+belongs to a higher layer (a climb). What only names, stores, records or draws is not counted.
 """
 
 import itertools
