@@ -11,7 +11,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -22,6 +22,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import Recipe, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage
+from nvsf_core.stages.runner.stage import UnsoundOutputError
 
 CORE = ROOT / "nvsf_core"
 NOT_COUNTED = ("_types.py", "errors.py", "names.py", "recipe/", "stores/", "reporting/", "stages/runner/")
@@ -56,7 +57,8 @@ def traced(folder: Path, recipe: Recipe) -> list[str]:
         test_frames=(4,), sweep_period_s=0.1,
     )  # fmt: skip
     run = plan_run(scene, folder / "home", recipe=recipe)
-    with _noting() as entered:
+    # After so few steps a field may expect no return at all, which a check then refuses.
+    with _noting() as entered, suppress(UnsoundOutputError):
         for stage in STAGE_NAMES[: STAGE_NAMES.index("novel_views") + 1]:
             run_named_stage(stage, run, lambda _: None)
     return [file for file in dict.fromkeys(entered) if not file.startswith(NOT_COUNTED)]
