@@ -51,6 +51,10 @@ class Recipe:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
+_PLAIN: dict[Any, Any] = {bool: bool, int: int, float: (int, float), str: str}
+"""Kinds of single values, and what of JSON is one: a whole number is a float, too."""
+
+
 def _read(kind: Any, value: Any) -> Any:
     """A value of a dataclass, a tuple, or one of several kinds, from JSON."""
     if is_dataclass(kind) and isinstance(kind, type):
@@ -59,6 +63,10 @@ def _read(kind: Any, value: Any) -> Any:
         hints = get_type_hints(kind)
         named = {field.name: hints[field.name] for field in fields(kind)}
         return kind(**{name: _read(named.get(name), part) for name, part in value.items()})
+    if kind in _PLAIN and (
+        isinstance(value, bool) is not (kind is bool) or not isinstance(value, _PLAIN[kind])
+    ):
+        raise TypeError(f"expected a {kind.__name__}, found {value!r:.60}")
     if isinstance(value, list):
         return tuple(value)
     if get_origin(kind) is UnionType and isinstance(value, dict):

@@ -64,3 +64,23 @@ def test_json_of_something_else_is_refused(change, message):
 def test_a_family_does_not_read_the_other_ones_json():
     with pytest.raises(RecipeError, match="family residual"):
         ResidualRecipe.from_json(preset("paper").to_json())
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        ("hits", "layers", 8.4), ("hits", "layers", True), ("lidar_training", "steps", "20"),
+        ("losses", "depth", "heavy"), ("camera", "aligned", 1), ("lidar_field", "levels", None),
+    ],
+)  # fmt: skip
+def test_a_value_of_another_kind_is_refused_by_name(part, name, value):
+    values = preset("lean").to_json()
+    values[part][name] = value
+    with pytest.raises(RecipeError, match="expected a"):
+        recipe_from_json(values)
+
+
+def test_whole_numbers_are_floats_too():
+    values = preset("lean").to_json()
+    values["losses"]["depth"] = 2
+    assert recipe_from_json(values).losses.depth == 2
