@@ -5,6 +5,7 @@ import itertools
 import re
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,12 @@ def test_no_postponed_annotations_where_dagster_reads_them(repo):
 def test_no_source_file_is_longer_than_400_lines(repo):
     sources = _sources(repo, *PACKAGES, "tests", "benchmarks")
     assert [path for path in sources if len(path.read_text().splitlines()) > 400] == []
+
+
+def test_no_folder_holds_more_than_22_files(repo):
+    sources = _sources(repo, *PACKAGES, "tests", "benchmarks", "examples")
+    counts = Counter(path.parent.relative_to(repo).as_posix() for path in sources)
+    assert {folder: count for folder, count in counts.items() if count > 22} == {}
 
 
 def test_readme_is_at_most_150_lines(repo):

@@ -15,7 +15,7 @@ from nvsf_core.drives.kitti360.text import KeyedText, parse_numbers
 from nvsf_core.errors import CalibrationError
 
 SEQUENCE = "2013_05_28_drive_9900_sync"
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
+REAL = Path(__file__).resolve().parents[4] / "shared" / "data"
 
 PERSPECTIVE = """\
 S_rect_00: 64.000000 48.000000

@@ -1,0 +1,41 @@
+"""One writer of scans: what is not finite is refused, whatever the format, and nothing of it is written."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.clouds.ply import read_ply
+from nvsf_core.errors import DataError
+from nvsf_core.stages.views.files import file_numbers, scans_of, write_scans
+
+SCAN = np.arange(12, dtype=np.float32).reshape(3, 4) / 12.0
+
+
+def test_a_scan_is_the_same_in_each_format(tmp_path):
+    (files,) = write_scans(tmp_path, [7], [SCAN], ("bin", "ply"))
+    assert files == {
+        "bin": "velodyne_points/data/0000000007.bin",
+        "ply": "velodyne_points/ply/0000000007.ply",
+    }
+    assert (np.fromfile(tmp_path / files["bin"], "<f4").reshape(-1, 4) == SCAN).all()
+    points_m, intensity = read_ply(tmp_path / files["ply"])
+    assert (points_m == SCAN[:, :3]).all() and (intensity == SCAN[:, 3]).all()
+
+
+@pytest.mark.parametrize("kind", ["bin", "ply", "pcd"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused_and_not_written(tmp_path, kind, value):
+    broken = SCAN.copy()
+    broken[1, 3] = value
+    with pytest.raises(DataError, match="scan 7: expected finite returns"):
+        write_scans(tmp_path, [7], [broken], (kind,))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_scans_are_cut_where_the_arrays_say():
+    arrays = {"points_m": SCAN[:, :3], "intensity": SCAN[:, 3], "offsets": np.array([0, 2, 3])}
+    assert [len(scan) for scan in scans_of(arrays)] == [2, 1] and scans_of({}) == []
+
+
+@pytest.mark.parametrize(("frame", "numbers"), [([5, 9], [5, 9]), ([5, 5], [0, 1])])
+def test_files_are_numbered_by_frames_unless_two_share_one(frame, numbers):
+    assert file_numbers(np.array(frame)) == numbers
