@@ -1,6 +1,7 @@
 """Report: the metrics of each scene, and one page over all of them."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import dagster as dg
 
@@ -25,24 +26,30 @@ CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curve
 def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
     """Make the page from whatever scenes have metrics, of any recipe and seed."""
     home = workspace.home()
-    path = write_benchmark_report(home)
+    written = write_benchmark_report(home)
     return dg.MaterializeResult(
         metadata={
-            "path": dg.MetadataValue.path(str(path)),
-            "scenes": dg.MetadataValue.int(len(measured_scenes(home))),
-            "scenes_without_data": dg.MetadataValue.int(len(_without_data(home))),
+            "path": dg.MetadataValue.path(str(written.path)),
+            "scenes": dg.MetadataValue.int(written.scenes),
+            "scenes_without_data": dg.MetadataValue.int(written.scenes_without_data),
         }
     )
 
 
-def write_benchmark_report(home: Path) -> Path:
-    """Make the page from everything measured under a home, without Dagster; its path."""
-    return make_benchmark_report(home, [], {}, _without_data(home), CURVES)
+class WrittenReport(NamedTuple):
+    """Where the page is, and how many scenes it holds."""
+
+    path: Path
+    scenes: int
+    scenes_without_data: int
 
 
-def _without_data(home: Path) -> list[str]:
+def write_benchmark_report(home: Path) -> WrittenReport:
+    """Make the page from everything measured under a home, without Dagster."""
     measured = measured_scenes(home)
-    return [entry.name for entry in catalogue() if entry.name not in measured and not has_data(entry)]
+    no_data = [entry.name for entry in catalogue() if entry.name not in measured and not has_data(entry)]
+    path = make_benchmark_report(home, [], {}, no_data, CURVES)
+    return WrittenReport(path, len(measured), len(no_data))
 
 
 report_assets = [*assets_of_group("report"), benchmark_report]

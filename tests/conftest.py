@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 REPO = Path(__file__).resolve().parents[1]
+SHARED = REPO.parent / "shared"
+"""Real drives, beside the checkout; tests that need them skip where they are absent."""
 OURS = ("NVSF_", "DAGSTER_")
 RUN_CHOICES = ("SCENES", "RECIPE", "SEED")
 TINY_CATALOGUE = """

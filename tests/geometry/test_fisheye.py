@@ -1,13 +1,12 @@
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
 from nvsf_core.errors import CalibrationError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
+from tests.conftest import SHARED
 
-SAMPLE = Path(__file__).resolve().parents[3] / "shared/data/kitti360_fisheye_sample"
+SAMPLE = SHARED / "data/kitti360_fisheye_sample"
 
 
 def real_camera(name: str) -> MeiFisheye:

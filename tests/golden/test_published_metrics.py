@@ -22,13 +22,14 @@ from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, lidar4d
 from nvsf_core.sensors.linear_pano import LinearPano
+from tests.conftest import SHARED
 
 sys.path.insert(0, str(Path(__file__).parent))
 import plain_metrics as plain  # tests are no package
 
 PANO = LinearPano(height=24, width=80, reference_quirks=True)
 VIEW = (PANO.fov_up_deg, PANO.fov_deg)
-DRIVE = Path(__file__).resolve().parents[3] / "shared" / "data" / "kitti0005_van_cyclist"
+DRIVE = SHARED / "data" / "kitti0005_van_cyclist"
 SEQUENCE = "2013_05_28_drive_9005_sync"
 
 

@@ -1,14 +1,13 @@
 """Scans for sensor tests: simulated ones with known lasers, and the real drives where they are at hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from nvsf_core.sensors.beam_table import sensor_rays, wrap_angle
 from nvsf_core.sensors.tables import LaserTable
+from tests.conftest import SHARED
 
-_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+_DATA = SHARED / "data"
 
 
 def _real_scans(scene: str, step: int) -> list[np.ndarray]:

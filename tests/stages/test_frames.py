@@ -13,8 +13,9 @@ from nvsf_core.stages.frames import STAGE
 from nvsf_core.stages.runner.stage import Outcome, RunConfig, run_stage
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
+from tests.conftest import SHARED
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "scenes.toml"
+REAL = SHARED / "data" / "scenes.toml"
 FRAMES = range(10, 16)
 
 

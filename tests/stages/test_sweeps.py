@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +18,11 @@ from nvsf_core.stages.runner.stage import RunConfig, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows
+from tests.conftest import SHARED
 
 ORIGIN_M = (1000.0, 3700.0, 115.0)
 PERIOD_S, FRAMES, LASERS, FIRINGS = 0.1, 6, 64, 400
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+DATA = SHARED / "data"
 
 
 def _walls_ahead(origin_m, direction):

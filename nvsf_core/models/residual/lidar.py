@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from nvsf_core._types import Scalar
+from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.metrics.intensity import intensity_image_metrics
@@ -45,13 +46,18 @@ def choose(
     if left_out is None:
         return True, {"lidar_shows": "field: too few scans to judge it by"}
 
+    # What both candidates need of a scan is made once.
+    numbers = left_out.validation.tolist()
+    moving = {number: lidar.moving(leave_out=number) for number in numbers}
+    truth = {number: _recorded(lidar, number) for number in numbers}
+
     def score(number: int, *, by_field: bool) -> list[float]:
-        render = _renderer(field, recipe, lidar, left_out, number, by_field=by_field)
-        return _score(render, recipe, lidar, number, _recorded(lidar, number))
+        render = _renderer(field, recipe, lidar, left_out, moving[number], by_field=by_field)
+        return _score(render, recipe, lidar, number, truth[number])
 
     found = compare(
         _METRICS,
-        left_out.validation.tolist(),
+        numbers,
         {"field": partial(score, by_field=True), "reproject": partial(score, by_field=False)},
     )
     shows_field = found.wins("field", "reproject")
@@ -61,11 +67,10 @@ def choose(
 
 
 def _renderer(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence, number: int,
-    *, by_field: bool,
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence,
+    moving: NearObjects | None, *, by_field: bool,
 ) -> RayRenderer:  # fmt: skip
     """The field's or the baseline's, as it would be without a training scan."""
-    moving = lidar.moving(leave_out=number)
     if by_field:
         most = recipe.evidence.lidar_candidates
         return field_renderer(field, left_out.static, moving, most=most, far_m=lidar.far_m)

@@ -5,8 +5,9 @@ import pytest
 
 from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.errors import DataError
+from tests.conftest import SHARED
 
-REAL = Path(__file__).resolve().parents[4] / "shared" / "data" / "kitti0005_van_cyclist"
+REAL = SHARED / "data" / "kitti0005_van_cyclist"
 CUBE = "-.5 -.5 -.5  .5 .5 .5"
 TRANSFORM = "4 0 0 10  0 2 0 20  0 0 1.5 30  0 0 0 1"
 

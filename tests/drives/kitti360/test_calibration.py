@@ -13,9 +13,10 @@ from nvsf_core.drives.kitti360.calibration import (
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.text import KeyedText, parse_numbers
 from nvsf_core.errors import CalibrationError
+from tests.conftest import SHARED
 
 SEQUENCE = "2013_05_28_drive_9900_sync"
-REAL = Path(__file__).resolve().parents[4] / "shared" / "data"
+REAL = SHARED / "data"
 
 PERSPECTIVE = """\
 S_rect_00: 64.000000 48.000000
