@@ -16,9 +16,9 @@ from nvsf_core.stores.pictures import read_picture
 
 CHECK_NAME = "output_is_sound"
 """Every asset's blocking check: all that the stage itself checked, each listed in the metadata. What a stage
-calls a law is a check of its own beside it."""
+names is a check of its own beside it."""
 _PUBLISHED = dg.AssetCheckSeverity.WARN
-"""What was published broke no blocking law: a law that it breaks warns, and what reads it still runs."""
+"""What was published failed no blocking check: another that it fails warns, and what reads it still runs."""
 _PREVIEW_LIMIT_BYTES = 100_000
 _AssetEvent = dg.AssetCheckResult | dg.MaterializeResult
 _KINDS = {
@@ -77,7 +77,7 @@ def check_specs(stage: Stage) -> list[dg.AssetCheckSpec]:
         CHECK_NAME,
         asset=stage.name,
         blocking=True,
-        description="What the stage checked of its output; a failed blocking law publishes nothing.",
+        description="What the stage checked of its output; with a failed blocking one nothing is published.",
     )
     return [
         whole,
@@ -120,7 +120,7 @@ def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> 
 
 
 def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, Any]:
-    """One law's: value and limit are numbers, so that the UI plots them over time."""
+    """One check's: value and limit are numbers, so that the UI plots them over time."""
     if check is None:
         reason = f"{NOT_RUN}: this output was made before the check was"
         return {"check_name": named.name, "passed": True, "description": f"scene {scene}: {reason}"}
@@ -143,7 +143,7 @@ def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, An
 
 
 def is_sound(outcome: Outcome) -> bool:
-    """Whether every law that the stage checked holds."""
+    """Whether every check of the stage holds."""
     return all(check.passed for check in outcome.checks)
 
 
@@ -161,7 +161,7 @@ def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
 
 
 def check_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
-    """Each law with its verdict and its numbers."""
+    """Each check with its verdict and its numbers."""
     return {
         check.name: dg.MetadataValue.text(f"{'holds' if check.passed else 'FAILS'}: {check.detail}")
         for check in outcome.checks

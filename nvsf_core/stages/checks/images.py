@@ -44,7 +44,7 @@ class _Judged:
 
     @property
     def is_blank(self) -> bool:
-        """By the law `BLANK`."""
+        """By the check `BLANK`."""
         return self.deviation < self.blank_below or not self.has_depth
 
     def in_words(self) -> str:
@@ -57,7 +57,7 @@ def check_images(task: Task) -> list[Check]:
     """Judge the model's images of all views in the task's folder.
 
     Returns:
-        One check a law of `NAMED_CHECKS`.
+        One outcome a check of `NAMED_CHECKS`.
     """
     images = list(_judged(task))
     if not images:

@@ -57,7 +57,7 @@ def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanN
 def check_likeness(
     hit_rate: NamedCheck, intensity: NamedCheck, rates: Apart, spreads: Apart, norms: ScanNorms
 ) -> list[Check]:
-    """Checks of a law on hit rates and of one on the spread of intensities, by the worst scan of each."""
+    """Outcomes of a check on hit rates and of one on the spread of intensities, by the worst scan of each."""
     return [
         _judge_worst(hit_rate, rates, norms.hit_rate_limit, _RATE_WORDS),
         _judge_worst(intensity, spreads, norms.intensity_limit, _SPREAD_WORDS),

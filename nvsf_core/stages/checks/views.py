@@ -86,7 +86,7 @@ def check_views(task: Task) -> list[Check]:
     """Judge all views in the task's folder.
 
     Returns:
-        One check a law of `NAMED_CHECKS`.
+        One outcome a check of `NAMED_CHECKS`.
     """
     finite, within = _Count(), _Count()
     scans = list[_View]()
