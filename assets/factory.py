@@ -12,7 +12,7 @@ from assets.workspace import Workspace, catalogue
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages import STAGES, Check, Outcome, Stage, run_named_stage
 from nvsf_core.stages.runner.stage import NOT_RUN, NamedCheck, UnsoundOutputError
-from nvsf_core.stores.pictures import read_picture
+from nvsf_core.stores.documents import read_picture
 
 CHECK_NAME = "output_is_sound"
 """Every asset's blocking check: all that the stage itself checked, each listed in the metadata. What a stage

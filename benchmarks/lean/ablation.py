@@ -30,14 +30,13 @@ from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.capacity import needed_field
-from nvsf_core.models.residual.training.lidar_rays import LidarRays
-from nvsf_core.models.residual.training.rays_of_scans import training_rays
+from nvsf_core.models.residual.training_rays import LidarRays, training_rays
 from nvsf_core.recipe import ResidualRecipe, preset
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.record import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, run_named_stage, say_on_stderr
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stores.scene_store import SceneStore

@@ -11,14 +11,11 @@ from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
-from nvsf_core.losses.depth import CLAMP_M, depth_loss
 from nvsf_core.losses.gradient import gradient_loss
 from nvsf_core.losses.gradient_mask import double_gradient_mask
-from nvsf_core.losses.intensity import intensity_loss
-from nvsf_core.losses.raydrop import raydrop_loss
+from nvsf_core.losses.lidar import CLAMP_M, depth_loss, intensity_loss, raydrop_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.models.residual.training.lidar_rays import LidarRays
-from nvsf_core.models.residual.training.rays_of_scans import learned_scans
+from nvsf_core.models.residual.training_rays import LidarRays, learned_scans
 from nvsf_core.recipe import PaperRecipe, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar

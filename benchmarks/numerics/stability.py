@@ -16,7 +16,7 @@ from typing import TypedDict
 from benchmarks.common import places
 from benchmarks.common.commit import commit
 from benchmarks.numerics.cases.case import NOT_APPLICABLE, Case, Reading
-from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.record import machine
 
 RESULTS = places.RESULTS / "stability.json"
 DOCUMENT = places.DOCS / "numerical_stability.md"

@@ -23,7 +23,7 @@ from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.metrics.protocols import MAX_RANGE_M, PanoImage, lidar4d, project_scan
-from nvsf_core.metrics.range import ray_range_metrics
+from nvsf_core.metrics.range_and_intensity import ray_range_metrics
 from nvsf_core.recipe import EvidenceSpec, PaperRecipe, Recipe, ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.images import CameraImages

@@ -1,12 +1,15 @@
 """Positions and directions as features: hash grids and planes in space and time, harmonics, frequencies."""
 
-from nvsf_core.encodings.frequency import frequency_encode, frequency_outputs
+from nvsf_core.encodings.directions import (
+    SPHERICAL_HARMONICS_OUTPUTS,
+    frequency_encode,
+    frequency_outputs,
+    spherical_harmonics,
+)
 from nvsf_core.encodings.hash_grid import HashGrid, start_alike
-from nvsf_core.encodings.hash_time import HashTime
+from nvsf_core.encodings.hash_time import HashTime, cubic_basis
 from nvsf_core.encodings.hybrid import HybridEncoding
-from nvsf_core.encodings.lagrange import cubic_basis
 from nvsf_core.encodings.planes import Planes4D
-from nvsf_core.encodings.spherical_harmonics import SPHERICAL_HARMONICS_OUTPUTS, spherical_harmonics
 
 __all__ = [
     "SPHERICAL_HARMONICS_OUTPUTS",

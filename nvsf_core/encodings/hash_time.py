@@ -1,4 +1,4 @@
-"""The dynamic hash: rows of plane hash grids along time (paper, Fig. 2, 4D hybrid encoding)."""
+"""The dynamic hash: plane hash grids at four times, mixed by cubic Lagrange polynomials (paper, Fig. 2)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_grid import HashGrid
-from nvsf_core.encodings.lagrange import NODES, cubic_basis
 from nvsf_core.errors import RecipeError
 from nvsf_core.kernels import GridLayout, hash_grid_encode
 from nvsf_core.recipe import TimeGridSpec
-
-__all__ = ["SPACE_PLANES", "HashTime", "contract_nodes", "two_slices"]
 
 SPACE_PLANES = (slice(0, 2), slice(0, 3, 2), slice(1, 3))
 """Axes of the planes xy, xz, yz, as views of positions (n, 3)."""
@@ -93,3 +90,34 @@ class HashTime(nn.Module):
             for index, weight in two_slices(t, self.spec.slices)
         ]
         return parts[0] if len(parts) == 1 else parts[0] + parts[1]
+
+
+NODES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
+"""Times at which one of the four basis functions is 1 and the others are 0."""
+
+
+def cubic_basis(t: float) -> Tensor:
+    """Lagrange's cubic polynomials at a time: ``L_j(t) = product over k != j of (t - t_k) / (t_j - t_k)``.
+
+    They sum to 1, and ``sum of L_j(t) f_j`` is the cubic through the values f_j at the nodes 0, 1/3, 2/3, 1:
+    one polynomial for the whole clip, so distant frames are coupled (LiDAR4D; the paper keeps it).
+
+    Args:
+        t: in [0, 1], the clip's first and last frame.
+
+    Returns:
+        (4,) float64.
+
+    Raises:
+        ValueError: The time is outside the clip, where a cubic means nothing.
+    """
+    if not 0.0 <= t <= 1.0:
+        raise ValueError(f"cubic_basis: expected a time in [0, 1], found {t}; frames are 0 to n - 1")
+    values = []
+    for j, node in enumerate(NODES):
+        value = 1.0
+        for k, other in enumerate(NODES):
+            if k != j:
+                value *= (t - other) / (node - other)
+        values.append(value)
+    return torch.tensor(values, dtype=torch.float64)

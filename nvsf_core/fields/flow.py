@@ -4,9 +4,8 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_grid import HashGrid
-from nvsf_core.encodings.hash_time import contract_nodes
+from nvsf_core.encodings.hash_time import NODES, contract_nodes, cubic_basis
 from nvsf_core.encodings.hybrid import grid_of
-from nvsf_core.encodings.lagrange import NODES, cubic_basis
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.layers import bias_free
 from nvsf_core.kernels import GridLayout, hash_grid_encode

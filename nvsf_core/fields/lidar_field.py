@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from nvsf_core.encodings.hash_grid import HashGrid
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.fields.layers import network
-from nvsf_core.fields.object_surfaces import object_places
-from nvsf_core.fields.surface_batch import N_FACTS, SurfaceBatch
+from nvsf_core.fields.surface_batch import SurfaceBatch, object_places
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kernels.encodings.layout import GridLayout
+from nvsf_core.kernels.surface_list import N_FACTS
 from nvsf_core.recipe import FieldSpec
 
 

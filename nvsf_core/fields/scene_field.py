@@ -7,9 +7,8 @@ from torch import Tensor, nn
 
 from nvsf_core.encodings import HybridEncoding, spherical_harmonics, start_alike
 from nvsf_core.errors import RecipeError
-from nvsf_core.fields.density import Density
 from nvsf_core.fields.flow import FlowField, applied
-from nvsf_core.fields.heads import colour_head, lidar_direction, lidar_head
+from nvsf_core.fields.layers import Density, colour_head, lidar_direction, lidar_head
 from nvsf_core.recipe import PaperOptimiser, PaperRecipe
 
 Moved = tuple[Tensor, float]

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import CalibrationError, ShapeError
-from nvsf_core.geometry.intrinsics import intrinsics_fault
-from nvsf_core.geometry.pinhole import contains
+from nvsf_core.geometry.pinhole import contains, intrinsics_fault
 
 _MOST_DISTORTION = 100.0
 """Of any real lens all five numbers are below 10."""

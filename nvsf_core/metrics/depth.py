@@ -5,7 +5,7 @@ import numpy as np
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import rmse, same_shape
 from nvsf_core.metrics.measure import Measure, absent, undefined
-from nvsf_core.sensors.project import project_nearest
+from nvsf_core.sensors.linear_pano import project_nearest
 
 CAP_M = 80.0
 """Depths beyond it count as this."""

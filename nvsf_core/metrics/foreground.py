@@ -19,7 +19,6 @@ from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.metrics.elementwise import psnr, rmse
 from nvsf_core.metrics.hit import hit_region_metrics
 from nvsf_core.metrics.image import image_metrics
-from nvsf_core.metrics.intensity import ray_intensity_metrics
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
@@ -31,7 +30,7 @@ from nvsf_core.metrics.protocols import (
     lidar4d,
     near_returns,
 )
-from nvsf_core.metrics.range import clamped_range_m, ray_range_metrics
+from nvsf_core.metrics.range_and_intensity import clamped_range_m, ray_intensity_metrics, ray_range_metrics
 from nvsf_core.metrics.ssim import ssim
 from nvsf_core.sensors.linear_pano import LinearPano
 

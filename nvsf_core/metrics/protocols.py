@@ -14,11 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
-from nvsf_core.metrics.intensity import clamped_intensity, intensity_image_metrics, ray_intensity_metrics
 from nvsf_core.metrics.lpips import LPIPS_ALEX, Lpips, lpips_measure
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
-from nvsf_core.metrics.range import clamped_range_m, range_image_metrics, ray_range_metrics
+from nvsf_core.metrics.range_and_intensity import (
+    clamped_intensity,
+    clamped_range_m,
+    intensity_image_metrics,
+    range_image_metrics,
+    ray_intensity_metrics,
+    ray_range_metrics,
+)
 from nvsf_core.sensors.linear_pano import LinearPano
 
 MAX_RANGE_M = 80.0

@@ -16,7 +16,16 @@ from nvsf_core.recipe.paper import (
     RefinementSpec,
     TimeGridSpec,
 )
-from nvsf_core.recipe.presets import ABLATION, ENCODINGS, preset, recipe_from_json
+from nvsf_core.recipe.presets import (
+    ABLATION,
+    ENCODINGS,
+    differ_in_step_size,
+    full_name,
+    preset,
+    recipe_from_json,
+    share_of,
+    slower,
+)
 from nvsf_core.recipe.residual import (
     CameraSpec,
     EvidenceSpec,
@@ -28,7 +37,6 @@ from nvsf_core.recipe.residual import (
     TrainingSpec,
 )
 from nvsf_core.recipe.seed import MOST_SEED, is_seed_folder, require_seed, seed_from_text
-from nvsf_core.recipe.slower import differ_in_step_size, full_name, share_of, slower
 
 __all__ = [
     "ABLATION",

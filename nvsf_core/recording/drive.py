@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.images import CameraRecording

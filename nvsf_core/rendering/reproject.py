@@ -12,8 +12,8 @@ from nvsf_core.evidence.static.surfels import (
     candidates_of,
 )
 from nvsf_core.kernels.surfel_rendering import render_by_surfels
-from nvsf_core.rendering.accumulate import weighted_median_index
 from nvsf_core.rendering.rendered import RenderedRays
+from nvsf_core.rendering.weights import weighted_median_index
 
 NEAR_M = 0.9
 """Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""

@@ -14,8 +14,7 @@ from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.stores.arrays import read_arrays, read_attrs
-from nvsf_core.stores.contents import foreign
-from nvsf_core.stores.pictures import read_picture
+from nvsf_core.stores.documents import foreign, read_picture
 from nvsf_core.stores.scene_store import SceneStore, published
 from nvsf_core.stores.tables import read_rows, read_table
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.sensors.project import project_nearest
+from nvsf_core.sensors.linear_pano import project_nearest
 from nvsf_core.sensors.tables import LaserTable
 
 __all__ = [

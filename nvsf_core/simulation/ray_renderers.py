@@ -6,8 +6,7 @@ import torch
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.object_surfaces import object_surfaces
-from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.fields.surface_batch import object_surfaces, surface_batch
 from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays

@@ -1,9 +1,11 @@
-"""From answered rays to a scan as a driver records it."""
+"""From the rendered rays of a sweep to a scan as a driver records it, or to one sampled at random."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nvsf_core.errors import DataError
 from nvsf_core.evidence.raydrop.stationary_scans import FiredRays, look_up_stationary
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.drive import LidarRecording
@@ -11,7 +13,7 @@ from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.lidar_rays import SweepRays
-from nvsf_core.simulation.raydrop import rays_return
+from nvsf_core.simulation.raydrop import rays_return, sample_returns
 
 _TYPICAL_OWN_RANGE_M = 2.0
 """Where a laser's ray is taken to meet the own vehicle when its azimuth is looked up."""
@@ -156,3 +158,54 @@ class RenderedSweep:
         cell = row[kept] * pano.width + column[kept]
         total = np.bincount(cell, weights=missed, minlength=pano.height * pano.width)
         return -np.expm1(total).reshape(pano.height, pano.width).astype(np.float32)
+
+
+RANGE_NOISE_M = 0.015
+"""Standard deviation of the range noise; an HDL-64E's maker states below 2 cm (one sigma)."""
+GRID_ARRAYS = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
+"""Arrays of a rendered sweep that a scan is sampled from, each (lasers, firings)."""
+
+
+def sample_scan(
+    grid: Mapping[str, np.ndarray], generator: np.random.Generator, range_noise_m: float = RANGE_NOISE_M
+) -> np.ndarray:
+    """Sample one scan of a rendered sweep.
+
+    Args:
+        grid: `grid_*` of one sweep, each (lasers, firings): range (metres, inf = nothing there), hit
+            probability, intensity 0..1, azimuth and elevation in the sensor's frame at firing time.
+        generator: What is random comes from here.
+        range_noise_m: Standard deviation of the range.
+
+    Returns:
+        (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees.
+
+    Raises:
+        DataError: An array of the grid holds NaN; as a hit it would silently be a drop.
+    """
+    for name in GRID_ARRAYS:
+        broken = int(np.count_nonzero(np.isnan(grid[name])))
+        if broken:
+            raise DataError(
+                f"sample_scan: {broken} of {grid[name].size} values of {name} are NaN; the model that "
+                "rendered them has diverged: train it again"
+            )
+    range_m = grid["grid_range_m"].astype(np.float64)
+    kept = sample_returns(grid["grid_hit"], generator)
+    noise_m = generator.normal(0.0, range_noise_m, range_m.shape)
+    kept &= np.isfinite(range_m) & (range_m > 0.0)
+    noisy_m = np.maximum(np.where(kept, range_m, 1.0) + noise_m, 0.01)
+    azimuth, elevation = (grid[f"grid_{name}_rad"].astype(np.float64) for name in ("azimuth", "elevation"))
+    level_m = noisy_m * np.cos(elevation)
+    scan = np.stack(
+        [
+            level_m * np.cos(azimuth),
+            level_m * np.sin(azimuth),
+            noisy_m * np.sin(elevation),
+            np.clip(grid["grid_intensity"], 0.0, 1.0),
+        ],
+        axis=-1,
+    ).astype(np.float32)
+    order = np.argsort(np.mod(azimuth, 2.0 * np.pi), axis=1, kind="stable")
+    sampled: np.ndarray = np.take_along_axis(scan, order[..., None], 1)[np.take_along_axis(kept, order, 1)]
+    return sampled

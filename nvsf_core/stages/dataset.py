@@ -22,7 +22,7 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
-from nvsf_core.simulation.sampled_scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
+from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.views.files import file_numbers, scans_of, write_images, write_scans

@@ -9,8 +9,7 @@ import numpy as np
 
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.scans import read_scan
-from nvsf_core.evidence.sensor_errors.intensity_gain import learn_intensity_gain
-from nvsf_core.evidence.sensor_errors.range_bias import learn_range_bias
+from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle

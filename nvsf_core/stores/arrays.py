@@ -18,7 +18,7 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.contents import Contents, foreign
+from nvsf_core.stores.documents import Contents, foreign
 from nvsf_core.stores.schemas import field_faults, spec_at, violations
 
 _MOST_CHUNKS = 1_000_000

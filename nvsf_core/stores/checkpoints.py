@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.contents import Contents, foreign
+from nvsf_core.stores.documents import Contents, foreign
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, Any] | None = None) -> None:

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.contents import Contents, foreign
+from nvsf_core.stores.documents import Contents, foreign
 from nvsf_core.stores.schemas import column_faults, spec_at
 
 Column = Sequence[Any]

@@ -10,11 +10,10 @@ import torch
 from benchmarks.lean.ablation import VARIANTS, helps, make_field, read_rows
 from benchmarks.lean.variants import PATCH, RayGrid, Variant, VariantStep, huber_depth_loss, ray_grid
 from nvsf_core.drives.catalogue import load_catalogue
-from nvsf_core.losses.depth import depth_loss
+from nvsf_core.losses.lidar import depth_loss
 from nvsf_core.metrics.table import BASELINES
-from nvsf_core.models.residual.training.lidar_rays import LidarRays
-from nvsf_core.models.residual.training.lidar_step import lidar_step
-from nvsf_core.models.residual.training.rays_of_scans import training_rays
+from nvsf_core.models.residual.lidar import lidar_step
+from nvsf_core.models.residual.training_rays import LidarRays, training_rays
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.stages import run_named_stage

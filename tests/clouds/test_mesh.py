@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.mesh import Mesh, mesh_rays, poisson_mesh
-from nvsf_core.clouds.poisson import poisson_surface
+from nvsf_core.clouds.mesh import Mesh, mesh_rays, poisson_mesh, poisson_surface
 from nvsf_core.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("open3d")

@@ -5,14 +5,20 @@ import pytest
 import torch
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.object_surfaces import ObjectSurfaces, join_surfaces, object_places, object_surfaces
-from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
+from nvsf_core.fields.surface_batch import (
+    ObjectSurfaces,
+    SurfaceBatch,
+    join_surfaces,
+    object_places,
+    object_surfaces,
+    surface_batch,
+)
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
 from nvsf_core.rendering.lidar import render_rays

@@ -2,8 +2,7 @@
 
 import torch
 
-from nvsf_core.losses.depth import depth_loss
-from nvsf_core.losses.likelihood import surface_likelihood
+from nvsf_core.losses.lidar import depth_loss, surface_likelihood
 
 
 def best_share(loss, returns_m: torch.Tensor) -> float:

@@ -4,11 +4,8 @@ import math
 
 import torch
 
-from nvsf_core.losses.colour import colour_loss
-from nvsf_core.losses.depth import depth_loss
-from nvsf_core.losses.intensity import intensity_loss
-from nvsf_core.losses.raydrop import raydrop_loss
-from nvsf_core.losses.structure import structure
+from nvsf_core.losses.image import colour_loss, structure
+from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss
 from nvsf_core.losses.total import total_loss
 
 

@@ -13,12 +13,10 @@ from nvsf_core.losses.chamfer import (
     ray_batch_chamfer,
     squared_nearest_distances,
 )
-from nvsf_core.losses.colour import squared_colour_error
-from nvsf_core.losses.depth import absolute_range_error
 from nvsf_core.losses.gradient import gradient_loss
-from nvsf_core.losses.intensity import squared_intensity_error
+from nvsf_core.losses.image import squared_colour_error
+from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
 from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
-from nvsf_core.losses.raydrop import squared_hit_error
 from nvsf_core.losses.scene_flow import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import total_loss
 

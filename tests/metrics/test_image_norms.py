@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.metrics.image_norms import LEAST_LEVELS, image_norms
+from nvsf_core.metrics.norms import LEAST_LEVELS, image_norms
 
 HIGH, WIDE = 20, 30
 ALL = np.ones((HIGH, WIDE), np.bool_)

@@ -3,8 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from nvsf_core.metrics.intensity import intensity_image_metrics, ray_intensity_metrics
-from nvsf_core.metrics.range import range_image_metrics, ray_range_metrics
+from nvsf_core.metrics.range_and_intensity import (
+    intensity_image_metrics,
+    range_image_metrics,
+    ray_intensity_metrics,
+    ray_range_metrics,
+)
 
 
 def test_one_wrong_drop_counts_with_its_whole_range() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.metrics.scan_norms import intensity_spread, scan_norms, spread_distance
+from nvsf_core.metrics.norms import intensity_spread, scan_norms, spread_distance
 
 LASERS, FIRINGS = 10, 100
 

@@ -10,10 +10,14 @@ from hypothesis import strategies as st
 
 from benchmarks.numerics.cases.tolerances import TOLERANCES
 from nvsf_core import numerics
-from nvsf_core.losses.depth import CLAMP_M, depth_loss
+from nvsf_core.losses.lidar import CLAMP_M, depth_loss
 from nvsf_core.losses.line_of_sight import line_of_sight_loss
-from nvsf_core.rendering.accumulate import expected_value, weighted_median_index
-from nvsf_core.rendering.weights import weights_from_opacity_logits, weights_from_optical_depth
+from nvsf_core.rendering.weights import (
+    expected_value,
+    weighted_median_index,
+    weights_from_opacity_logits,
+    weights_from_optical_depth,
+)
 from nvsf_core.sampling.along_ray import uniform_samples
 
 LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)

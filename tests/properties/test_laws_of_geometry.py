@@ -20,8 +20,7 @@ from nvsf_core.geometry.se3 import (
     transform_points,
 )
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, wrap_angle
-from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.project import nearest_in_cells
+from nvsf_core.sensors.linear_pano import LinearPano, nearest_in_cells
 from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
 from nvsf_core.sensors.tables import HDL_64E
 

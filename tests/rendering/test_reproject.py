@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from nvsf_core.evidence.static.surfels import build_surfels, candidates_of
-from nvsf_core.rendering.accumulate import weighted_median_index
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
+from nvsf_core.rendering.weights import weighted_median_index
 
 
 def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_candidates() -> None:

@@ -6,8 +6,13 @@ import pytest
 import torch
 
 from nvsf_core.errors import DivergedError, ShapeError
-from nvsf_core.rendering.accumulate import expected_value, value_at, weighted_median_index
-from nvsf_core.rendering.weights import weights_from_opacity_logits, weights_from_optical_depth
+from nvsf_core.rendering.weights import (
+    expected_value,
+    value_at,
+    weighted_median_index,
+    weights_from_opacity_logits,
+    weights_from_optical_depth,
+)
 
 
 def _depths(rays=50, samples=70, scale=0.1):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.sensors.project import nearest_in_cells, project_nearest
+from nvsf_core.sensors.linear_pano import nearest_in_cells, project_nearest
 
 
 def test_nearest_matches_a_plain_loop():

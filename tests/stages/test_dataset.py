@@ -13,7 +13,7 @@ from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.recipe import preset
 from nvsf_core.simulation.raydrop import sharpen_hits
-from nvsf_core.simulation.sampled_scan import sample_scan
+from nvsf_core.simulation.scan import sample_scan
 from nvsf_core.stages.dataset import STAGE
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays

@@ -11,7 +11,7 @@ from benchmarks.numerics.cases.case import Case, Reading, refused
 from benchmarks.numerics.cases.references import against, by_mpmath, every_float
 from nvsf_core import numerics
 from nvsf_core.errors import DivergedError
-from nvsf_core.fields.density import Density
+from nvsf_core.fields.layers import Density
 from nvsf_core.recipe import HeadsSpec
 
 TITLE = "Density activation and guarded operations"

@@ -11,10 +11,13 @@ from nvsf_core.metrics.depth import ray_depth_rmse
 from nvsf_core.metrics.elementwise import PSNR_CAP_DB, median_abs_error, psnr, rmse
 from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
 from nvsf_core.metrics.image import image_metrics
-from nvsf_core.metrics.intensity import intensity_image_metrics
 from nvsf_core.metrics.lpips import MIN_SIDE, load_lpips, lpips_measure
 from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.range import range_image_metrics, ray_range_metrics
+from nvsf_core.metrics.range_and_intensity import (
+    intensity_image_metrics,
+    range_image_metrics,
+    ray_range_metrics,
+)
 from nvsf_core.metrics.ssim import ssim
 
 TITLE = "Metrics"

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from benchmarks.numerics.cases.case import Case, Gradient, Reading, refused
 from benchmarks.numerics.cases.long_run import SmallField, wave
 from nvsf_core.errors import DivergedError
-from nvsf_core.fields.heads import lidar_direction
+from nvsf_core.fields.layers import lidar_direction
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import ABLATION, TrainingSpec

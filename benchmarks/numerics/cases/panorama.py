@@ -10,11 +10,10 @@ from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.losses.gradient_mask import double_gradient_mask
 from nvsf_core.metrics.hit import hit_cells
 from nvsf_core.sensors.beam_table import BeamPano
-from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.project import nearest_in_cells
+from nvsf_core.sensors.linear_pano import LinearPano, nearest_in_cells
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.raydrop import sharpen_hits
-from nvsf_core.simulation.sampled_scan import GRID_ARRAYS, sample_scan
+from nvsf_core.simulation.scan import GRID_ARRAYS, sample_scan
 
 TITLE = "Panos, grids and sampled scans"
 _PANO = LinearPano()

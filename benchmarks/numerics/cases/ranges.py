@@ -10,11 +10,15 @@ from benchmarks.numerics.cases.case import Case, Gradient, Reading, refused
 from benchmarks.numerics.cases.references import HALVES, against, by_autograd
 from benchmarks.numerics.cases.tolerances import TOLERANCES
 from nvsf_core.errors import DivergedError
-from nvsf_core.losses.depth import depth_loss
+from nvsf_core.losses.lidar import depth_loss
 from nvsf_core.losses.line_of_sight import line_of_sight_loss
 from nvsf_core.losses.total import total_loss
-from nvsf_core.rendering.accumulate import expected_value, value_at, weighted_median_index
-from nvsf_core.rendering.weights import weights_from_optical_depth
+from nvsf_core.rendering.weights import (
+    expected_value,
+    value_at,
+    weighted_median_index,
+    weights_from_optical_depth,
+)
 
 TITLE = "Expected and median range"
 

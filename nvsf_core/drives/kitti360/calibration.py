@@ -14,7 +14,7 @@ from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, Drive
 from nvsf_core.drives.kitti360.text import KeyedText, read_mounting, require_folder, rotation
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
-from nvsf_core.geometry.intrinsics import intrinsics_fault
+from nvsf_core.geometry.pinhole import intrinsics_fault
 
 _SKEW_TOLERANCE = 1e-9
 """A rectified camera has neither skew nor turn in its projection."""

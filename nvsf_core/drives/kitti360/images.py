@@ -8,7 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from nvsf_core.drives.kitti360.files import read_bytes, require_unchanged
+from nvsf_core.drives.kitti360.text import read_bytes, require_unchanged
 from nvsf_core.errors import DataError
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

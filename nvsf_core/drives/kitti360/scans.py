@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.files import read_bytes, require_unchanged
+from nvsf_core.drives.kitti360.text import read_bytes, require_unchanged
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.tables import HDL_64E
 

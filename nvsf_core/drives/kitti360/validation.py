@@ -12,12 +12,11 @@ from nvsf_core.drives.kitti360.calibration import (
     read_calibration,
     read_rectified_camera0_to_pose,
 )
-from nvsf_core.drives.kitti360.files import checksum_of
 from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.drives.kitti360.scans import parse_scan, read_scan_bytes
-from nvsf_core.drives.kitti360.text import is_there, require_folder
+from nvsf_core.drives.kitti360.text import checksum_of, is_there, require_folder
 from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times
 from nvsf_core.errors import DataError
 

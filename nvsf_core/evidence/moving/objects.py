@@ -4,8 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.moving.object_evidence import OBJECT_VOXEL_M, ObjectEvidence, ObjectRays
-from nvsf_core.evidence.moving.object_hit_priors import NearHitPriors, ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import (
+    OBJECT_VOXEL_M,
+    NearHitPriors,
+    ObjectEvidence,
+    ObjectHitPriors,
+    ObjectRays,
+)
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.bounds import rays_into_bounds

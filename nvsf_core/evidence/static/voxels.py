@@ -1,8 +1,9 @@
-"""A sparse voxel index: which voxels hold returns, in bricks, ready for the march."""
+"""A sparse index of the voxels that hold returns, in bricks, ready for the march; planes of their points."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from nvsf_core.errors import DataError
 
@@ -92,3 +93,19 @@ def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
     named = np.flatnonzero(table == 0)
     table[named] = np.arange(len(named), dtype=np.int32)
     return len(named), table[place]
+
+
+PLANE_POINTS = 8
+"""Neighbours, itself included, that tell a point's plane."""
+
+
+def planes_around(point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How points (n, 3), n >= 8, scatter with their 8 nearest.
+
+    Returns:
+        Sums of squares (n, 3) along the principal axes, ascending; the first axis (n, 3), a unit normal.
+    """
+    _, near = cKDTree(point_m).query(point_m, PLANE_POINTS)
+    apart = point_m[near] - point_m[near].mean(axis=1, keepdims=True)
+    values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    return values, axes[:, :, 0]

@@ -15,7 +15,7 @@ from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.depth import lidar_depth_images
 from nvsf_core.models.family import Weights
 from nvsf_core.models.paper.render import PaperModel
-from nvsf_core.models.paper.training.flow_clouds import flow_cloud
+from nvsf_core.models.paper.training.flow import flow_cloud
 from nvsf_core.models.paper.training.frames import Images, Panos, PaperFrames
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording

@@ -14,10 +14,10 @@ from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
+from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
-from nvsf_core.models.residual.training.camera_step import camera_step, depth_step
-from nvsf_core.models.residual.training.left_out import LeftOut
 from nvsf_core.models.selection.holdout import compare, validation_numbers
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording

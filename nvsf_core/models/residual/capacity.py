@@ -1,11 +1,24 @@
-"""How large a field a scene needs: from its proven surface and from how far its points lie apart."""
+"""The learned parts of one scene: which it has, how large they need to be, and what they allocate."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from nvsf_core.evidence.profile import point_spacing_m, surface_m2
-from nvsf_core.evidence.static.surfels import Surfels
-from nvsf_core.recipe import FieldSpec
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core._types import Scalar
+from nvsf_core.evidence.profile import motion_in_words, point_spacing_m, surface_m2
+from nvsf_core.evidence.static.surfels import Surfels, candidates_of
+from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.models.residual.pano_neighbours import pano_network
+from nvsf_core.models.residual.raydrop_grid import hits_network
+from nvsf_core.recipe import FieldSpec, ResidualRecipe
+from nvsf_core.recording.drive import Recording
+from nvsf_core.rendering.reproject import NEAR_M
 
 _SPACINGS_A_CELL = 2.5
 """Cells that are finer hold too few returns to learn from."""
@@ -38,3 +51,93 @@ def needed_field(most: FieldSpec, surfels: Surfels) -> FieldSpec:
         log2_table=min(most.log2_table, log2_table),
         levels=min(most.levels, levels),
     )
+
+
+_SAMPLED_RAYS = 4096
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualFields:
+    """What is learned of one scene, for each sensor that the drive has."""
+
+    lidar: LidarField | None
+    camera: CameraEnsemble | None
+    hits: CellNetwork | None = None
+    """Corrects what returns in the LiDAR's own grid; None where the recipe has none."""
+    pano: CellNetwork | None = None
+    """Corrects the LiDAR's panos; None where the recipe has none."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All weights, by sensor and name."""
+        models = {"lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano}
+        return {
+            f"{sensor}.{name}": value
+            for sensor, model in models.items()
+            if model is not None
+            for name, value in model.state_dict().items()
+        }
+
+
+def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
+    """Untrained fields of this scene's size."""
+    lidar = camera = hits = pano = None
+    if recording.lidar is not None:
+        surfels = recording.lidar.evidence.surfels
+        mean = surfels.mean_m
+        bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
+        spec = needed_field(recipe.lidar_field, surfels)
+        lidar = LidarField(spec, bounds, torch.Generator().manual_seed(seed))
+        if recipe.hits is not None:
+            hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
+        if recipe.pano is not None and recipe.pano.training is not None:
+            pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
+    if recording.cameras:
+        camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
+    return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
+
+
+def needs(recipe: ResidualRecipe, recording: Recording) -> dict[str, Scalar]:
+    """Numbers, and `needs` in words.
+
+    Args:
+        recipe: To be trained.
+        recording: The drive with its evidence.
+    """
+    fields = make_fields(recipe, recording, 0)
+    parameters = {
+        sensor: sum(value.numel() for value in model.state_dict().values())
+        for sensor, model in (
+            ("lidar", fields.lidar), ("camera", fields.camera), ("hits", fields.hits), ("pano", fields.pano),
+        )
+        if model is not None
+    }  # fmt: skip
+    found: dict[str, Scalar] = {f"{sensor}_parameters": count for sensor, count in parameters.items()}
+    evidence, rays, size = None, "", ""
+    if recording.lidar is not None and fields.lidar is not None:
+        evidence, a = recording.lidar.evidence, recording.lidar.sweeps.arrays
+        samples = samples_a_ray(
+            evidence.static, a["origin_m"], a["direction"],
+            most=recipe.evidence.lidar_candidates, far_m=recording.lidar.far_m,
+        )  # fmt: skip
+        layout = fields.lidar.grid.layout
+        finest_m = fields.lidar.bounds.edge_m / layout.finest_resolution
+        rays = f"; {samples:.0f} samples a ray"
+        size = f" in {layout.levels} levels down to {100 * finest_m:.0f} cm"
+        found |= {
+            "hash_levels": layout.levels,
+            "hash_entries": layout.entries,
+            "finest_cell_m": finest_m,
+            "samples_a_ray": samples,
+        }
+    millions = sum(parameters.values()) / 1e6
+    words = f"{motion_in_words(evidence)}; {millions:.1f} M parameters{size}{rays}"
+    return found | {"needs": words}
+
+
+def samples_a_ray(
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, *, most: int, far_m: float
+) -> float:
+    """Mean surfaces that a LiDAR ray looks at, over an even choice of the rays (n, 3), scene-local."""
+    chosen = np.unique(np.linspace(0, len(origin_m) - 1, _SAMPLED_RAYS).astype(np.int64))
+    found = candidates_of(surfels, origin_m[chosen], direction[chosen], most=most, near_m=NEAR_M, far_m=far_m)
+    return float((found.voxel >= 0).sum(axis=1).mean())

@@ -1,7 +1,7 @@
 """The family `residual` (recipes `lean`, `quick`, `smoke`), as `Family` asks for it."""
 
-from nvsf_core.models.residual.needs import needs
+from nvsf_core.models.residual.capacity import needs
 from nvsf_core.models.residual.render import load
-from nvsf_core.models.residual.training.train import train
+from nvsf_core.models.residual.train import train
 
 __all__ = ["load", "needs", "train"]

@@ -13,23 +13,24 @@ from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.hit import hit_image_metrics
-from nvsf_core.metrics.intensity import intensity_image_metrics
-from nvsf_core.metrics.range import range_image_metrics
-from nvsf_core.models.residual.training.cell_step import CellExample, cell_step
-from nvsf_core.models.selection.holdout import compare, validation_numbers
-from nvsf_core.recipe import PanoSpec, ResidualRecipe
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.pano_correction import (
+from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
+from nvsf_core.models.residual.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.pano_estimate import PanoEstimate, estimate_pano
+from nvsf_core.models.residual.pano_neighbours import (
     PARTS,
+    Neighbours,
+    RecordedPanos,
+    ask_neighbours,
     cell_features,
     corrected_pano,
     hit_prior,
     intensity_prior,
     phases_alone,
 )
-from nvsf_core.simulation.pano_estimate import PanoEstimate, estimate_pano
-from nvsf_core.simulation.pano_neighbours import Neighbours, RecordedPanos, ask_neighbours
+from nvsf_core.models.selection.holdout import compare, validation_numbers
+from nvsf_core.recipe import PanoSpec, ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorrector

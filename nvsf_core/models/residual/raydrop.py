@@ -12,8 +12,15 @@ from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.models.residual.training.cell_step import CellExample, cell_step
-from nvsf_core.models.residual.training.rays_of_scans import learned_scans
+from nvsf_core.models.residual.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.raydrop_grid import (
+    RecordedSweeps,
+    SweepCells,
+    SweepRaydrop,
+    hit_logits,
+    sweep_cells,
+)
+from nvsf_core.models.residual.training_rays import learned_scans
 from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
@@ -21,13 +28,6 @@ from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.lidar_rays import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
-from nvsf_core.simulation.raydrop_grid import (
-    RecordedSweeps,
-    SweepCells,
-    SweepRaydrop,
-    hit_logits,
-    sweep_cells,
-)
 from nvsf_core.simulation.scene_model import SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan

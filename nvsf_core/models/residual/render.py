@@ -1,68 +1,21 @@
 """The residual recipes: small fields that correct what the LiDAR proves, or replace what it lacks."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
-from torch import Tensor
 
-from nvsf_core.fields.camera_networks import CameraEnsemble
-from nvsf_core.fields.cell_network import CellNetwork
-from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.models.baselines.reproject import carrying_renderer, unobserved_renderer
 from nvsf_core.models.family import Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer
-from nvsf_core.models.residual.capacity import needed_field
+from nvsf_core.models.residual.capacity import ResidualFields, make_fields
 from nvsf_core.models.residual.lidar import SHOWS_FIELD
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer
 from nvsf_core.models.residual.pose_refinement import corrections_from
 from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
-from nvsf_core.simulation.pano_correction import pano_network
 from nvsf_core.simulation.ray_renderers import field_renderer
-from nvsf_core.simulation.raydrop_grid import hits_network
 from nvsf_core.simulation.scene_model import SceneModel
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualFields:
-    """What is learned of one scene, for each sensor that the drive has."""
-
-    lidar: LidarField | None
-    camera: CameraEnsemble | None
-    hits: CellNetwork | None = None
-    """Corrects what returns in the LiDAR's own grid; None where the recipe has none."""
-    pano: CellNetwork | None = None
-    """Corrects the LiDAR's panos; None where the recipe has none."""
-
-    def tensors(self) -> dict[str, Tensor]:
-        """All weights, by sensor and name."""
-        models = {"lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano}
-        return {
-            f"{sensor}.{name}": value
-            for sensor, model in models.items()
-            if model is not None
-            for name, value in model.state_dict().items()
-        }
-
-
-def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
-    """Untrained fields of this scene's size."""
-    lidar = camera = hits = pano = None
-    if recording.lidar is not None:
-        surfels = recording.lidar.evidence.surfels
-        mean = surfels.mean_m
-        bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
-        spec = needed_field(recipe.lidar_field, surfels)
-        lidar = LidarField(spec, bounds, torch.Generator().manual_seed(seed))
-        if recipe.hits is not None:
-            hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
-        if recipe.pano is not None and recipe.pano.training is not None:
-            pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
-    if recording.cameras:
-        camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
-    return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
 
 
 def load(

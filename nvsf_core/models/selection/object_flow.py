@@ -4,7 +4,7 @@ import numpy as np
 
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.models.selection.holdout import is_sure
-from nvsf_core.models.selection.range_error import mean_range_error_m
+from nvsf_core.models.selection.voxel_size import mean_range_error_m
 
 _JUDGES = 12
 """Scans of an object that are left out in turn, at most."""

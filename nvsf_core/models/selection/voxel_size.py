@@ -1,11 +1,12 @@
-"""The voxels of the renderer that learns nothing: the size that training scans left out choose."""
+"""The voxel size of `reproject`, chosen by the range error on training scans that were left out."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
-from nvsf_core.models.selection.range_error import mean_range_error_m
+from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.rendering.reproject import reproject_rays
 
 FIELD_VOXEL_M = 0.2
 """Edge of the voxels that a field corrects: it makes nothing of finer ones, and its steps take longer."""
@@ -103,3 +104,30 @@ def choose_voxel_m(
             break
     static = rays.surfels(FIELD_VOXEL_M, threads, ~is_validation, shaped=False)
     return VoxelChoice(errors_m=errors_m, validation=validation, static=static, rendered=rendered)
+
+
+def mean_range_error_m(
+    surfels: Surfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    *,
+    far_m: float,
+    worst_m: float,
+) -> float:
+    """Mean absolute error of the ranges that surfels answer along rays (r, 3) that returned at (r,).
+
+    Args:
+        surfels: In the rays' frame.
+        origin_m: (r, 3).
+        direction: (r, 3) unit.
+        range_m: (r,) to the return.
+        far_m: How far a ray is followed.
+        worst_m: Most that a ray counts as off, and what one without an answer counts: beyond, wrong is wrong.
+    """
+    rendered = reproject_rays(
+        surfels, origin_m, direction, np.ones(len(range_m), np.float32),
+        most=EvidenceSpec().lidar_candidates, far_m=far_m,
+    )  # fmt: skip
+    off_m = np.abs(rendered.range_m.astype(np.float64) - range_m)
+    return float(np.minimum(np.where(np.isfinite(off_m), off_m, worst_m), worst_m).mean())

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
+from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.rendered import RenderedRays

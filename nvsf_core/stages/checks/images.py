@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.metrics.image_norms import LEAST_LEVELS, ImageNorms, image_norms
+from nvsf_core.metrics.norms import LEAST_LEVELS, ImageNorms, image_norms
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.metrics.scan_norms import intensity_spread, spread_distance
+from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
 from nvsf_core.stages.checks.norms import (
     NO_NORMS,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from nvsf_core.metrics.scan_norms import ScanNorms, scan_norms
+from nvsf_core.metrics.norms import ScanNorms, scan_norms
 from nvsf_core.stages.runner.stage import Check, NamedCheck
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.metrics.scan_norms import ScanNorms
+from nvsf_core.metrics.norms import ScanNorms
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.stages.checks.norms import (

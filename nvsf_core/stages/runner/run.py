@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.drives.asked_times import require_times_in_drive
 from nvsf_core.drives.catalogue import (
     SceneEntry,
     catalogue_from_environment,
     has_data,
     home_from_environment,
+    require_times_in_drive,
 )
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset

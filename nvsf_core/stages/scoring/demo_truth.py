@@ -23,11 +23,10 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.hit import hit_image_metrics
-from nvsf_core.metrics.intensity import ray_intensity_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.protocols import Scan, near_returns
-from nvsf_core.metrics.range import ray_range_metrics
+from nvsf_core.metrics.range_and_intensity import ray_intensity_metrics, ray_range_metrics
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.raydrop import rays_return

@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects, objects_at, prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior

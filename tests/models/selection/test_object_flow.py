@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.moving.dynamic import DynamicEvidence
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
-from nvsf_core.evidence.moving.object_hit_priors import ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.raydrop.prior import DropPrior

@@ -1,12 +1,14 @@
-"""One step of the scene flow, and the flow trained without anything else."""
+"""Training of the paper's scene flow: the point clouds it compares, one step, and the flow by itself."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
+from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.fields.flow import FlowField
 from nvsf_core.losses.scene_flow import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
@@ -103,3 +105,152 @@ def _drawn(cloud: np.ndarray, most: int, generator: torch.Generator, device: tor
     if len(points) > most:
         points = points[torch.randperm(len(points), generator=generator)[:most]]
     return points.to(device)
+
+
+NEAREST_M, FARTHEST_M = 1.0, 60.0
+"""Kept distances from the sensor, both included; the authors': 0.75 times the longest range."""
+LOWEST_M, HIGHEST_M = -2.5, 4.0
+"""Kept heights over the sensor, both excluded."""
+OWN_VEHICLE_M = (2.0, 1.0, 2.0)
+"""Half edges of the box around the sensor in which the recording car lies: forward, left, up."""
+
+_NEIGHBOURS = 64
+_OUTLIER_SIGMAS = 3.0
+_THIN_ABOVE = 16_384
+"""Larger clouds are compared with a random quarter of themselves and a quarter of the neighbours."""
+_THIN = 4
+
+_PLANES = 6
+_INLIER_M = 0.15
+_GROUND_BELOW_M = -1.0
+"""Ground lies lower than this under the sensor (on KITTI-360 it is 1.73 m above it)."""
+_LEAST_UPRIGHT = np.cos(np.deg2rad(20.0))
+"""Of a ground plane's normal: no street is steeper."""
+_HYPOTHESES = 128
+_JUDGED = 4096
+"""Points on which hypotheses are counted; the best is then fitted to all."""
+_LEAST_SHARE = 0.02
+"""Of the low points: a plane with fewer is not looked for."""
+_FLAT_SHARE = 0.45
+"""Of a plane's inliers, how many must lie within a third of the inlier distance. A slab through walls and
+cars, which is no surface, holds a third; a street holds nearly all."""
+
+
+def flow_cloud(
+    points_m: np.ndarray, sensor_to_scene: np.ndarray, centre_m: np.ndarray, generator: np.random.Generator
+) -> np.ndarray:
+    """The returns of one scan whose motion the flow is fitted to.
+
+    In turn: kept by distance, height and own vehicle's box in the sensor's frame; stray points out; ground
+    out; stray points out again, because without ground others stand alone.
+
+    Args:
+        points_m: (n, 3) float64, scene-local.
+        sensor_to_scene: (4, 4) rigid pose of the sensor.
+        centre_m: (3,) scene-local point that becomes the origin, so that float32 is exact to a micrometre.
+        generator: Draws the hypotheses for the ground: the same generator state gives the same cloud.
+
+    Returns:
+        (m, 3) float32, metres from `centre_m` along the scene's axes, in the order of `points_m`; m may be 0.
+
+    Raises:
+        ShapeError: An array has another shape.
+        DataError: A point is not finite.
+    """
+    if points_m.ndim != 2 or points_m.shape[1] != 3 or sensor_to_scene.shape != (4, 4):
+        raise ShapeError(
+            f"flow_cloud: expected points (n, 3) and a pose (4, 4), found {points_m.shape} and "
+            f"{sensor_to_scene.shape}"
+        )
+    if not np.isfinite(points_m).all():
+        bad = int((~np.isfinite(points_m).all(axis=1)).sum())
+        raise DataError(f"flow_cloud: expected finite points, found {bad} of {len(points_m)} not; drop them")
+    in_sensor = (points_m.astype(np.float64) - sensor_to_scene[:3, 3]) @ sensor_to_scene[:3, :3]
+    kept = np.flatnonzero(_is_in_reach(in_sensor))
+    kept = kept[~is_stray(in_sensor[kept], generator)]
+    kept = kept[~is_ground(in_sensor[kept], generator)]
+    kept = kept[~is_stray(in_sensor[kept], generator)]
+    return (points_m[kept] - centre_m).astype(np.float32)
+
+
+def is_stray(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Whether each point (n,) is farther from its 64 nearest than others are from theirs.
+
+    Its mean distance to them is above the cloud's mean of that by more than three standard deviations
+    (statistical outliers, Rusu et al. 2008). Of a cloud above 16,384 points a random quarter stands for all:
+    the mean distance to the 16 nearest in it. With fewer than 65 points, all others are the nearest.
+    """
+    n = len(points_m)
+    thin = _THIN if n > _THIN_ABOVE else 1
+    count = min(_NEIGHBOURS // thin, n - 1)
+    if count < 1:
+        return np.zeros(n, bool)
+    # Sorted: neighbours in the file are neighbours in space, and so in memory.
+    chosen = np.sort(generator.permutation(n)[: n // thin])
+    # One more than wanted: a chosen point finds itself first, another does without its last.
+    distance_m = cKDTree(points_m[chosen]).query(points_m, count + 1)[0].reshape(n, count + 1)
+    is_chosen = np.zeros(n, bool)
+    is_chosen[chosen] = True
+    to_nearest = np.where(is_chosen, distance_m[:, 1:].mean(axis=1), distance_m[:, :-1].mean(axis=1))
+    stray: np.ndarray = to_nearest > to_nearest.mean() + _OUTLIER_SIGMAS * to_nearest.std()
+    return stray
+
+
+def is_ground(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Whether each point (n,), in the sensor's frame, lies on one of up to six nearly level planes below it.
+
+    Each plane is the one of 128 random hypotheses with the most points within 0.15 m, fitted anew to those;
+    its points are taken out before the next is sought. It ends when a plane holds too few points, or holds
+    them as a slab through upright things does.
+    """
+    ground = np.zeros(len(points_m), bool)
+    low = np.flatnonzero(points_m[:, 2] < _GROUND_BELOW_M)
+    least = max(3.0, _LEAST_SHARE * len(low))
+    for _ in range(_PLANES):
+        left = low[~ground[low]]
+        if len(left) < least:
+            break
+        plane = _most_supported_plane(points_m[left], generator)
+        if plane is None:
+            break
+        off_plane_m = np.abs(points_m[left] @ plane[:3] + plane[3])
+        inlier = off_plane_m < _INLIER_M
+        if inlier.sum() < least or (off_plane_m < _INLIER_M / 3.0).sum() < _FLAT_SHARE * inlier.sum():
+            break
+        ground[left[inlier]] = True
+    return ground
+
+
+def _is_in_reach(points_m: np.ndarray) -> np.ndarray:
+    distance_m = np.linalg.norm(points_m, axis=1)
+    in_reach: np.ndarray = (distance_m >= NEAREST_M) & (distance_m <= FARTHEST_M)
+    in_reach &= (points_m[:, 2] > LOWEST_M) & (points_m[:, 2] < HIGHEST_M)
+    return in_reach & ~(np.abs(points_m) < np.array(OWN_VEHICLE_M)).all(axis=1)
+
+
+def _most_supported_plane(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray | None:
+    """(4,) unit normal and offset of the nearly level plane with the most inliers; None if there is none."""
+    judged = points_m[generator.integers(len(points_m), size=min(_JUDGED, len(points_m)))]
+    corners = points_m[generator.integers(len(points_m), size=(_HYPOTHESES, 3))]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    level = np.abs(normal[:, 2]) > _LEAST_UPRIGHT * length
+    if not level.any():
+        return None
+    normal, corner = normal[level] / length[level, None], corners[level, 0]
+    offset = -(normal * corner).sum(axis=1)
+    counts = (np.abs(judged @ normal.T + offset) < _INLIER_M).sum(axis=0)
+    best = int(counts.argmax())
+    return _fitted(points_m, np.append(normal[best], offset[best]))
+
+
+def _fitted(points_m: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """The plane through the inliers of `plane` with the least squared distances, twice over."""
+    for _ in range(2):
+        inliers = points_m[np.abs(points_m @ plane[:3] + plane[3]) < _INLIER_M]
+        if len(inliers) < 3:
+            break
+        middle = inliers.mean(axis=0)
+        normal = np.linalg.svd((inliers - middle).T @ (inliers - middle))[0][:, 2]
+        plane = np.append(normal, -normal @ middle)
+    return plane

@@ -8,9 +8,8 @@ import torch
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.models.paper.training.camera import camera_losses
 from nvsf_core.models.paper.training.flow import flow_loss
-from nvsf_core.models.paper.training.frames import PaperFrames
+from nvsf_core.models.paper.training.frames import PaperFrames, PaperTrainee
 from nvsf_core.models.paper.training.lidar import lidar_losses
-from nvsf_core.models.paper.training.trainee import PaperTrainee
 
 _EPOCH_SEED = 1_000_003
 

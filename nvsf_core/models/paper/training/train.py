@@ -15,9 +15,8 @@ from nvsf_core.models.family import Trained
 from nvsf_core.models.paper.refine import refine, refinement_state
 from nvsf_core.models.paper.render import PaperModel
 from nvsf_core.models.paper.scene import device, frame_at, needed, training_frames
-from nvsf_core.models.paper.training.frames import Panos, PaperFrames
+from nvsf_core.models.paper.training.frames import Panos, PaperFrames, PaperTrainee
 from nvsf_core.models.paper.training.step import paper_step
-from nvsf_core.models.paper.training.trainee import PaperTrainee
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.training.ema import WeightAverage

@@ -1,0 +1,145 @@
+"""What each laser of the recording sensor gets wrong, learned from a drive: range bias and intensity gain.
+
+A laser of a real HDL-64E is off by up to 9 cm, always by the same amount: on a plane that many lasers hit,
+the returns of one lie in front of or behind those of the others. No other error of a range is as large.
+Lasers also differ in how bright they record the same surface.
+"""
+
+import numpy as np
+
+from nvsf_core.evidence.static.voxels import index_points
+
+_VOXEL_M = 0.8
+_MIN_RETURNS = 12
+_MAX_THICKNESS_M = 0.05
+_FLATNESS = 16.0
+"""A voxel is flat where the second eigenvalue of its returns exceeds the first so many times."""
+_MAX_RANGE_M = 50.0
+_MOST_RETURNS = 600_000
+_ITERATIONS = 4
+_SCALE_M = 0.03
+"""Distances from a plane beyond it count less and less: w = 1 / (1 + (e / scale)^2)."""
+_LEAST_RMS_M = 0.01
+"""Voxels at the corner of two planes alone make lasers differ by millimetres: less is not believed."""
+_PRIOR_RETURNS = 10.0
+"""A laser needs many more returns on planes than this to be believed to be off."""
+
+
+def learn_range_bias(
+    origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, laser: np.ndarray, lasers: int
+) -> np.ndarray:
+    """Bias (lasers,) float64 in metres, to be taken off a laser's ranges.
+
+    0 for a laser without evidence, and for all where they agree to better than a centimetre.
+
+    Minimises, over one bias b_l a laser and one offset c_v a flat voxel, the robust sum of
+    (n_v . (o + (t - b_l) d - mean_v) - c_v)^2; planes are fitted again after each step.
+
+    Args:
+        origin_m: (n, 3) of returns, scene-local.
+        direction: (n, 3) unit.
+        range_m: (n,) as recorded.
+        laser: (n,) 0 .. lasers - 1, or -1 where unknown: such returns are left out.
+        lasers: How many there are.
+    """
+    usable = np.flatnonzero((laser >= 0) & (range_m > 0) & (range_m < _MAX_RANGE_M))
+    usable = usable[:: max(1, len(usable) // _MOST_RETURNS)]
+    bias = np.zeros(lasers)
+    if len(usable) == 0:
+        return bias
+    origin = origin_m[usable].astype(np.float64)
+    along, measured, source = direction[usable].astype(np.float64), range_m[usable], laser[usable]
+    for _ in range(_ITERATIONS):
+        bias += _step(origin + along * (measured - bias[source])[:, None], along, source, bias)
+    return bias if np.sqrt(np.mean(bias**2)) >= _LEAST_RMS_M else np.zeros(lasers)
+
+
+def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """One Gauss-Newton step (lasers,) from returns (n, 3) of which `bias` is taken off."""
+    index, voxel = index_points(points, _VOXEL_M)
+    mean, normal = _flat_voxels(points, voxel, index.count)
+    flat = np.flatnonzero(np.any(normal != 0.0, axis=1)[voxel])
+    lasers = len(bias)
+    if len(flat) == 0:
+        return np.zeros(lasers)
+    voxel, laser = voxel[flat], laser[flat].astype(np.int64)
+    normals = normal[voxel]
+    error = np.einsum("ni,ni->n", normals, points[flat] - mean[voxel])
+    slope = np.einsum("ni,ni->n", normals, direction[flat])
+    weight = 1.0 / (1.0 + (error / _SCALE_M) ** 2)
+    # The voxels' offsets are eliminated: they are the weighted means of what the biases leave.
+    number = np.unique(voxel, return_inverse=True)[1].astype(np.int64)
+    voxels = int(number.max()) + 1
+    total = np.bincount(number, weights=weight)
+    shared = np.bincount(number * lasers + laser, weights=weight * slope, minlength=voxels * lasers)
+    shared = shared.reshape(voxels, lasers)
+    offset = np.bincount(number, weights=weight * error) / total
+    normal_matrix = np.diag(np.bincount(laser, weights=weight * slope**2, minlength=lasers) + _PRIOR_RETURNS)
+    normal_matrix -= shared.T @ (shared / total[:, None])
+    gradient = np.bincount(laser, weights=weight * slope * error, minlength=lasers) - shared.T @ offset
+    step: np.ndarray = np.linalg.solve(normal_matrix, gradient - _PRIOR_RETURNS * bias)
+    return step
+
+
+def _flat_voxels(points: np.ndarray, voxel: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (v, 3) of each voxel's points and its plane's unit normal (v, 3), 0 where it is not flat."""
+    returns = np.bincount(voxel, minlength=count)
+    total = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], axis=1)
+    mean = total / returns[:, None]
+    centred = points - mean[voxel]
+    full = np.flatnonzero(returns >= _MIN_RETURNS)
+    covariance = np.empty((len(full), 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count)
+            covariance[:, a, b] = covariance[:, b, a] = (moment / returns)[full]
+    value, vector = np.linalg.eigh(covariance)
+    flat = (value[:, 1] > _FLATNESS * value[:, 0]) & (value[:, 0] < _MAX_THICKNESS_M**2)
+    normal = np.zeros((count, 3))
+    normal[full[flat]] = vector[flat, :, 0]
+    return mean, normal
+
+
+_GAIN_VOXEL_M = 0.2
+_GAIN_MOST_RETURNS = 1_000_000
+_GAIN_ITERATIONS = 3
+_BRIGHTEST = 0.98
+"""Returns above it are clipped: they say nothing of a gain."""
+_GAIN_PRIOR_RETURNS = 30.0
+"""A laser needs many more returns than this, of mean brightness, to be believed to differ."""
+_LIMITS = (0.25, 4.0)
+_LEAST_RMS = 0.09
+"""Lasers that are alike differ by 7 %, as each sees surfaces at its own slant: less is not believed."""
+
+
+def learn_intensity_gain(
+    points_m: np.ndarray, intensity: np.ndarray, laser: np.ndarray, lasers: int
+) -> np.ndarray:
+    """Gain (lasers,) float64 by which a laser's intensities are to be divided; 1 without evidence.
+
+    Minimises the sum of (I - g_l m_v)^2 over a gain a laser and a brightness a voxel, in turns.
+
+    Args:
+        points_m: (n, 3) of returns, scene-local.
+        intensity: (n,) recorded, 0..1.
+        laser: (n,) 0 .. lasers - 1, or -1 where unknown: such returns are left out.
+        lasers: How many there are.
+    """
+    usable = np.flatnonzero((laser >= 0) & (intensity < _BRIGHTEST))
+    usable = usable[:: max(1, len(usable) // _GAIN_MOST_RETURNS)]
+    gain = np.ones(lasers)
+    if len(usable) == 0:
+        return gain
+    index, voxel = index_points(points_m[usable], _GAIN_VOXEL_M)
+    shine, source = intensity[usable].astype(np.float64), laser[usable].astype(np.int64)
+    prior = _GAIN_PRIOR_RETURNS * float(np.mean(shine**2))
+    if prior == 0.0:
+        return gain
+    for _ in range(_GAIN_ITERATIONS):
+        own = gain[source]
+        summed = np.bincount(voxel, weights=own * shine, minlength=index.count)
+        mean = (summed / np.bincount(voxel, weights=own**2, minlength=index.count))[voxel]
+        products = np.bincount(source, weights=mean * shine, minlength=lasers) + prior
+        gain = products / (np.bincount(source, weights=mean**2, minlength=lasers) + prior)
+        gain = np.clip(gain / np.mean(gain), *_LIMITS)
+    return gain if np.sqrt(np.mean((gain - 1.0) ** 2)) >= _LEAST_RMS else np.ones(lasers)

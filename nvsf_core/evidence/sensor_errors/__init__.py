@@ -1,1 +1,0 @@
-"""How the lasers of the recording sensor differ from each other."""

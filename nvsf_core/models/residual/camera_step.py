@@ -1,0 +1,109 @@
+"""Training steps of the camera's networks: each training image is shown by the others."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import torch
+from torch import Tensor
+
+from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork
+from nvsf_core.losses.image import structure
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.models.residual.left_out import LeftOut
+from nvsf_core.recipe import CameraSpec, ResidualRecipe
+from nvsf_core.rendering.camera_view import Window, middle_factor
+from nvsf_core.rendering.learned_warp import blend_sources, planes_of, scaled
+from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses
+
+_MARGIN = 6
+"""Shrunk pixels at a window's rim whose depth is not looked through: their surroundings are cut off."""
+
+
+def depth_step(
+    network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
+) -> LossBreakdown:
+    """Compare a window's planes, weighted by what is believed of them, with a left-out image."""
+    example = _drawn(examples, recipe.camera, generator)
+    shape = (example.view.small.height, example.view.small.width)
+    window = sample_window(shape, recipe.depth_training.rays, generator)
+    probability, colour = planes_of(network, example.view, recipe.camera, window)
+    return total_loss(_plane_terms(example, window, probability, colour), asdict(recipe.losses))
+
+
+def camera_step(
+    networks: CameraNetworks, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
+) -> LossBreakdown:
+    """Show a window of a left-out image by both networks, and compare; the planes go on being compared."""
+    example = _drawn(examples, recipe.camera, generator)
+    view = example.view
+    shape = (view.small.height, view.small.width)
+    around = sample_window(shape, recipe.camera_training.rays, generator)
+    probability, colour = planes_of(networks.depth, view, recipe.camera, around)
+    belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
+    window = _full_size(around, shape, view.factor)
+    placed = belief.placed(around, shape)
+    blend = blend_sources(networks, view, placed, recipe.camera, window, around)
+    shown, refinement = blend.colour, blend.refinement
+    truth = example.truth[:, *window].float() / 255.0
+    difference = shown - truth
+    answered = _shown(view.images.full, window)
+    terms = _plane_terms(example, around, probability, colour) | {
+        "colour": difference.square().mean(dim=0)[answered],
+        "colour_distance": difference.abs().mean(dim=0)[answered],
+    }
+    if refinement is not None:
+        middle = scaled(around, view.factor // middle_factor(view.factor))
+        finer = _believed_error(refinement.probability, refinement.colour, example.middle_truth[:, *middle])
+        terms["refined"] = finer[_shown(view.images.middle, middle)]
+    if recipe.losses.structure > 0.0:
+        blank = answered.logical_not().float()[None]
+        terms["structure"] = structure(shown * (1.0 - blank), truth * (1.0 - blank))
+    return total_loss(terms, asdict(recipe.losses) | {"refined": recipe.losses.plane})
+
+
+def _plane_terms(example: LeftOut, window: Window, probability: Tensor, colour: Tensor) -> dict[str, Tensor]:
+    """What planes show against the left-out image: their mean, and each as far as it is believed."""
+    truth = example.small_truth[:, *window]
+    mean = (probability[:, None] * colour).sum(dim=0)
+    shown = _shown(example.view.images.small, window)
+    return {
+        "coarse": (mean - truth).square().mean(dim=0)[shown],
+        "plane": _believed_error(probability, colour, truth)[shown],
+    }
+
+
+def _believed_error(probability: Tensor, colour: Tensor, truth: Tensor) -> Tensor:
+    """Absolute colour error (h, w) of depths (d, 3, h, w), each as far as it is believed (d, h, w)."""
+    return (probability * (colour - truth).abs().mean(dim=1)).sum(dim=0)
+
+
+def _full_size(window: Window, shape: tuple[int, int], factor: int) -> Window:
+    """The window's pixels in the image, but for a margin where the networks lack a surrounding."""
+    sides = []
+    for side, length in zip(window, shape, strict=True):
+        margin = min(_MARGIN, (side.stop - side.start) // 4)
+        first = side.start + (margin if side.start > 0 else 0)
+        last = side.stop - (margin if side.stop < length else 0)
+        sides.append(slice(first * factor, last * factor))
+    return sides[0], sides[1]
+
+
+def sample_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:
+    """A window of about so many pixels, half as wide again as high, anywhere in an image (rows, columns)."""
+    height = min(shape[0], max(1, round(math.sqrt(pixels / 1.5))))
+    width = min(shape[1], max(1, pixels // height))
+    row = int(torch.randint(shape[0] - height + 1, (), generator=generator))
+    column = int(torch.randint(shape[1] - width + 1, (), generator=generator))
+    return slice(row, row + height), slice(column, column + width)
+
+
+def _drawn(examples: Sequence[LeftOut], spec: CameraSpec, generator: torch.Generator) -> LeftOut:
+    example = examples[int(torch.randint(len(examples), (), generator=generator))]
+    return example.varied(generator) if spec.varied else example
+
+
+def _shown(images: Tensor, window: Window) -> Tensor:
+    """(h, w) bool: pixels of the window at which the left-out image shows anything."""
+    # All images of a camera show the same pixels.
+    return images[0, 3][window] > 0.999

@@ -1,1 +1,0 @@
-"""What our family learns from, and its steps."""

@@ -1,0 +1,103 @@
+"""Laws of the camera's training steps."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.models.residual.camera_step import camera_step, depth_step, sample_window
+from nvsf_core.models.residual.left_out import LeftOut
+from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSpec
+from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
+from nvsf_core.rendering.learned_warp import believe_depth
+from nvsf_core.rendering.warping import to_float
+from nvsf_core.training.loop import make_optimiser
+
+CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
+STEPS = TrainingSpec(steps=40, rays=600, network_rate=5e-3)
+RECIPE = replace(
+    ResidualRecipe(name="tiny"),
+    camera=CameraSpec(sources=2, planes=16, plane_px=64 * 32),
+    depth_training=STEPS,
+    camera_training=STEPS,
+)
+
+
+def poses() -> np.ndarray:
+    result = np.tile(np.eye(4), (3, 1, 1))
+    result[:, 0, 3] = (-0.4, 0.0, 0.4)
+    return result
+
+
+def example(spec: CameraSpec = RECIPE.camera) -> LeftOut:
+    """A wall of stripes at 5 m, its middle photograph left out; no LiDAR."""
+    rays = CAMERA.rays(CAMERA.pixels())
+    x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
+    images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
+    view = camera_view(
+        poses()[1], CAMERA, np.zeros((0, 3), np.float32),
+        shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec)), poses(), spec,
+        leave_out=1,
+    )  # fmt: skip
+    truth = torch.from_numpy(images[1]).permute(2, 0, 1)
+    full = to_float(images[1:2])
+    return LeftOut(view, truth, full[0], functional.avg_pool2d(full, view.factor)[0])
+
+
+def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall() -> None:
+    networks = CameraNetworks(RECIPE.camera, torch.Generator().manual_seed(0))
+    left_out, generator = example(), torch.Generator().manual_seed(1)
+
+    def descend(network, step) -> tuple[float, float]:
+        optimiser, losses = make_optimiser(network, STEPS), []
+        for _ in range(STEPS.steps):
+            optimiser.zero_grad()
+            loss = step()
+            loss.total.backward()
+            optimiser.step()
+            losses.append(float(loss.total.detach()))
+        return float(np.mean(losses[:5])), float(np.mean(losses[-5:]))
+
+    before, after = descend(networks.depth, lambda: depth_step(networks.depth, [left_out], RECIPE, generator))
+    assert after < 0.8 * before
+    belief = believe_depth(networks.depth, left_out.view, RECIPE.camera)
+    middle = belief.inverse[0, 4:-4, 12:-12]
+    assert abs(float(middle.median()) - 0.2) < 0.04
+    before, after = descend(networks, lambda: camera_step(networks, [left_out], RECIPE, generator))
+    assert after < before
+
+
+def test_windows_lie_in_the_image_and_are_as_large_as_asked_where_they_fit() -> None:
+    generator = torch.Generator().manual_seed(0)
+    for shape, pixels in (((40, 60), 600), ((10, 12), 5000), ((8, 200), 900)):
+        rows, columns = sample_window(shape, pixels, generator)
+        assert 0 <= rows.start < rows.stop <= shape[0] and 0 <= columns.start < columns.stop <= shape[1]
+        area = (rows.stop - rows.start) * (columns.stop - columns.start)
+        assert area == shape[0] * shape[1] or 0.9 * pixels < area <= pixels
+
+
+def test_the_shown_window_trains_the_choice_of_depth_too_even_with_a_place_holder_for_a_source() -> None:
+    spec = replace(RECIPE.camera, sources=4)
+    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
+    recipe = replace(RECIPE, camera=spec, losses=LossWeights(coarse=0.0, plane=0.0))
+    camera_step(networks, [example(spec)], recipe, torch.Generator().manual_seed(1)).total.backward()
+    gradient = networks.depth.down.weight.grad
+    assert gradient is not None and torch.isfinite(gradient).all() and gradient.abs().sum() > 0
+
+
+def test_depths_are_refined_on_larger_images_and_all_networks_learn_from_structure_and_planes() -> None:
+    spec = replace(RECIPE.camera, plane_px=64 * 32 // 4, refinements=3)
+    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
+    losses = LossWeights(colour=0.0, colour_distance=0.0, coarse=0.0, structure=1.0)
+    recipe = replace(RECIPE, camera=spec, losses=losses)
+    left_out, generator = example(spec), torch.Generator().manual_seed(1)
+    assert left_out.view.factor == 2 and left_out.middle_truth.shape == (3, 32, 64)
+    loss = camera_step(networks, [left_out], recipe, generator)
+    loss.total.backward()
+    assert {"structure", "refined", "plane"} <= loss.terms.keys()
+    for name, network in networks.named_children():
+        assert network.out.weight.grad.abs().sum() > 0 if name != "depth" else True, name
+        assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None), name

@@ -1,0 +1,145 @@
+"""A profile says what a scene needs; a static scene allocates and asks for nothing dynamic."""
+
+import sys
+from dataclasses import replace
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.evidence.profile import point_spacing_m
+from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.models.residual.capacity import needed_field, needs
+from nvsf_core.models.residual.render import make_fields
+from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M
+from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
+from nvsf_core.recording.drive import Recording
+from nvsf_core.simulation.ray_renderers import field_renderer
+from nvsf_core.stages import Outcome, plan_run, run_named_stage
+from nvsf_core.stages.inputs import read_recording
+
+OF_MOTION = (
+    "evidence/moving/objects.py", "evidence/moving/object_evidence.py",
+    "evidence/moving/object_hit_priors.py", "evidence/moving/soft_motion.py", "fields/object_surfaces.py",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Outcome]:
+    """The tiny drive, in which nothing is seen often enough to be proven to move."""
+    folder = tmp_path_factory.mktemp("static")
+    write_demo(folder / "drive", size=DemoSize.tiny())
+    scene = SceneEntry(
+        name="tiny", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3,
+        test_frames=(2,),
+    )  # fmt: skip
+    run = plan_run(scene, folder / "home", recipe="smoke")
+    for stage in ("frames", "sweeps", "pano", "undistorted"):
+        run_named_stage(stage, run, lambda line: None)
+    outcome = run_named_stage("evidence", run, lambda line: None)
+    return read_recording(run.store), outcome
+
+
+def test_a_static_scene_says_so_with_its_sensors_and_extent(static: tuple[Recording, Outcome]) -> None:
+    recording, outcome = static
+    assert recording.lidar is not None and recording.lidar.evidence.dynamic is None
+    said = outcome.metadata
+    assert str(said["profile"]).startswith("static street: no time branch; LiDAR and image_00; about ")
+    assert said["moving_objects"] == 0 and said["cameras"] == 1
+    unobserved = recording.lidar.evidence.unobserved
+    assert unobserved is not None and said["unknown_voxels"] == len(unobserved.hits) > 0
+    assert 0.0 < float(said["point_spacing_m"]) <= float(said["voxel_m"])
+    assert 1.0 < float(said["extent_x_m"]) < 200.0
+
+
+def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Recording, Outcome]) -> None:
+    recording, _ = static
+    assert recording.lidar is not None and recording.lidar.moving() is None
+    recipe = preset("smoke")
+    assert isinstance(recipe, ResidualRecipe)
+    # Of what moves a drive stores each object's rays and path, and surfels without it.
+    stored = recording.lidar.evidence.to_arrays()
+    assert stored and not [name for name in stored if name.startswith(("object_", "background_"))]
+    names = make_fields(recipe, recording, 0).tensors()
+    assert names and not [name for name in names if any(w in name for w in ("time", "flow", "dynamic"))]
+    said = needs(recipe, recording)
+    total = sum(value.numel() for value in names.values())
+    assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera", "hits"))
+    assert str(said["needs"]).startswith(f"static street: no time branch; {total / 1e6:.1f} M parameters in ")
+    assert 0.0 < float(said["samples_a_ray"]) <= recipe.evidence.lidar_candidates
+
+
+def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcome]) -> None:
+    recording, _ = static
+    recipe = preset("smoke")
+    assert recording.lidar is not None and isinstance(recipe, ResidualRecipe)
+    field = make_fields(recipe, recording, 0).lidar
+    assert field is not None
+    called: set[str] = set()
+
+    def note(frame: FrameType, event: str, argument: Any) -> None:
+        if event == "call":
+            called.add(frame.f_code.co_filename)
+
+    lidar = recording.lidar
+    rays = [lidar.sweeps.arrays[name][:256] for name in ("origin_m", "direction")]
+    sys.setprofile(note)
+    try:
+        render = field_renderer(field, lidar.evidence.static, lidar.moving(), most=8, far_m=lidar.far_m)
+        with torch.no_grad():
+            rendered = render(*rays, np.ones(256, np.float32), np.zeros(256))
+    finally:
+        sys.setprofile(None)
+    assert np.isfinite(rendered.range_m).any()
+    assert any(name.endswith("fields/lidar_field.py") for name in called)
+    assert not [name for name in called if name.endswith(OF_MOTION)]
+
+
+def test_a_field_is_as_large_as_its_surface_and_its_points_fill_and_never_larger_than_the_recipe_s() -> None:
+    most = FieldSpec()
+    dense, sparse, small = floor(40.0, 0.05), floor(40.0, 0.2), floor(4.0, 0.05)
+    large = needed_field(most, dense)
+    assert large == needed_field(most, dense)
+    assert large.finest_cell_m == pytest.approx(2.5 * 0.05, rel=0.1)
+    for less in (needed_field(most, sparse), needed_field(most, small)):
+        assert less.log2_table < large.log2_table <= most.log2_table
+    assert needed_field(most, sparse).levels < large.levels <= most.levels
+    assert needed_field(most, sparse).finest_cell_m > large.finest_cell_m
+    tiny = FieldSpec(levels=2, log2_table=4, finest_cell_m=1.0)
+    assert needed_field(tiny, dense) == tiny
+
+
+def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of_the_field(
+    static: tuple[Recording, Outcome],
+) -> None:
+    recording, outcome = static
+    assert recording.lidar is not None
+    evidence = recording.lidar.evidence
+    # Three training scans are too few to choose a size.
+    assert outcome.metadata["rendered_voxel_m"] == FIELD_VOXEL_M
+    own = evidence.rendered
+    assert own is not None and evidence.for_rendering is own
+    assert len(own.precision) == own.index.count and len(evidence.static.precision) == 0
+    again = SceneEvidence.from_arrays(evidence.to_arrays()).for_rendering.to_arrays()
+    assert all(np.array_equal(again[name], value) for name, value in own.to_arrays().items())
+    assert replace(evidence, rendered=None).for_rendering is evidence.static
+
+
+def test_spacing_is_that_of_a_plane_of_points() -> None:
+    assert point_spacing_m(floor(4.0, 0.05)) == pytest.approx(0.05, rel=0.1)
+
+
+def floor(edge_m: float, spacing_m: float) -> Surfels:
+    """Of a square floor, seen from above by points in a grid."""
+    steps = np.arange(0.5 * spacing_m, edge_m, spacing_m)
+    x, y = np.meshgrid(steps, steps)
+    down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (x.size, 1))
+    origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 3.1)], axis=1).astype(np.float32)
+    return build_surfels(
+        origin, down, np.full(x.size, 3.0, np.float32), np.zeros(x.size, np.float32), voxel_m=0.2, threads=1
+    )
