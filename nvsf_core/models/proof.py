@@ -4,13 +4,12 @@ import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.moving.detection import find_moving_objects
-from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior, find_cells
 from nvsf_core.evidence.raydrop.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
-from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
+from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.evidence.static.unobserved import unobserved_beside
 from nvsf_core.models.selection.object_flow import choose_flow

@@ -7,7 +7,7 @@ import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
-from nvsf_core.simulation.lidar_rays import SweepRays
+from nvsf_core.simulation.scan import SweepRays
 
 PRIOR_SCANS = 6
 """Training scans whose drops vote, for a model that does not say how many it was trained with."""

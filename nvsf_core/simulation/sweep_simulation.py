@@ -9,9 +9,15 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
-from nvsf_core.simulation.lidar_rays import SweepRays, sweep_rays
 from nvsf_core.simulation.ray_renderers import render_in_chunks
-from nvsf_core.simulation.scan import RenderedSweep, by_lasers, measured_when_stationary, put_back_own_vehicle
+from nvsf_core.simulation.scan import (
+    RenderedSweep,
+    SweepRays,
+    by_lasers,
+    measured_when_stationary,
+    put_back_own_vehicle,
+    sweep_rays,
+)
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
 from nvsf_core.simulation.view_plan import SweepPlan
 

@@ -12,7 +12,7 @@ from nvsf_core.geometry.se3 import exp_se3, interpolate_poses, invert_pose
 from nvsf_core.sensors.beam_table import sensor_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.lidar_rays import sweep_rays
+from nvsf_core.simulation.scan import sweep_rays
 
 TITLE = "Poses far out"
 KITTI_360_M = (1_000.0, 3_700.0, 115.0)

@@ -25,9 +25,9 @@ from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.simulation.lidar_rays import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
+from nvsf_core.simulation.scan import SweepRays
 from nvsf_core.simulation.scene_model import SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan

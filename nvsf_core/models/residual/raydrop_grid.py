@@ -32,8 +32,8 @@ from nvsf_core.recipe import HitsSpec
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
-from nvsf_core.simulation.lidar_rays import SweepRays
 from nvsf_core.simulation.raydrop import HitBlend
+from nvsf_core.simulation.scan import SweepRays
 
 FEATURES = 14
 """Channels that describe a cell."""

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.moving.dynamic import DynamicEvidence
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.models.selection.object_flow import choose_flow
 from nvsf_core.rendering.reproject import reproject_rays
