@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from nvsf_core.errors import DivergedError, ShapeError
 
-__all__ = ["weights_from_opacity_logits", "weights_from_optical_depth"]
+__all__ = ["weights_from_optical_depth"]
 
 
 def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
@@ -17,8 +17,6 @@ def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
     ``w_i = exp(-sum of tau_j over j < i) * (1 - exp(-tau_i))`` and what passes all samples,
     ``exp(-sum of all tau_j)``. The transmittance is a sum of logarithms, never a product of nearly-ones,
     and 1 - exp is expm1: thin samples keep their weight and their gradient. Weights and the rest sum to 1.
-
-    Half types are summed in float32 and rounded at the end.
 
     Args:
         optical_depth: (rays, samples) floating, at least 0, front to back; infinite is opaque; 0 marks a
@@ -31,50 +29,16 @@ def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
         ShapeError: not two axes.
         DivergedError: a depth is negative.
     """
-    _require_rays_and_samples(optical_depth, "weights_from_optical_depth")
+    if optical_depth.ndim != 2:
+        raise ShapeError(
+            f"weights_from_optical_depth: expected (rays, samples), found {tuple(optical_depth.shape)}"
+        )
     if bool((optical_depth < 0.0).any()):
         raise DivergedError(
             f"weights_from_optical_depth: expected depths of at least 0, found {optical_depth.min().item()}; "
             "densities and lengths of samples are never negative: look at what makes them"
         )
-    depth = _accumulating(optical_depth)
-    weights = torch.exp(-_sum_before(depth)) * -torch.expm1(-depth)
-    return weights.to(optical_depth.dtype), torch.exp(-depth.sum(dim=-1)).to(optical_depth.dtype)
-
-
-def weights_from_opacity_logits(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """The same from opacities alpha = sigmoid(logit).
-
-    ``log(1 - alpha) = -softplus(logit)`` and ``log(alpha) = -softplus(-logit)``, so neither a nearly
-    transparent nor a nearly opaque sample is rounded away; ``w_i = exp(log alpha_i + sum of
-    log(1 - alpha_j) over j < i)``.
-
-    Args:
-        logits: (rays, samples) floating, front to back; -inf marks a sample that is not there.
-
-    Returns:
-        weights (rays, samples) in [0, 1], transmittance_after (rays,) in [0, 1].
-
-    Raises:
-        ShapeError: not two axes.
-    """
-    _require_rays_and_samples(logits, "weights_from_opacity_logits")
-    wide = _accumulating(logits)
-    optical_depth = -functional.logsigmoid(-wide)
-    weights = torch.exp(functional.logsigmoid(wide) - _sum_before(optical_depth))
-    return weights.to(logits.dtype), torch.exp(-optical_depth.sum(dim=-1)).to(logits.dtype)
-
-
-def _accumulating(tensor: Tensor) -> Tensor:
-    """In a type that a thousand terms can be added up in."""
-    return tensor.float() if tensor.dtype in (torch.float16, torch.bfloat16) else tensor
-
-
-def _sum_before(optical_depth: Tensor) -> Tensor:
-    """Exclusive cumulative sum; shifted rather than subtracted, which would cancel."""
-    return torch.cumsum(functional.pad(optical_depth, (1, 0)), dim=-1)[:, :-1]
-
-
-def _require_rays_and_samples(tensor: Tensor, function: str) -> None:
-    if tensor.ndim != 2:
-        raise ShapeError(f"{function}: expected (rays, samples), found {tuple(tensor.shape)}")
+    # The exclusive sum is shifted rather than subtracted, which would cancel.
+    depth_before = torch.cumsum(functional.pad(optical_depth, (1, 0)), dim=-1)[:, :-1]
+    weights = torch.exp(-depth_before) * -torch.expm1(-optical_depth)
+    return weights, torch.exp(-optical_depth.sum(dim=-1))
