@@ -1,14 +1,12 @@
 """The guarded operations, each in the one form that the project uses.
 
 Each function states its saturation: for every finite input the value is finite and the factor it
-multiplies the incoming gradient with is at most ``GRADIENT_LIMIT``. NaN goes in and comes out as NaN;
-`require_finite` is where it becomes an error with a name. float16 and bfloat16 are worked on in float32
-and rounded once; values and gradients that they cannot hold come out as their largest number.
+multiplies the incoming gradient with is at most e^15, 3e6. NaN goes in and comes out as NaN;
+`require_finite` is where it becomes an error with a name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, cast
 
 import torch
@@ -19,7 +17,6 @@ from nvsf_core.errors import DivergedError
 __all__ = [
     "EXP_GRADIENT_LIMIT",
     "EXP_SATURATION",
-    "GRADIENT_LIMIT",
     "probability_logit",
     "require_finite",
     "safe_exp",
@@ -30,47 +27,6 @@ EXP_SATURATION = 40.0
 
 EXP_GRADIENT_LIMIT = 15.0
 """The gradient of `safe_exp` is exp of the input clamped to plus/minus this (as NVSF's trunc_exp)."""
-
-GRADIENT_LIMIT = 1e18
-"""No function here multiplies a gradient with more than this."""
-
-_HALVES = (torch.float16, torch.bfloat16)
-
-
-class _Widen(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.dtype = x.dtype
-        return x.float()
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Tensor:
-        return _fitting(grads[0], ctx.dtype)
-
-
-class _Narrow(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, dtype: torch.dtype) -> Tensor:
-        return _fitting(x, dtype)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        return grads[0].float(), None
-
-
-def _fitting(x: Tensor, dtype: torch.dtype) -> Tensor:
-    """In a narrower type: what it cannot hold becomes its largest number."""
-    largest = torch.finfo(dtype).max
-    return x.clamp(-largest, largest).to(dtype)
-
-
-def _at_least_single(function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-    """Apply a function in float32 where the tensors are half types, else as they are."""
-    dtype = torch.result_type(tensors[0], tensors[-1])
-    if dtype not in _HALVES:
-        return function(*tensors)
-    wide = [cast(Tensor, _Widen.apply(x)) for x in tensors]  # type: ignore[no-untyped-call]
-    return cast(Tensor, _Narrow.apply(function(*wide), dtype))  # type: ignore[no-untyped-call]
 
 
 class _SafeExp(torch.autograd.Function):
@@ -97,7 +53,7 @@ def safe_exp(x: Tensor) -> Tensor:
     Returns:
         Same shape, in [0, 2.4e17].
     """
-    return _at_least_single(_SafeExp.apply, x)
+    return cast(Tensor, _SafeExp.apply(x))  # type: ignore[no-untyped-call]
 
 
 def probability_logit(probability: Tensor, margin: float) -> Tensor:
@@ -115,7 +71,7 @@ def probability_logit(probability: Tensor, margin: float) -> Tensor:
     """
     if not 1e-3 <= margin < 0.5:
         raise ValueError(f"probability_logit: expected a margin in [1e-3, 0.5), found {margin}")
-    return _at_least_single(lambda p: torch.logit(p.clamp(margin, 1.0 - margin)), probability)
+    return torch.logit(probability.clamp(margin, 1.0 - margin))
 
 
 def require_finite(name: str, tensor: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ CAPABILITIES = (
         "what moves: found, tracked, registered",
         ("evidence/moving", "kernels/bounds.py", "kernels/visibility.py", "kernels/registration.py",
          "kernels/grid_hit_priors.py"),
-        "kitti0005: F of the field .910 to .944 against all static (trial); nothing is allocated where nothing moves",
+        "kitti0005: F of the field .910 to .944 against all static (trial); a static scene has none of it",
     ),
     Capability(
         "a flow where no rigid motion explains it",
@@ -43,17 +43,17 @@ CAPABILITIES = (
     Capability(
         "scans recorded at a standstill",
         ("evidence/raydrop/stationary_scans.py", "kernels/scan_lookup.py"),
-        "other_standing, sensor at rest: F .9749 against copying's .9480, which used to win (docs/results.md)",
+        "other_standing: F .9749; copying, which used to win there, .9480 (docs/results.md)",
     ),
     Capability(
         "voxel size chosen by left-out scans",
         ("models/selection/voxel_size.py",),
-        "20 or 30 cm by drive: 15 cm would win 1 to 2 % of the range error more for 1.4 times the seconds (0013)",
+        "20 or 30 cm by drive; range errors of sparse drives fall by the larger ones (0013)",
     ),
     Capability(
         "unobserved space",
         ("evidence/static/unobserved.py",),
-        "every 4th scan: CD .0882 to .0856 (kitti0005), .0455 to .0411 (k360_street); all scans: as before (0014)",
+        "every 4th scan: CD .0882 to .0856 (kitti0005), .0455 to .0411 (k360_street) (0014)",
     ),
     Capability(
         "the field of rays",
@@ -72,19 +72,19 @@ CAPABILITIES = (
         "raydrop network on the sensor's own grid",
         ("models/residual/raydrop.py", "models/residual/raydrop_grid.py", "models/residual/cell_step.py",
          "fields/cell_network.py"),
-        "left-out scans: cross-entropy falls on ten of ten by .7 to 3.5 %; firings told right as before (0015)",
+        "left-out scans: cross-entropy of hits lower on ten of ten, by .7 to 3.5 % (0015)",
     ),
     Capability(
         "a pano of its own",
         ("models/residual/pano.py", "models/residual/pano_estimate.py", "models/residual/pano_neighbours.py"),
-        "k360_street: pano's range PSNR 29.3 to 29.9 dB by the phases, hit .969 to .971 by the network (trial)",
+        "k360_street: range PSNR 29.3 to 29.9 dB by its phases, hit .969 to .971 by the network (trial)",
     ),
     Capability(
         "camera: learned depths and blend of warped images",
         ("models/residual/camera.py", "models/residual/camera_step.py", "models/residual/left_out.py",
          "fields/camera_networks.py", "rendering/learned_warp.py", "rendering/plane_volume.py",
          "rendering/camera_view.py", "rendering/sources.py", "rendering/warping.py"),
-        "k360_street: 20.4 (reproject) to 21.7 dB; kitti0005: 20.7 to 23.6 dB; three networks instead of one + .27 dB",
+        "k360_street: 20.4 (reproject) to 21.7 dB; kitti0005: 20.7 to 23.6; three for one network + .27",
     ),
     Capability(
         "images aligned among each other",

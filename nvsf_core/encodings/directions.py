@@ -73,7 +73,7 @@ def frequency_encode(x: Tensor, frequencies: int) -> Tensor:
     """``sin(2^k pi x), cos(2^k pi x)`` for k = 0 .. frequencies - 1.
 
     Whole turns are taken off before the sine (exactly: a power of two times x rounds nothing), so that high
-    octaves are as precise as low ones in float32. Half types are worked on in float32.
+    octaves are as precise as low ones in float32.
 
     Args:
         x: (..., d) floating, any finite number.
@@ -82,12 +82,11 @@ def frequency_encode(x: Tensor, frequencies: int) -> Tensor:
     Returns:
         (..., 2 * d * frequencies): for each coordinate, for each octave, sine then cosine (tiny-cuda-nn).
     """
-    wide = x.float() if x.dtype in (torch.float16, torch.bfloat16) else x
-    octaves = torch.tensor([2.0**k for k in range(frequencies)], dtype=wide.dtype, device=x.device)
+    octaves = torch.tensor([2.0**k for k in range(frequencies)], dtype=x.dtype, device=x.device)
     # Before the octaves too, or a large x times a high octave is infinite.
-    half_turns = _within_a_turn(wide)[..., None] * octaves
+    half_turns = _within_a_turn(x)[..., None] * octaves
     angle_rad = pi * _within_a_turn(half_turns)
-    return torch.stack([torch.sin(angle_rad), torch.cos(angle_rad)], dim=-1).flatten(-3).to(x.dtype)
+    return torch.stack([torch.sin(angle_rad), torch.cos(angle_rad)], dim=-1).flatten(-3)
 
 
 def _within_a_turn(half_turns: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Rigid motions as 4x4 float64 matrices: exponential, logarithm, interpolation.
+"""Rigid motions as 4x4 float64 matrices: exponential, logarithm, inverse.
 
 A twist is (rho, phi): rho (3,) the translational part, phi (3,) the rotation vector in radians.
 `exp_se3(twist)` is the motion after one unit of time at that constant twist (a screw motion).
@@ -12,7 +12,6 @@ from nvsf_core.errors import ShapeError
 __all__ = [
     "exp_se3",
     "exp_so3",
-    "interpolate_poses",
     "invert_pose",
     "is_rigid",
     "log_se3",
@@ -79,17 +78,6 @@ def log_se3(pose: np.ndarray) -> np.ndarray:
     twice = np.cross(phi, once)
     rho = position - 0.5 * once + factor[..., None] * twice
     return np.concatenate([rho, phi], axis=-1)
-
-
-def interpolate_poses(first: np.ndarray, second: np.ndarray, fraction: np.ndarray | float) -> np.ndarray:
-    """Pose at `fraction` of the constant-twist motion from `first` to `second`.
-
-    first exp(fraction log(first^-1 second)): 0 gives `first`, 1 gives `second`, outside [0, 1] the
-    motion goes on unchanged. Shapes (..., 4, 4), (..., 4, 4), (...) broadcast; float64.
-    """
-    first = _checked(first)
-    twist = log_se3(invert_pose(first) @ _checked(second))
-    return first @ exp_se3(np.asarray(fraction, np.float64)[..., None] * twist)
 
 
 def invert_pose(pose: np.ndarray) -> np.ndarray:

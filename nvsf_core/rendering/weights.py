@@ -1,4 +1,4 @@
-"""Alpha compositing in log space: how much each sample of a ray is seen, and a ray's value from them."""
+"""Alpha compositing in log space: how much each sample of a ray is seen, and where half of it is."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
     ``exp(-sum of all tau_j)``. The transmittance is a sum of logarithms, never a product of nearly-ones,
     and 1 - exp is expm1: thin samples keep their weight and their gradient. Weights and the rest sum to 1.
 
-    Half types are summed in float32 and rounded at the end.
-
     Args:
         optical_depth: (rays, samples) floating, at least 0, front to back; infinite is opaque; 0 marks a
             sample that is not there. NaN comes out as NaN.
@@ -30,83 +28,26 @@ def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
         ShapeError: not two axes.
         DivergedError: a depth is negative.
     """
-    _require_rays_and_samples(optical_depth, "weights_from_optical_depth")
+    if optical_depth.ndim != 2:
+        raise ShapeError(
+            f"weights_from_optical_depth: expected (rays, samples), found {tuple(optical_depth.shape)}"
+        )
     if bool((optical_depth < 0.0).any()):
         raise DivergedError(
             f"weights_from_optical_depth: expected depths of at least 0, found {optical_depth.min().item()}; "
             "densities and lengths of samples are never negative: look at what makes them"
         )
-    depth = _accumulating(optical_depth)
-    weights = torch.exp(-_sum_before(depth)) * -torch.expm1(-depth)
-    return weights.to(optical_depth.dtype), torch.exp(-depth.sum(dim=-1)).to(optical_depth.dtype)
-
-
-def weights_from_opacity_logits(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """The same from opacities alpha = sigmoid(logit).
-
-    ``log(1 - alpha) = -softplus(logit)`` and ``log(alpha) = -softplus(-logit)``, so neither a nearly
-    transparent nor a nearly opaque sample is rounded away; ``w_i = exp(log alpha_i + sum of
-    log(1 - alpha_j) over j < i)``.
-
-    Args:
-        logits: (rays, samples) floating, front to back; -inf marks a sample that is not there.
-
-    Returns:
-        weights (rays, samples) in [0, 1], transmittance_after (rays,) in [0, 1].
-
-    Raises:
-        ShapeError: not two axes.
-    """
-    _require_rays_and_samples(logits, "weights_from_opacity_logits")
-    wide = _accumulating(logits)
-    optical_depth = -functional.logsigmoid(-wide)
-    weights = torch.exp(functional.logsigmoid(wide) - _sum_before(optical_depth))
-    return weights.to(logits.dtype), torch.exp(-optical_depth.sum(dim=-1)).to(logits.dtype)
-
-
-def _accumulating(tensor: Tensor) -> Tensor:
-    """In a type that a thousand terms can be added up in."""
-    return tensor.float() if tensor.dtype in (torch.float16, torch.bfloat16) else tensor
-
-
-def _sum_before(optical_depth: Tensor) -> Tensor:
-    """Exclusive cumulative sum; shifted rather than subtracted, which would cancel."""
-    return torch.cumsum(functional.pad(optical_depth, (1, 0)), dim=-1)[:, :-1]
-
-
-def _require_rays_and_samples(tensor: Tensor, function: str) -> None:
-    if tensor.ndim != 2:
-        raise ShapeError(f"{function}: expected (rays, samples), found {tuple(tensor.shape)}")
-
-
-def expected_value(weights: Tensor, values: Tensor) -> Tensor:
-    """``sum over samples of w_i * v_i``; not divided by the sum of the weights.
-
-    Args:
-        weights: (rays, samples).
-        values: (rays, samples) or (rays, samples, channels).
-
-    Returns:
-        (rays,) or (rays, channels).
-
-    Raises:
-        ShapeError: the rays or samples differ.
-    """
-    if weights.ndim != 2 or values.ndim not in (2, 3) or values.shape[:2] != weights.shape:
-        raise ShapeError(
-            "expected_value: expected weights (rays, samples) and values (rays, samples[, channels]), found "
-            f"{tuple(weights.shape)} and {tuple(values.shape)}"
-        )
-    if values.ndim == 2:
-        return (weights * values).sum(dim=-1)
-    return torch.einsum("rs,rsc->rc", weights, values)
+    # The exclusive sum is shifted rather than subtracted, which would cancel.
+    depth_before = torch.cumsum(functional.pad(optical_depth, (1, 0)), dim=-1)[:, :-1]
+    weights = torch.exp(-depth_before) * -torch.expm1(-optical_depth)
+    return weights, torch.exp(-optical_depth.sum(dim=-1))
 
 
 def weighted_median_index(weights: Tensor) -> Tensor:
     """Where the ray has given half of its weight: the smallest i with ``sum up to i >= half of the total``.
 
     On a ray that sees an edge the mean lies in the air between both surfaces; the median lies on one.
-    A ray without any weight answers 0: ask its total before believing it. Half types are summed in float32.
+    A ray without any weight answers 0: ask its total before believing it.
 
     Args:
         weights: (rays, samples), at least 0, at least one sample.
@@ -123,8 +64,6 @@ def weighted_median_index(weights: Tensor) -> Tensor:
             f"weighted_median_index: expected (rays, samples >= 1), found {tuple(weights.shape)}"
         )
     weights = weights.detach()
-    if weights.dtype in (torch.float16, torch.bfloat16):
-        weights = weights.float()
     cumulative = torch.cumsum(weights, dim=-1)
     if bool((weights < 0.0).any()):
         raise DivergedError(
@@ -133,16 +72,3 @@ def weighted_median_index(weights: Tensor) -> Tensor:
         )
     half = 0.5 * require_finite("weighted_median_index: sum of the weights", cumulative[:, -1:])
     return (cumulative < half).sum(dim=-1)
-
-
-def value_at(values: Tensor, index: Tensor) -> Tensor:
-    """The value of one sample of each ray.
-
-    Args:
-        values: (rays, samples).
-        index: (rays,) int64, each in [0, samples).
-
-    Returns:
-        (rays,).
-    """
-    return values.gather(1, index[:, None]).squeeze(1)

@@ -6,7 +6,6 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.se3 import (
     exp_se3,
     exp_so3,
-    interpolate_poses,
     invert_pose,
     is_rigid,
     log_se3,
@@ -51,21 +50,9 @@ def test_rotations_are_proper_and_agree_with_the_motion():
     np.testing.assert_allclose(log_so3(rotation), twist[:, 3:], atol=1e-12)
 
 
-@pytest.mark.parametrize("angle_rad", ANGLES_RAD)
-def test_interpolation_meets_both_ends_and_halves_add_up(angle_rad):
-    first = exp_se3(_twists(1.3))
-    first[:, :3, 3] += (1000.0, 3700.0, 115.0)  # KITTI-360's own coordinates
-    second = first @ exp_se3(_twists(angle_rad))
-    np.testing.assert_allclose(interpolate_poses(first, second, 0.0), first, atol=1e-9)
-    np.testing.assert_allclose(interpolate_poses(first, second, 1.0), second, atol=1e-9)
-    middle = interpolate_poses(first, second, 0.5)
-    np.testing.assert_allclose(interpolate_poses(first, middle, 2.0), second, atol=1e-8)
-
-
 def test_a_quarter_turn_while_driving_follows_a_circle():
-    first, second = np.eye(4), exp_se3(np.array([np.pi / 2 * 10, 0, 0, 0, 0, np.pi / 2]))
-    fractions = np.linspace(0, 1, 9)
-    path = interpolate_poses(first, second, fractions)[:, :3, 3]
+    twist = np.array([np.pi / 2 * 10, 0, 0, 0, 0, np.pi / 2])
+    path = exp_se3(np.linspace(0, 1, 9)[:, None] * twist)[:, :3, 3]
     np.testing.assert_allclose(np.linalg.norm(path - (0, 10, 0), axis=1), 10.0)
 
 

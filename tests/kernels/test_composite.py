@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import logsigmoid, pad
 
 from nvsf_core.kernels.composite import OWN_PRIOR_SHARE, composite_rays
-from nvsf_core.rendering.weights import weights_from_opacity_logits
 
 COUNTS = np.array([0, 1, 5, 24, 3, 0, 2, 12] * 40)
 RAYS, SURFACES = len(COUNTS), int(COUNTS.sum())
@@ -34,7 +34,8 @@ def padded(values: Tensor) -> Tensor:
 def by_torch(logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor) -> tuple[Tensor, Tensor]:
     """Weights and summaries by padding and by torch's operations."""
     empty = torch.where(mask(), padded(logit), -torch.inf)
-    weights, _ = weights_from_opacity_logits(empty)
+    before = torch.cumsum(pad(logsigmoid(-empty), (1, 0)), dim=1)[:, :-1]
+    weights = torch.exp(logsigmoid(empty) + before)
     total = weights.sum(dim=1)
     share = weights / total.clamp_min(torch.finfo(weights.dtype).eps)[:, None]
     means = [padded(range_m) / 50.0, padded(facts)[..., 1], padded(facts)[..., 4]]

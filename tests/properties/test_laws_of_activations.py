@@ -8,26 +8,19 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.numerics.cases.tolerances import TOLERANCES
+from benchmarks.numerics.cases.tolerances import ELEMENTWISE_ULP, EPS, SUM_EPS
 from nvsf_core import numerics
 from nvsf_core.losses.lidar import CLAMP_M, depth_loss
 from nvsf_core.losses.line_of_sight import line_of_sight_loss
-from nvsf_core.rendering.weights import (
-    expected_value,
-    weighted_median_index,
-    weights_from_opacity_logits,
-    weights_from_optical_depth,
-)
+from nvsf_core.rendering.weights import weighted_median_index, weights_from_optical_depth
 from nvsf_core.sampling.along_ray import uniform_samples
 
 LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
-SINGLE = TOLERANCES[torch.float32]
-EPS = torch.finfo(torch.float32).eps
 UNARY = {
     "safe_exp": numerics.safe_exp,
     "probability_logit": partial(numerics.probability_logit, margin=0.003),
 }
-TYPES = (torch.float64, torch.float32, torch.bfloat16, torch.float16)
+TYPES = (torch.float64, torch.float32)
 any_float = st.floats(width=32, allow_nan=False, allow_infinity=False)
 depths = st.lists(st.floats(0.0, 2.0**127, width=32), min_size=1, max_size=40)
 
@@ -54,7 +47,7 @@ def test_values_and_gradients_are_finite(name: str, dtype: torch.dtype, values: 
 @given(any_float, any_float)
 def test_all_of_them_ascend(name: str, a: float, b: float) -> None:
     low, high = UNARY[name](_tensor([min(a, b), max(a, b)]).double())
-    assert low <= high + TOLERANCES[torch.float64].elementwise_ulp * 2.0**-52 * abs(high)
+    assert low <= high + ELEMENTWISE_ULP * 2.0**-52 * abs(high)
 
 
 @LAW
@@ -72,7 +65,7 @@ def test_weights_are_shares_of_one(dtype: torch.dtype, values: list[float]) -> N
     weights, after = weights_from_optical_depth(depth)
     assert ((weights >= 0.0) & (weights <= 1.0)).all()
     total = (weights.double().sum() + after.double()).item()
-    assert abs(total - 1.0) <= TOLERANCES[dtype].sum_eps * torch.finfo(dtype).eps
+    assert abs(total - 1.0) <= SUM_EPS * torch.finfo(dtype).eps
 
 
 @LAW
@@ -81,9 +74,9 @@ def test_an_interval_of_length_zero_changes_nothing(values: list[float], place: 
     place = min(place, len(values))
     weights, after = weights_from_optical_depth(_tensor(values)[None])
     more, same = weights_from_optical_depth(_tensor([*values[:place], 0.0, *values[place:]])[None])
-    assert more[0, place] == 0.0 and (after - same).abs().max() <= SINGLE.elementwise_ulp * EPS
+    assert more[0, place] == 0.0 and (after - same).abs().max() <= ELEMENTWISE_ULP * EPS
     kept = torch.cat([more[:, :place], more[:, place + 1 :]], dim=1)
-    assert (kept - weights).abs().max() <= SINGLE.sum_eps * EPS
+    assert (kept - weights).abs().max() <= SUM_EPS * EPS
 
 
 @LAW
@@ -91,16 +84,6 @@ def test_an_interval_of_length_zero_changes_nothing(values: list[float], place: 
 def test_what_is_behind_a_wall_is_not_seen(values: list[float]) -> None:
     weights, after = weights_from_optical_depth(_tensor([math.inf, *values])[None])
     assert weights[0, 0] == 1.0 and not weights[0, 1:].any() and after.item() == 0.0
-
-
-@LAW
-@given(st.lists(st.floats(-(2.0**100), 2.0**100, width=32), min_size=1, max_size=30))
-def test_logits_and_depths_are_two_names_of_one_thing(values: list[float]) -> None:
-    logits = _tensor(values, torch.float64)[None]
-    by_logit, passed = weights_from_opacity_logits(logits)
-    by_depth, also = weights_from_optical_depth(torch.nn.functional.softplus(logits, threshold=1e3))
-    assert torch.allclose(by_logit, by_depth, rtol=0, atol=1e-12)
-    assert torch.allclose(passed, also, rtol=0, atol=1e-12)
 
 
 @LAW
@@ -122,15 +105,6 @@ def test_the_median_does_not_depend_on_the_scale_of_the_weights(values: list[flo
     sums = weights.cumsum(dim=1)[0]
     assert sums[index] >= 0.5 * sums[-1]
     assert index == 0 or sums[index - 1] <= 0.5 * sums[-1]
-
-
-@LAW
-@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.5, 100.0)), min_size=1, max_size=40))
-def test_the_expected_range_lies_among_the_ranges(pairs: list[tuple[float, float]]) -> None:
-    weights, ranges = (_tensor(list(column), torch.float64)[None] for column in zip(*pairs, strict=True))
-    total, value = weights.sum().item(), expected_value(weights, ranges).item()
-    low, high = ranges.min().item() * total, ranges.max().item() * total
-    assert low * (1 - 1e-12) - 1e-300 <= value <= high * (1 + 1e-12) + 1e-300
 
 
 @LAW

@@ -8,12 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from benchmarks.numerics.cases.cameras import KITTI_360
+from benchmarks.numerics.cases.geometry import KITTI_360
 from benchmarks.numerics.cases.tolerances import LENGTH_M, SHIFTED_POSE_M
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import (
     exp_se3,
-    interpolate_poses,
     invert_pose,
     is_rigid,
     log_se3,
@@ -67,15 +66,6 @@ def test_the_inverse_undoes_a_motion_from_both_sides(a: np.ndarray, b: np.ndarra
 @given(twists(2.5), st.floats(-1.0, 2.0), st.floats(-1.0, 2.0))
 def test_motions_along_one_twist_add_up(twist: np.ndarray, a: float, b: float) -> None:
     assert np.abs(exp_se3(a * twist) @ exp_se3(b * twist) - exp_se3((a + b) * twist)).max() < LENGTH_M
-
-
-@LAW
-@given(twists(), twists(2.5), st.floats(0.0, 1.0))
-def test_interpolation_does_not_depend_on_the_world(a: np.ndarray, step: np.ndarray, share: float) -> None:
-    first, world = exp_se3(a), exp_se3(np.array([3.0, -2.0, 1.0, 0.5, 0.1, 2.0]))
-    second = first @ exp_se3(step)
-    moved = interpolate_poses(world @ first, world @ second, share)
-    assert np.abs(moved - world @ interpolate_poses(first, second, share)).max() < LENGTH_M
 
 
 @LAW

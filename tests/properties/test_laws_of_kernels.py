@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from benchmarks.numerics.cases.tolerances import TOLERANCES
+from benchmarks.numerics.cases.tolerances import EPS, SUM_EPS
 from nvsf_core.kernels import GridLayout, hash_grid_encode
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.kernels.encodings.planes import planes_sample
@@ -15,8 +15,6 @@ from nvsf_core.metrics.ssim import ssim
 from nvsf_core.training.ema import WeightAverage
 
 LAW = settings(derandomize=True, deadline=None, max_examples=30, database=None)
-SINGLE = TOLERANCES[torch.float32]
-EPS = torch.finfo(torch.float32).eps
 LAYOUT = GridLayout(levels=4, features=2, log2_table=9, base_resolution=4, finest_resolution=256)
 seeds = st.integers(0, 2**32 - 1)
 
@@ -42,7 +40,7 @@ def _check_handed_down(value: Tensor, entries: Tensor, seed: int) -> None:
     value.backward(weight)
     assert entries.grad is not None
     up, down = (value.detach().double() * weight).sum(), (entries.detach().double() * entries.grad).sum()
-    assert abs(float(up - down)) <= SINGLE.sum_eps * EPS * (1.0 + float(value.detach().abs().sum()))
+    assert abs(float(up - down)) <= SUM_EPS * EPS * (1.0 + float(value.detach().abs().sum()))
 
 
 @LAW
@@ -90,7 +88,7 @@ def test_a_rays_surfaces_share_what_they_do_not_let_through(seed: int, rays: lis
         own = weights.detach()[first[ray] : first[ray + 1]].double()
         through = np.prod(1.0 / (1.0 + np.exp(np.clip(np.array(values, np.float64), -700.0, 700.0))))
         assert (own >= 0.0).all() and (own <= 1.0).all()
-        assert float(own.sum()) == pytest.approx(1.0 - through, abs=SINGLE.sum_eps * EPS)
+        assert float(own.sum()) == pytest.approx(1.0 - through, abs=SUM_EPS * EPS)
         assert first[ray] <= index[ray] <= max(first[ray], first[ray + 1] - 1)
     (weights.square().sum() + summary.sum()).backward()
     assert logit.grad is not None and torch.isfinite(logit.grad).all()
@@ -123,6 +121,6 @@ def test_an_average_lies_among_what_it_took_in_and_keeps_what_never_changes(
         nn.init.constant_(model.weight, value)
         average.update()
     found = average.tensors()
-    slack = SINGLE.sum_eps * EPS * max(map(abs, values))
+    slack = SUM_EPS * EPS * max(map(abs, values))
     assert min(values) - slack <= float(found["ema.weight"]) <= max(values) + slack
     assert float(found["ema.bias"]) == 3.0

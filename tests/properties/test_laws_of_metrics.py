@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from benchmarks.numerics.cases.tolerances import LENGTH_M, TOLERANCES
+from benchmarks.numerics.cases.tolerances import EPS, LENGTH_M, SUM_EPS
 from nvsf_core.evidence.static.voxels import index_points
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.losses.chamfer import squared_nearest_distances
@@ -18,8 +18,6 @@ from nvsf_core.metrics.point_cloud import F_THRESHOLD_M2, point_cloud_metrics
 from nvsf_core.models.paper.refine import one_cycle
 
 LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
-SINGLE = TOLERANCES[torch.float32]
-EPS = torch.finfo(torch.float32).eps
 seeds = st.integers(0, 2**32 - 1)
 scales = st.sampled_from([1e-3, 1.0, 80.0])
 
@@ -54,7 +52,7 @@ def test_the_chamfer_loss_is_that_of_all_pairs_and_its_gradient_is_finite(
     there, back = squared_nearest_distances(points, others)
     square = cdist(points.detach().double().numpy(), others.double().numpy(), "sqeuclidean")
     for found, exact in ((there, square.min(axis=1)), (back, square.min(axis=0))):
-        assert np.abs(found.detach().numpy() - exact).max() <= SINGLE.sum_eps * EPS * (exact.max() + 1e-12)
+        assert np.abs(found.detach().numpy() - exact).max() <= SUM_EPS * EPS * (exact.max() + 1e-12)
     (there.sum() + back.sum()).backward()
     assert points.grad is not None and torch.isfinite(points.grad).all()
 

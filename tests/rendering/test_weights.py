@@ -1,4 +1,4 @@
-"""Laws of alpha compositing and of what is accumulated with its weights."""
+"""Laws of alpha compositing and of the sample that its weights point at."""
 
 import math
 
@@ -6,13 +6,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import DivergedError, ShapeError
-from nvsf_core.rendering.weights import (
-    expected_value,
-    value_at,
-    weighted_median_index,
-    weights_from_opacity_logits,
-    weights_from_optical_depth,
-)
+from nvsf_core.rendering.weights import weighted_median_index, weights_from_optical_depth
 
 
 def _depths(rays=50, samples=70, scale=0.1):
@@ -37,14 +31,6 @@ def test_weights_and_what_passes_sum_to_one(scale):
     assert (weights.sum(dim=1) + after - 1).abs().max() < 1e-5
 
 
-def test_both_forms_agree():
-    logits = torch.randn(40, 30, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * 4
-    by_logit = weights_from_opacity_logits(logits)
-    by_depth = weights_from_optical_depth(torch.nn.functional.softplus(logits, threshold=100))
-    for a, b in zip(by_logit, by_depth, strict=True):
-        assert torch.allclose(a, b, rtol=1e-9, atol=1e-15)
-
-
 def test_thin_samples_keep_weight_and_gradient_in_float32():
     tau = torch.full((1, 4), 1e-10).requires_grad_()
     weights, _ = weights_from_optical_depth(tau)
@@ -53,23 +39,18 @@ def test_thin_samples_keep_weight_and_gradient_in_float32():
     assert tau.grad[0].tolist() == pytest.approx([1.0] * 4, rel=1e-5)
 
 
-@pytest.mark.parametrize("function", [weights_from_optical_depth, weights_from_opacity_logits])
-def test_extremes_have_finite_gradients(function):
-    extremes = [0.0, 1e-38, 1.0, 90.0, 1e30, math.inf, 5.0, 0.0]
-    if function is weights_from_opacity_logits:
-        extremes = [-math.inf, -1e30, -100.0, 0.0, 100.0, 1e30, 3.0, -math.inf]
-    x = torch.tensor([extremes]).requires_grad_()
-    weights, after = function(x)
+def test_extremes_have_finite_gradients():
+    x = torch.tensor([[0.0, 1e-38, 1.0, 90.0, 1e30, math.inf, 5.0, 0.0]]).requires_grad_()
+    weights, after = weights_from_optical_depth(x)
     (weights.square().sum() + after.sum()).backward()
     assert torch.isfinite(weights).all()
     assert torch.isfinite(after).all()
     assert torch.isfinite(x.grad).all()
 
 
-@pytest.mark.parametrize("function", [weights_from_optical_depth, weights_from_opacity_logits])
-def test_the_weights_pass_gradcheck(function):
+def test_the_weights_pass_gradcheck():
     x = (_depths(3, 6, 2.0) + 0.01).requires_grad_()
-    assert torch.autograd.gradcheck(function, (x,))
+    assert torch.autograd.gradcheck(weights_from_optical_depth, (x,))
 
 
 def test_nothing_behind_an_opaque_sample_is_seen():
@@ -78,39 +59,22 @@ def test_nothing_behind_an_opaque_sample_is_seen():
     assert after.tolist() == [0.0]
 
 
-@pytest.mark.parametrize("function", [weights_from_optical_depth, weights_from_opacity_logits])
-def test_a_ray_without_samples_passes_whole(function):
-    weights, after = function(torch.zeros(3, 0))
+def test_a_ray_without_samples_passes_whole():
+    weights, after = weights_from_optical_depth(torch.zeros(3, 0))
     assert weights.shape == (3, 0)
     assert after.tolist() == [1.0] * 3
     with pytest.raises(ShapeError):
-        function(torch.zeros(3))
-
-
-def test_the_expected_value_sums_over_samples():
-    weights = torch.tensor([[0.25, 0.5], [0.0, 0.0]])
-    values = torch.tensor([[4.0, 8.0], [1.0, 1.0]])
-    assert expected_value(weights, values).tolist() == [5.0, 0.0]
-    assert expected_value(weights, torch.stack([values, -values], dim=2)).tolist() == [
-        [5.0, -5.0],
-        [0.0, 0.0],
-    ]
-    with pytest.raises(ShapeError):
-        expected_value(weights, values[:1])
+        weights_from_optical_depth(torch.zeros(3))
 
 
 def test_the_median_is_the_first_sample_to_reach_half_of_the_weight():
     weights = torch.tensor([[0.1, 0.3, 0.1, 0.1], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.2], [0.0] * 4])
     index = weighted_median_index(weights)
     assert index.tolist() == [1, 0, 3, 0]
-    assert value_at(torch.arange(16.0).reshape(4, 4), index).tolist() == [1.0, 4.0, 11.0, 12.0]
 
 
 def test_the_median_of_a_bimodal_ray_lies_on_a_surface():
-    weights = torch.tensor([[0.45, 0.0, 0.0, 0.55]])
-    ranges_m = torch.tensor([[10.0, 15.0, 20.0, 30.0]])
-    assert value_at(ranges_m, weighted_median_index(weights)).item() == 30.0
-    assert expected_value(weights, ranges_m).item() == pytest.approx(21.0)
+    assert weighted_median_index(torch.tensor([[0.45, 0.0, 0.0, 0.55]])).tolist() == [3]
 
 
 def test_the_median_refuses_nan_and_empty_rays():

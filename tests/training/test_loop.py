@@ -69,6 +69,20 @@ def test_training_lowers_the_loss() -> None:
     assert state.curve[-1]["loss"] < state.curve[0]["loss"]
 
 
+@pytest.mark.parametrize("steps", [1, 2, 1250])
+def test_rates_fall_evenly_in_their_logarithm_from_the_full_one(steps: int) -> None:
+    spec, seen = TrainingSpec(steps=steps, rays=8, final_share=0.05, checkpoint_s=1e9), []
+    state = fresh_state()
+    state.optimiser = make_optimiser(state.model, spec)
+
+    def step(_: int, __: torch.Generator) -> list[LossBreakdown]:
+        seen.append(state.optimiser.param_groups[-1]["lr"] / spec.network_rate)
+        return []
+
+    train(state, spec, step, ignore, ignore)
+    assert seen == pytest.approx([0.05 ** (k / steps) for k in range(steps)], rel=1e-12)
+
+
 def test_a_nan_names_step_and_term_and_saves_nothing() -> None:
     state = fresh_state()
     saved = []

@@ -1,4 +1,4 @@
-"""Comparing a torch function with a reference that shares no code with it, in every data type."""
+"""Judging a torch function in float32 by a reference in float64 or mpmath that shares no code with it."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,28 +8,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.numerics.cases.case import NOT_APPLICABLE, NOT_ON_GPU, Gradient, Reading
-from benchmarks.numerics.cases.tolerances import TOLERANCES
+from benchmarks.numerics.cases.case import NOT_APPLICABLE, NOT_ON_GPU, Reading
+from benchmarks.numerics.cases.tolerances import GRADIENT
 
-__all__ = ["Reference", "against", "by_autograd", "by_mpmath", "every_float", "unit_in_last_place"]
-
-HALVES = (torch.bfloat16, torch.float16)
 _DIGITS = 60
+_SINGLE = torch.finfo(torch.float32)
 
 Reference = Callable[[Sequence[np.ndarray]], tuple[np.ndarray, list[np.ndarray]]]
 """Inputs in float64 to the value in float64 and, for each input, the gradient of the value's sum."""
 
 
-def every_float(count: int, seed: int = 0, *, low: float = -math.inf, high: float = math.inf) -> np.ndarray:
+def every_float(count: int, seed: int = 0) -> np.ndarray:
     """Finite float32 drawn evenly over their bit patterns, so over all magnitudes, and the special ones."""
     bits = np.random.default_rng(seed).integers(0, 1 << 32, 4 * count, dtype=np.uint64).astype(np.uint32)
     info = np.finfo(np.float32)
     special = [0.0, info.tiny, info.smallest_subnormal, info.max, 1.0, info.eps, 1e4, 88.0, 89.0, 40.0, 15.0]
     drawn = bits.view(np.float32)
     finite = drawn[np.isfinite(drawn)].astype(np.float64)
-    numbers = np.concatenate([finite, special, np.negative(special)])
-    kept: np.ndarray = numbers[(numbers >= low) & (numbers <= high)]
-    return kept[-count:]
+    kept: np.ndarray = np.concatenate([finite, special, np.negative(special)])[-count:]
+    return kept
 
 
 def by_mpmath(
@@ -39,10 +36,9 @@ def by_mpmath(
 
     def reference(inputs: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
         with mpmath.workdps(_DIGITS):
-            points = [mpmath.mpf(float(x)) for x in inputs[0]]
-            values = np.array([float(function(x)) for x in points])
-            slopes = np.array([float(slope(x)) for x in points])
-        return values, [slopes]
+            points = [mpmath.mpf(float(x)) for x in inputs[0].ravel()]
+            both = [np.array([float(f(x)) for x in points]) for f in (function, slope)]
+        return both[0].reshape(inputs[0].shape), [both[1].reshape(inputs[0].shape)]
 
     return reference
 
@@ -53,108 +49,67 @@ def by_autograd(formula: Callable[..., Tensor]) -> Reference:
     def reference(inputs: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
         tensors = [torch.from_numpy(np.array(x, np.float64)).requires_grad_() for x in inputs]
         value = formula(*tensors)
-        gradients = torch.autograd.grad(value.sum(), tensors, allow_unused=True)
-        zero = [np.zeros(x.shape) if g is None else g.numpy() for x, g in zip(inputs, gradients, strict=True)]
-        return value.detach().numpy(), zero
+        return value.detach().numpy(), [g.numpy() for g in torch.autograd.grad(value.sum(), tensors)]
 
     return reference
 
 
-def unit_in_last_place(magnitude: np.ndarray, dtype: torch.dtype) -> np.ndarray:
-    """Distance between neighbouring numbers of a type at some magnitude, float64."""
-    info = torch.finfo(dtype)
-    _, exponent = np.frexp(np.maximum(np.abs(magnitude), info.tiny))
-    unit: np.ndarray = np.ldexp(info.eps, exponent - 1)
-    return unit
-
-
 def against(
-    function: Callable[..., Tensor],
-    reference: Reference,
-    inputs: Sequence[np.ndarray],
-    *,
-    scale: float | None = None,
-    gradient_scale: float = 0.0,
-    is_sum: bool = False,
-    has_gradient: bool = True,
-    halves: Sequence[torch.dtype] = HALVES,
-    outcome: str = "",
-) -> Reading:
-    """Largest error of a function in float32, and how it did in the other types and on CUDA.
+    function: Callable[..., Tensor], reference: Reference, inputs: Sequence[np.ndarray], *,
+    scale: float | None = None, gradient_scale: float | None = 0.0, has_cuda: bool = True,
+) -> Reading:  # fmt: skip
+    """Largest error of a function in float32, in units in the last place, and of its gradient.
 
-    The reference sees each type's own rounding of the inputs, so only the function's errors count. What a
-    half type cannot hold is expected at its largest number.
+    The reference sees the float32 inputs, so only the function's errors count. What float32 cannot hold is
+    expected at its largest number.
 
     Args:
         function: Tensors to a tensor.
         reference: The same, independent.
         inputs: float64.
         scale: Magnitude at whose last place errors are counted; None = each value's own.
-        gradient_scale: Errors of the gradient count relative to at least this.
-        is_sum: Whether roundings of many terms add up.
-        has_gradient: Whether to compare gradients.
-        halves: Half types that the function takes.
-        outcome: Remark for the table.
+        gradient_scale: Errors of the gradient count relative to at least this; None = no gradient.
+        has_cuda: Whether the function takes tensors on CUDA.
     """
-
-    def measure(dtype: torch.dtype, device: str) -> Reading:
-        slope = gradient_scale if has_gradient else None
-        return _measure(function, reference, inputs, dtype, device, scale, slope, is_sum)
-
-    single = measure(torch.float32, "cpu")
-    reduced = [_short(measure(half, "cpu"), half) for half in halves]
-    failing = [text for text in reduced if text.startswith("fail")]
-    cuda = NOT_ON_GPU
-    if torch.cuda.is_available():
-        cuda = _short(measure(torch.float32, "cuda"), torch.float32)
-    return Reading(
-        error=single.error, limit=single.limit, unit=single.unit, gradient=single.gradient,
-        float32="ok" if single.is_ok else "fail",
-        reduced="; ".join(failing or reduced) or NOT_APPLICABLE, cuda=cuda, outcome=outcome,
-    )  # fmt: skip
+    error, gradient = _measured(function, reference, inputs, "cpu", scale, gradient_scale)
+    cuda: float | str = NOT_ON_GPU if has_cuda else NOT_APPLICABLE
+    if has_cuda and torch.cuda.is_available():
+        there, slope = _measured(function, reference, inputs, "cuda", scale, gradient_scale)
+        cuda = there if slope is None or slope <= GRADIENT else math.inf
+    return Reading(error=error, gradient=gradient, cuda=cuda)
 
 
-def _short(found: Reading, dtype: torch.dtype) -> str:
-    name = {torch.bfloat16: "bf16", torch.float16: "fp16"}.get(dtype, "fp32")
-    slope = "" if found.gradient is None else f", gradient {found.gradient.error:.1e}"
-    return f"{'' if found.is_ok else 'fail: '}{name} {found.error:.2g} {found.unit}{slope}"
-
-
-def _measure(
-    function: Callable[..., Tensor], reference: Reference, inputs: Sequence[np.ndarray], dtype: torch.dtype,
-    device: str, scale: float | None, gradient_scale: float | None, is_sum: bool,
-) -> Reading:  # fmt: skip
-    tensors = [_cast(x, dtype).to(device).requires_grad_(gradient_scale is not None) for x in inputs]
+def _measured(
+    function: Callable[..., Tensor], reference: Reference, inputs: Sequence[np.ndarray], device: str,
+    scale: float | None, gradient_scale: float | None,
+) -> tuple[float, float | None]:  # fmt: skip
+    tensors = [torch.from_numpy(x).float().to(device) for x in inputs]
+    for tensor in tensors:
+        tensor.requires_grad_(gradient_scale is not None)
     exact, slopes = reference([t.detach().cpu().double().numpy() for t in tensors])
     value = function(*tensors)
-    largest, allowed = torch.finfo(dtype).max, TOLERANCES[dtype]
-    gradient = None
-    if gradient_scale is not None:
-        found = torch.autograd.grad(value.sum(), tensors, allow_unused=True)
-        gradient = _gradient(found, [np.clip(s, -largest, largest) for s in slopes], dtype, gradient_scale)
-    exact = np.clip(exact, -largest, largest)
+    exact = np.clip(exact, -_SINGLE.max, _SINGLE.max)
     wrong = np.abs(value.detach().cpu().double().numpy() - exact)
-    unit = unit_in_last_place(exact if scale is None else np.full(exact.shape, scale), dtype)
-    error = float((wrong / unit).max()) if wrong.size else 0.0
-    limit = allowed.sum_eps if is_sum else allowed.elementwise_ulp
-    return Reading(error=math.inf if math.isnan(error) else error, limit=limit, unit="ulp", gradient=gradient)
+    error = float((wrong / _unit_in_last_place(exact if scale is None else np.array(scale))).max())
+    if gradient_scale is None:
+        return error, None
+    found = torch.autograd.grad(value.sum(), tensors)
+    return error, max(_slope_error(f, s, gradient_scale) for f, s in zip(found, slopes, strict=True))
 
 
-def _cast(values: np.ndarray, dtype: torch.dtype) -> Tensor:
-    """In a type, what it cannot hold at its largest number."""
-    largest = torch.finfo(dtype).max
-    return torch.from_numpy(np.clip(values, -largest, largest)).to(dtype)
+def _unit_in_last_place(magnitude: np.ndarray) -> np.ndarray:
+    """Distance between neighbouring float32 at some magnitude, float64."""
+    _, exponent = np.frexp(np.maximum(np.abs(magnitude), _SINGLE.tiny))
+    unit: np.ndarray = np.ldexp(_SINGLE.eps, exponent - 1)
+    return unit
 
 
-def _gradient(
-    found: Sequence[Tensor | None], exact: Sequence[np.ndarray], dtype: torch.dtype, scale: float
-) -> Gradient:
-    """Largest error of the gradients, relative to the larger of the true one and the least normal number."""
-    error, finite = 0.0, True
-    for tensor, true in zip(found, exact, strict=True):
-        values = np.zeros(true.shape) if tensor is None else tensor.cpu().double().numpy()
-        finite &= bool(np.isfinite(values).all())
-        # What lies below the type's normal numbers is right to within one of them.
-        beside = np.maximum(np.abs(values - true) - torch.finfo(dtype).tiny, 0.0)
-        error = max(error, float((beside / np.maximum(np.abs(true), max(scale, 1e-300))).max(initial=0.0)))
-    return Gradient(finite, error, TOLERANCES[dtype].gradient)
+def _slope_error(found: Tensor, exact: np.ndarray, scale: float) -> float:
+    """Largest error of a gradient, relative to the larger of the true one and the scale."""
+    exact = np.clip(exact, -_SINGLE.max, _SINGLE.max)
+    values = found.cpu().double().numpy()
+    if not np.isfinite(values).all():
+        return math.inf
+    # What lies below the normal numbers is right to within one of them.
+    beside = np.maximum(np.abs(values - exact) - _SINGLE.tiny, 0.0)
+    return float((beside / np.maximum(np.abs(exact), max(scale, 1e-300))).max())

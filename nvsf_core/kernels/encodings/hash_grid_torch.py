@@ -21,9 +21,7 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     Returns:
         (n, levels * features), of the table's type, level by level.
     """
-    # A half type cannot hold a place among 2^20 cells.
-    is_half = positions.dtype in (torch.float16, torch.bfloat16)
-    inside = (positions.float() if is_half else positions).clamp(0.0, 1.0)
+    inside = positions.clamp(0.0, 1.0)
     return torch.cat([_encode_level(inside, table, layout, level) for level in range(layout.levels)], dim=-1)
 
 

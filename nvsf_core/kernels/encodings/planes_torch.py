@@ -11,8 +11,6 @@ __all__ = ["sample"]
 def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
     """Sample a plane (features, height, width) at (n, 2); see `nvsf_core.kernels.planes_sample`."""
     features, height, width = plane.shape
-    if coordinates.dtype in (torch.float16, torch.bfloat16):
-        coordinates = coordinates.float()  # a half type cannot hold a place among hundreds of cells
     cells = torch.tensor([width - 1, height - 1], dtype=coordinates.dtype, device=coordinates.device)
     position = coordinates.clamp(0.0, 1.0) * cells
     lower = torch.floor(position.detach())
