@@ -1,7 +1,7 @@
-"""How far a view's pixels look, as far as images alone prove that it is nearer than the sky.
+"""Depth of a camera's upward-looking pixels from two images, where they prove that it is not the sky.
 
-A plane sweep gives every pixel some depth, the sky that of whatever is next to it. Its two images are asked
-once more: only where they would differ more at the sky's distance than they do at the depth is it believed.
+A plane sweep gives every pixel some depth; a pixel of the sky gets that of whatever is next to it. So a depth
+counts as proven only where the two images differ more at the sky's distance than at that depth.
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,10 @@ from nvsf_core.rendering.warping import (
 )
 
 _NOISE = 0.01
-"""Mean difference of colours, of 0..1, by which the sky's distance must do worse."""
+"""By this much, in colours 0..1, the images must differ more at the sky's distance."""
 
 
+# Wide: the view (pose, pinhole), the points, the source images and the limit are independent inputs.
 def image_depth(
     pose: np.ndarray,
     pinhole: Pinhole,
@@ -44,17 +45,19 @@ def image_depth(
     up: np.ndarray,
     elevation_rad: float,
 ) -> DepthRays:
-    """Rays of a view's shrunk pixels that look up steeply and that two images show; none with one image.
+    """Rays of a view's steep pixels that two images show, with a range, or infinity for the sky.
+
+    The pixels are those of the view shrunk for the plane sweep. With one image there are no rays.
 
     Args:
         pose: (4, 4) camera to scene-local frame.
         pinhole: Intrinsics of the view and of all images.
-        points_m: (m, 3) float32 scene-local, which pull the depths.
+        points_m: (m, 3) float32, scene-local, metres: LiDAR points that the depths are pulled to.
         images: (k, H, W, 3) uint8.
-        poses: (k, 4, 4) their cameras to the scene-local frame.
-        valid: (H, W) bool, their pixels that show anything.
+        poses: (k, 4, 4) camera to scene-local frame of each image.
+        valid: (H, W) bool, pixels of the images that show anything.
         up: (3,) unit normal, scene-local, of the plane that elevations are counted from.
-        elevation_rad: What rays exceed.
+        elevation_rad: Only rays above this elevation are returned.
     """
     nowhere = DepthRays(pose[:3, 3].astype(np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
     options = SweepOptions()
@@ -62,12 +65,12 @@ def image_depth(
     small = shrunk(pinhole, factor)
     rays = plane_rays(small).numpy() @ pose[:3, :3].T
     direction = (rays / np.linalg.norm(rays, axis=2, keepdims=True)).astype(np.float32)
-    asked = direction @ up > np.sin(elevation_rad)
+    steep = direction @ up > np.sin(elevation_rad)
     chosen = nearest_sources(pose, poses)
-    if len(chosen) < 2 or not asked.any():
+    if len(chosen) < 2 or not steep.any():
         return nowhere
-    # What is not asked is not swept, but for the windows around the lowest of what is.
-    rows = min(small.height, int(np.flatnonzero(asked.any(axis=1))[-1]) + 1 + options.window_px)
+    # Only the upper rows are swept: down to the lowest steep pixel, and the window around it.
+    rows = min(small.height, int(np.flatnonzero(steep.any(axis=1))[-1]) + 1 + options.window_px)
     colours = to_float(images[chosen])
     swept = inverse_depth(pose, pinhole, points_m, colours, poses[chosen], sweep=options, rows=rows * factor)
     middle = slice(factor // 2, None, factor)
@@ -79,7 +82,7 @@ def image_depth(
         _disagreement(sources, motions, depth, small, options.window_px)
         for depth in (inverse, torch.full_like(inverse, 1.0 / FAR_M))
     )
-    is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy() & asked[:rows]
+    is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy() & steep[:rows]
     range_m = torch.linalg.vector_norm(plane_rays(small)[:rows], dim=-1) / inverse
     proven = torch.where(sky > near + _NOISE, range_m, torch.inf).numpy()
     return DepthRays(nowhere.origin_m, direction[:rows][is_known], proven[is_known])
@@ -88,9 +91,14 @@ def image_depth(
 def _disagreement(
     sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, pinhole: Pinhole, window_px: int
 ) -> Tensor:
-    """Mean difference (r, w) of what two sources (2, 4, h, w) show around each pixel; NaN unless both do.
+    """Mean difference (r, w) of two sources' colours around each pixel; NaN unless both show it.
 
-    Of the upper r rows, whose inverse depths (r, w) are given.
+    Args:
+        sources: (2, 4, h, w): colour, and 1 where the pixel shows anything.
+        motions: (4, 4) each, from the view's frame to the source's.
+        inverse: (r, w) inverse depths of the upper r rows, 1/m.
+        pinhole: Intrinsics of the view and of the sources.
+        window_px: Side of the square that is averaged.
     """
     rays, colours = plane_rays(pinhole)[: len(inverse)], []
     seen = torch.ones(inverse.shape, dtype=torch.bool)

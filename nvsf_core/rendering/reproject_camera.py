@@ -1,8 +1,8 @@
-"""The training-free camera: recorded images, warped into the wanted view by the LiDAR's depth.
+"""Camera rendering without training: recorded images, warped into the view by the LiDAR's depth.
 
-The depth is that of the aggregated returns, seen through a z-buffer that drops what lies behind a
-nearer surface's neighbourhood. Gaps take the nearest depth; far from any return, where that is a
-guess, a plane sweep between the two source images corrects it.
+Depth comes from aggregated returns through a z-buffer; points behind the neighbourhood of a nearer surface
+are dropped. A pixel without a return has the depth of the nearest return in the image. Far from any return a
+plane sweep between the two source images corrects that guess.
 """
 
 import math
@@ -31,41 +31,41 @@ from nvsf_core.rendering.warping import (
 )
 
 FAR_M = 300.0
-"""Depth of the sky, and of everything where there is no LiDAR at all."""
+"""Depth of the sky, and of all pixels in a drive without LiDAR."""
 _NEAREST_PLANE_M = 3.0
 _MEDIAN_PX = 7
 _UNSEEN_COST = 0.5
-"""Difference in grey value that counts where one of two images does not show a candidate."""
+"""Difference in grey value that is assumed where one of two images does not show a candidate."""
 _BASELINE_FLOOR_M = 0.05
-"""Below this distance a source image counts as taken at the wanted place."""
+"""Nearer images count as taken at the same place."""
 
 
 @dataclass(frozen=True, slots=True)
 class WarpedView(RenderedImage):
-    """A view made of warped images; black where nothing answers."""
+    """A view made of warped images; black where no source shows it."""
 
     is_covered: np.ndarray
-    """(H, W) bool, a source shows it."""
+    """(H, W) bool: a source shows the pixel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepOptions:
-    """The plane sweep that finds depth where the LiDAR has none."""
+    """Settings of the plane sweep that finds depth far from returns."""
 
     planes: int = 48
-    """Depths that are tried, evenly spaced in inverse depth from 3 m to 300 m."""
+    """Number of depths, evenly spaced in inverse depth from 3 m to 300 m."""
     width_px: int = 704
-    """The comparison is done on images shrunk by a whole number to about this width, for speed."""
+    """Images are compared after shrinking by a whole number to about this width, for speed."""
     window_px: int = 17
     """Side of the square over which the two shrunk images are compared."""
     beyond_px: float = 3.0
     """Pixels nearer than this to a return keep the LiDAR's depth."""
     pull: float = 0.15
-    """Cost of leaving the filled depth, grey values (0..1) for the whole span of inverse depths; where no
-    point is seen at all there is no depth to leave."""
+    """Cost of a difference to the filled depth: grey values (0..1) for the whole span of inverse depths. 0 is
+    used if the view shows no return at all."""
 
     def shrinking(self, pinhole: Pinhole) -> int:
-        """By how much images are shrunk for the comparison."""
+        """By how much images of a camera are shrunk for the comparison."""
         return max(1, round(pinhole.width / self.width_px))
 
 
@@ -79,19 +79,19 @@ def render_by_warping(
     source_valid: np.ndarray | None = None,
     sweep: SweepOptions | None = SweepOptions(),
 ) -> WarpedView:
-    """Show a view by warping the two source images nearest to it.
+    """Render a view by warping the two source images nearest to it.
 
-    A pixel is the mean of both, weighted by the inverse of their distance to the wanted place; where
-    only one sees it, that one.
+    A pixel is the mean of both, weighted by the inverse of their cameras' distances to the view; where only
+    one shows it, that one's value.
 
     Args:
-        target_pose: (4, 4) camera to scene-local frame.
-        pinhole: Intrinsics of the wanted view and of all sources.
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view and of all sources.
         depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
         source_images: (k, H, W, 3) uint8, k >= 1.
         source_poses: (k, 4, 4) camera to scene-local frame.
         source_valid: (H, W) bool, pixels of the sources that show anything; None = all.
-        sweep: How depth is found far from returns; None = the nearest return's depth stays.
+        sweep: Plane sweep for depth far from returns; None = the nearest return's depth is kept.
 
     Raises:
         ShapeError: There is no source, or the arrays do not fit each other.
@@ -133,17 +133,17 @@ def inverse_depth(
     sweep: SweepOptions | None,
     rows: int | None = None,
 ) -> Tensor:
-    """Inverse depth (rows, W) along z, 1/m, of a view's upper rows: of all (None) or of so many.
+    """Inverse depth (rows, W) along z, 1/m, of a view's upper rows.
 
     Args:
-        target_pose: (4, 4) camera to scene-local frame.
-        pinhole: Intrinsics of the wanted view and of all sources.
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view and of all sources.
         depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
-        images: (k, 3, H, W) float32 in 0..1; two of them are swept.
+        images: (k, 3, H, W) float32 in 0..1; swept if k is 2.
         source_poses: (k, 4, 4) camera to scene-local frame.
-        sweep: How depth is found far from returns; None = the nearest return's depth stays.
-        rows: Of the view. Depth near the lowest of them is told by points below them, too, and is the less
-            exact for it: ask for some more.
+        sweep: Plane sweep for depth far from returns; None = the nearest return's depth is kept.
+        rows: Number of upper rows; None = all. The lowest of them are less exact, as points below them are
+            ignored: ask for some more.
     """
     seen = pinhole if rows is None else replace(pinhole, height=rows)
     depth_m, gap_px = view_depth(target_pose, seen, depth_points_local)
@@ -155,7 +155,13 @@ def inverse_depth(
 
 
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
-    """Indices of the (at most) `most` sources nearest in place, the nearest first; ties keep their order."""
+    """Indices of the (at most) `most` cameras nearest to a view, the nearest first; ties keep their order.
+
+    Args:
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        source_poses: (k, 4, 4) camera to scene-local frame.
+        most: Largest number of indices.
+    """
     distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
     return [int(i) for i in np.argsort(distances, kind="stable")[:most]]
 
@@ -165,9 +171,14 @@ def view_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth of every pixel of a view, from points.
 
+    Args:
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view.
+        depth_points_local: (M, 3) float32, scene-local, metres; M may be 0.
+
     Returns:
-        `depth_m` (H, W) float32 along z, positive and finite: the nearest seen point's, by distance in
-        the image, and `gap_px` (H, W) float32 the distance to it, inf where there is no point at all.
+        `depth_m` (H, W) float32 along z, positive and finite: that of the visible point nearest in the image;
+        and `gap_px` (H, W) float32, the distance to it, inf if no point is visible.
     """
     shape = (pinhole.height, pinhole.width)
     sparse = _splat(target_pose, pinhole, depth_points_local)
@@ -184,10 +195,16 @@ def view_depth(
 def view_label(
     target_pose: np.ndarray, pinhole: Pinhole, clouds: Sequence[np.ndarray], reach_px: float
 ) -> np.ndarray:
-    """Which of several clouds (m, 3) each pixel of a view shows: that of the nearest seen point.
+    """Which of several clouds of points each pixel of a view shows: that of the nearest visible point.
+
+    Args:
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view.
+        clouds: (m, 3) float32 each, scene-local, metres; the first is the static one.
+        reach_px: Largest distance in the image from a pixel to its point.
 
     Returns:
-        (H, W) uint8 number of the cloud; 0, too, where no point is seen within `reach_px`.
+        (H, W) uint8 number of the cloud; also 0 where no point is visible within `reach_px`.
     """
     label = np.zeros((pinhole.height, pinhole.width), np.uint8)
     each = np.stack([_splat(target_pose, pinhole, cloud) for cloud in clouds])
@@ -208,6 +225,7 @@ def view_label(
 
 
 def _splat(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarray:
+    """Depth (H, W) of the points that a view shows, inf between them."""
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
     sparse: np.ndarray = splat_depth(points_m, invert_pose(pose), intrinsics, (pinhole.height, pinhole.width))
     return sparse
@@ -221,14 +239,23 @@ def _sweep(
     gap_px: Tensor,
     options: SweepOptions,
 ) -> Tensor:
-    """Replace inverse depth (h, W) of the upper rows far from returns by that at which both images agree."""
+    """Inverse depth (h, W) of the upper rows; far from returns, that at which both images agree best.
+
+    Args:
+        images: (2, 3, H, W) float32 in 0..1.
+        motions: (4, 4) each, from the view's frame to the image's.
+        pinhole: Intrinsics of the view and of both images.
+        inverse: (h, W) inverse depth from returns, 1/m.
+        gap_px: (h, W) distance to the nearest return.
+        options: Settings.
+    """
     factor = options.shrinking(pinhole)
     small = shrunk(pinhole, factor)
     grey = functional.avg_pool2d(images.mean(dim=1, keepdim=True), factor)
     size = (len(inverse) // factor, small.width)
     prior = functional.interpolate(inverse[None, None], size, mode="nearest")[0, 0]
     rays = plane_rays(small)[: size[0]]
-    # Without a single return the fill is a placeholder: pulling towards it cost 0.6 dB on a real street.
+    # Without any return the filled depth is a placeholder: a pull towards it cost 0.6 dB on a real street.
     pull = options.pull if bool(torch.isfinite(gap_px).any()) else 0.0
     span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
     best_cost = torch.full_like(prior, torch.inf)
@@ -251,13 +278,14 @@ def _sweep(
 
 
 def box_mean(image: Tensor, side: int) -> Tensor:
-    """Mean over a square window, one axis after the other."""
+    """Mean of an image (h, w) over a square window of that side in pixels, one axis after the other."""
     half = side // 2
     rows = functional.avg_pool2d(image[None, None], (side, 1), 1, (half, 0), count_include_pad=False)
     return functional.avg_pool2d(rows, (1, side), 1, (0, half), count_include_pad=False)[0, 0]
 
 
 def _distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Distance in metres between two cameras, by their poses (4, 4)."""
     return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
 
 

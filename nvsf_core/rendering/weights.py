@@ -1,4 +1,4 @@
-"""Alpha compositing in log space: how much each sample of a ray is seen, and a ray's value from them."""
+"""Alpha compositing in log space: weights of a ray's samples, and a ray's value from them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from nvsf_core.numerics import require_finite
 def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
     """Weights of the samples of each ray from their optical depths tau = density * length.
 
-    ``w_i = exp(-sum of tau_j over j < i) * (1 - exp(-tau_i))`` and what passes all samples,
-    ``exp(-sum of all tau_j)``. The transmittance is a sum of logarithms, never a product of nearly-ones,
-    and 1 - exp is expm1: thin samples keep their weight and their gradient. Weights and the rest sum to 1.
+    ``w_i = exp(-sum of tau_j over j < i) * (1 - exp(-tau_i))``, and the transmittance behind all samples,
+    ``exp(-sum of all tau_j)``; together they sum to 1. Logarithms are summed instead of a product of numbers
+    near 1, and 1 - exp is expm1, so thin samples keep their weight and their gradient.
 
     Half types are summed in float32 and rounded at the end.
 
     Args:
-        optical_depth: (rays, samples) floating, at least 0, front to back; infinite is opaque; 0 marks a
-            sample that is not there. NaN comes out as NaN.
+        optical_depth: (rays, samples) floating, at least 0, front to back; infinity = opaque, 0 = no sample.
+            NaN gives NaN.
 
     Returns:
         weights (rays, samples) in [0, 1], transmittance_after (rays,) in [0, 1].
@@ -42,14 +42,13 @@ def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def weights_from_opacity_logits(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """The same from opacities alpha = sigmoid(logit).
+    """Weights of the samples of each ray from their opacities alpha = sigmoid(logit).
 
-    ``log(1 - alpha) = -softplus(logit)`` and ``log(alpha) = -softplus(-logit)``, so neither a nearly
-    transparent nor a nearly opaque sample is rounded away; ``w_i = exp(log alpha_i + sum of
-    log(1 - alpha_j) over j < i)``.
+    ``w_i = exp(log alpha_i + sum of log(1 - alpha_j) over j < i)`` with ``log(1 - alpha) = -softplus(logit)``
+    and ``log(alpha) = -softplus(-logit)``, so that nearly transparent and nearly opaque samples are exact.
 
     Args:
-        logits: (rays, samples) floating, front to back; -inf marks a sample that is not there.
+        logits: (rays, samples) floating, front to back; -inf = no sample.
 
     Returns:
         weights (rays, samples) in [0, 1], transmittance_after (rays,) in [0, 1].
@@ -65,12 +64,12 @@ def weights_from_opacity_logits(logits: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _accumulating(tensor: Tensor) -> Tensor:
-    """In a type that a thousand terms can be added up in."""
+    """Half types as float32, so that a thousand terms can be summed."""
     return tensor.float() if tensor.dtype in (torch.float16, torch.bfloat16) else tensor
 
 
 def _sum_before(optical_depth: Tensor) -> Tensor:
-    """Exclusive cumulative sum; shifted rather than subtracted, which would cancel."""
+    """Exclusive cumulative sum along a ray; by a shift, as a subtraction would cancel."""
     return torch.cumsum(functional.pad(optical_depth, (1, 0)), dim=-1)[:, :-1]
 
 
@@ -80,7 +79,7 @@ def _require_rays_and_samples(tensor: Tensor, function: str) -> None:
 
 
 def expected_value(weights: Tensor, values: Tensor) -> Tensor:
-    """``sum over samples of w_i * v_i``; not divided by the sum of the weights.
+    """Weighted sum of samples, ``sum of w_i * v_i``; not divided by the sum of the weights.
 
     Args:
         weights: (rays, samples).
@@ -103,10 +102,10 @@ def expected_value(weights: Tensor, values: Tensor) -> Tensor:
 
 
 def weighted_median_index(weights: Tensor) -> Tensor:
-    """Where the ray has given half of its weight: the smallest i with ``sum up to i >= half of the total``.
+    """Index of a ray's weighted median sample: the smallest i with ``sum up to i >= half of the total``.
 
-    On a ray that sees an edge the mean lies in the air between both surfaces; the median lies on one.
-    A ray without any weight answers 0: ask its total before believing it. Half types are summed in float32.
+    On a ray that meets an edge the mean lies in the air between both surfaces; the median lies on one.
+    A ray of total weight 0 gives index 0. Half types are summed in float32.
 
     Args:
         weights: (rays, samples), at least 0, at least one sample.
