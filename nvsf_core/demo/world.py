@@ -70,7 +70,7 @@ class DemoWorld:
         return self.street_to_world @ self.lidar_to_street(times_s)
 
     def object_to_world(self, object_id: int, times_s: np.ndarray) -> np.ndarray:
-        """Poses (n, 4, 4), moving object to world: x ahead, y left, z up, origin on the road below its middle.
+        """Poses (n, 4, 4), moving object to world: x ahead, y left, z up, origin on the road below it.
 
         Raises:
             KeyError: No moving object has this number.

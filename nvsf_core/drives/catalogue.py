@@ -1,4 +1,4 @@
-"""The scene catalogue: which drives there are, which synthetic views are asked for, and at which times."""
+"""Reading of the scene catalogue: sections of recorded drives, and the synthetic views to make of them."""
 
 import os
 import re
@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from nvsf_core.drives.entries import EXPORTS, SceneEntry, ViewEntry
+from nvsf_core.drives.entries import SceneEntry, ViewEntry, is_number
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.drives.kitti360.timestamps import frame_times
@@ -16,7 +16,6 @@ from nvsf_core.errors import DataError
 from nvsf_core.names import RESERVED_VIEWS
 
 __all__ = [
-    "EXPORTS",
     "UNSET_ROOT",
     "SceneEntry",
     "ViewEntry",
@@ -28,17 +27,17 @@ __all__ = [
 ]
 
 UNSET_ROOT = Path("$NVSF_KITTI360_ROOT")
-"""Root of an entry that names none while the variable is not set: it exists nowhere, and says why."""
+"""Root of a scene without one if the variable is not set: it does not exist, and its name says why."""
 
 _HOME_VARIABLE = "$NVSF_HOME"
 _MOST_BYTES = MIB
-"""Of a catalogue: some ten thousand scenes."""
+"""Largest catalogue file: some ten thousand scenes."""
 _LONGEST_TEXT = 1000
-"""Of a value: a path's parts may have 255 bytes each."""
+"""Longest text value: a path's parts may have 255 bytes each."""
 _MOST_DOTS = 20
 _MOST_VIEWS = 1000
-_LARGEST = 1e15
-"""Larger numbers are none that a catalogue asks for."""
+_SLACK_S = 1e-6
+"""Times may lie outside the drive by this rounding error."""
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
 _NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
 _VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
@@ -50,7 +49,7 @@ def home_from_environment(environ: Mapping[str, str]) -> Path:
 
 
 def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, ...]:
-    """The catalogue that NVSF_SCENES (default: the project's `scenes.toml`) and NVSF_KITTI360_ROOT ask for.
+    """The catalogue given by NVSF_SCENES (default: the project's `scenes.toml`) and NVSF_KITTI360_ROOT.
 
     Raises:
         DataError: See `load_catalogue`.
@@ -73,7 +72,7 @@ def _own_catalogue() -> Path:
 
 
 def _expanded(text: str, what: str) -> Path:
-    """A path whose leading `~` or `~user` stands for a home folder."""
+    """A path with a leading `~` or `~user` replaced by the home folder; `what` names it in the message."""
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
@@ -83,15 +82,15 @@ def _expanded(text: str, what: str) -> Path:
 def load_catalogue(
     paths: Sequence[Path], kitti360_root: Path | None, *, home: Path | None = None
 ) -> tuple[SceneEntry, ...]:
-    """Read catalogue files; scenes with more frames come first, else in the files' order.
+    """Read catalogue files into scenes, longest first, else in the files' order.
 
     Args:
         paths: Catalogue files; a view of one may name a scene of another.
-        kitti360_root: Where entries without a root are looked for.
-        home: What `$NVSF_HOME` in a root means; default `.nvsf` in the working directory.
+        kitti360_root: KITTI-360 root of scenes that give none; None = `UNSET_ROOT`.
+        home: Folder for `$NVSF_HOME` in a root; None = `.nvsf` in the working directory.
 
     Raises:
-        DataError: A file is absent or no TOML, a key is unknown, missing or of the wrong kind, a name
+        DataError: A file is absent or not TOML, a key is unknown, missing or of the wrong kind, a name
             is given twice, or frames do not fit; the message names file, entry and key.
     """
     scenes: dict[str, SceneEntry] = {}
@@ -119,10 +118,10 @@ def load_catalogue(
 
 
 def has_data(entry: SceneEntry) -> bool:
-    """Whether a scan or an image of the section is on this machine.
+    """Whether a scan or an image of the scene is on this machine.
 
     Raises:
-        DataError: The disk does not say.
+        DataError: The folders cannot be read.
     """
     layout = DriveLayout(entry.root, entry.sequence)
     try:
@@ -150,17 +149,17 @@ def _read_toml(path: Path) -> dict[str, Any]:
         )
     try:
         return tomllib.loads(text)
-    # A number of five thousand digits is a ValueError, brackets nested as deep a RecursionError.
+    # A number of 5000 digits raises a ValueError, as deeply nested brackets a RecursionError.
     except (ValueError, RecursionError) as error:
         reason = error if isinstance(error, tomllib.TOMLDecodeError) else "absurd numbers or nesting"
         raise DataError(f"{path} is no TOML: {reason!s:.300}; correct the file") from error
 
 
 def _is_nested(text: str) -> bool:
-    """Whether a key has absurdly many parts: reading `a.a.a. ... = 1` takes gigabytes."""
+    """Whether a key has too many parts: reading `a.a.a. ... = 1` takes gigabytes."""
     for line in text.splitlines():
         *before, last = line.split("=")
-        # A key ends at each `=`, in inline tables too; a line without any is a header, or no TOML.
+        # A key ends at each `=`, in inline tables too; a line without `=` is a header, or not TOML.
         keys = [re.split(r"[,{\[]", part)[-1] for part in before] or [last.partition(",")[0]]
         if any(key.count(".") > _MOST_DOTS for key in keys):
             return True
@@ -178,7 +177,7 @@ def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pa
     where = f"{path}: scene {raw.get('name')!r:.60}"
     _require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
     period_s = raw.get("sweep_period_s")
-    if period_s is not None and not _is_number(period_s):
+    if period_s is not None and not is_number(period_s):
         raise DataError(f"{where}: sweep_period_s: expected seconds of one turn, found {period_s!r:.60}")
     values: dict[str, Any] = {
         "name": _string(raw, "name", where),
@@ -215,9 +214,9 @@ def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
         raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
     shift_m = raw.get("shift_m", [0.0, 0.0, 0.0])
     yaw_deg = raw.get("yaw_deg", 0.0)
-    if not (isinstance(shift_m, list) and len(shift_m) == 3 and all(map(_is_number, shift_m))):
+    if not (isinstance(shift_m, list) and len(shift_m) == 3 and all(map(is_number, shift_m))):
         raise DataError(f"{where}: shift_m: expected [forward, left, up] in metres, found {shift_m!r:.60}")
-    if not _is_number(yaw_deg):
+    if not is_number(yaw_deg):
         raise DataError(f"{where}: yaw_deg: expected degrees, found {yaw_deg!r:.60}")
     frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
     values: dict[str, Any] = {
@@ -237,10 +236,10 @@ def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
 
 
 def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], tuple[float, ...] | None]:
-    """`all`, whole numbers (frames), or numbers with a point (seconds of the drive)."""
+    """Fields `frames` and `times_s` of a view: from "all", whole numbers, or numbers with a decimal point."""
     if value == "all":
         return "all", None
-    if isinstance(value, list) and value and all(_is_number(item) and item >= 0 for item in value):
+    if isinstance(value, list) and value and all(is_number(item) and item >= 0 for item in value):
         if all(isinstance(item, int) for item in value):
             return tuple(value), None
         if all(isinstance(item, float) for item in value):
@@ -266,7 +265,7 @@ def _require_known_scenes(views: Iterable[tuple[str, ViewEntry]], scenes: Mappin
 
 
 def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
-    """Names that differ in case alone are one folder on some disks."""
+    """Refuse names that differ only in case: on some disks they are one folder."""
     known: dict[str, str] = {}
     for name in scenes:
         other = known.setdefault(name.casefold(), name)
@@ -324,30 +323,22 @@ def _list(raw: Mapping[str, Any], key: str, kind: type, where: str) -> tuple[Any
     return tuple(value)
 
 
-def _is_number(value: Any) -> bool:
-    # NaN and infinity compare false, too.
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
-
-
-_SLACK_S = 1e-6
-
-
 def require_times_in_drive(scene: SceneEntry) -> None:
-    """Refuse a view of a time before the drive's first frame or after its last: nothing is known of then.
+    """Refuse a view at a time before the scene's first frame or after its last.
 
     Raises:
-        DataError: Names the view, the times and what the drive has.
+        DataError: There is such a view; the message names it, its times and those of the drive.
     """
-    asked = [view for view in scene.views if view.times_s is not None]
-    if not asked:
+    timed = [view for view in scene.views if view.times_s is not None]
+    if not timed:
         return
     try:
         layout = DriveLayout(scene.root, scene.sequence)
         times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
     except (DataError, OSError):
-        return  # the stage `frames` says what is wrong with the drive
+        return  # the stage `frames` reports what is wrong with the drive
     end_s = float(times.time_s[-1])
-    for view in asked:
+    for view in timed:
         outside = [time_s for time_s in view.times_s or () if not -_SLACK_S <= time_s <= end_s + _SLACK_S]
         if outside:
             raise DataError(
