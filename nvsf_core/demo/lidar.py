@@ -193,19 +193,7 @@ def _cast(
     mount: np.ndarray | None,
     own_vehicle: Shapes | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Range, material, instance and |cos incidence|, each (N,), of the first hits of recorded rays.
-
-    Args:
-        world: The demo's world.
-        table: The sensor, for its elevation correction.
-        origin: (N, 3) float64, sensor's frame, as recorded.
-        direction: (N, 3) float64 unit, sensor's frame, as recorded.
-        theta: (N,) encoder angles.
-        time_s: (N,) when each ray is fired.
-        tiles: (T, W) indices of neighbouring rays, see `tile_index`.
-        mount: (4, 4) pose of the sensor in the recording sensor's frame; None = the same pose.
-        own_vehicle: Shapes in the sensor's frame; None = without the own vehicle.
-    """
+    """Range, material, instance and |cos incidence|, each (N,), of the first hits of recorded rays (N, 3)."""
     correction = table.elevation_correction_rad
     origin, direction = _turned_up(origin, theta, correction), _turned_up(direction, theta, correction)
     pose = world.lidar_to_street(time_s)

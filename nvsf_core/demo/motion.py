@@ -43,7 +43,7 @@ class ArcMotion:
         """Poses (n, 4, 4), vehicle to street, at times (n,): x ahead, y left, z up, origin on the road."""
         angle = self.angle_rad(times_s)
         heading = angle + np.where(self.speed_m_s >= 0, 0.5, -0.5) * np.pi
-        return _upright_pose(self.radius_m, angle, heading, np.zeros_like(angle))
+        return upright_pose(self.radius_m, angle, heading, np.zeros_like(angle))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def ego_pose(times_s: np.ndarray, speed: EgoSpeed | None = None) -> np.ndarray:
     angle = (speed.travelled_m(time) + sway * (0.3 * np.sin(1.0 * time))) / _EGO_RADIUS_M
     heading = angle + 0.5 * np.pi + sway * (0.008 * np.sin(0.9 * time + 0.4))
     height = LIDAR_HEIGHT_M + sway * (0.008 * np.sin(4.0 * time))
-    pose = _upright_pose(_EGO_RADIUS_M, angle, heading, height)
+    pose = upright_pose(_EGO_RADIUS_M, angle, heading, height)
     roll, pitch = sway * (0.003 * np.sin(3.1 * time + 1.0)), sway * (0.003 * np.sin(4.0 * time + 2.0))
     pose[:, :3, :3] = pose[:, :3, :3] @ exp_so3(np.stack([roll, pitch, np.zeros_like(roll)], axis=-1))
     return pose
@@ -94,10 +94,10 @@ def street_to_world() -> np.ndarray:
     return pose_from_parts(rotation, np.array([1000.3, 3700.6, 115.2]) - rotation @ start)
 
 
-def _upright_pose(
+def upright_pose(
     radius_m: float, angle_rad: np.ndarray, heading_rad: np.ndarray, height_m: np.ndarray
 ) -> np.ndarray:
-    """Poses (n, 4, 4) at places of the street, with z upright and x along the heading (n,)."""
+    """Poses (n, 4, 4) in the street by angle, heading and height (n,): x along the heading, z up."""
     pose = np.zeros((len(angle_rad), 4, 4))
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     pose[:, 0, 0], pose[:, 0, 1] = cosine, -sine

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 
 from nvsf_core.demo.leaves import Crowns, make_foliage
-from nvsf_core.demo.motion import ROAD_RADIUS_M, ArcMotion
+from nvsf_core.demo.motion import ROAD_RADIUS_M, ArcMotion, upright_pose
 from nvsf_core.demo.shapes import Kind, ShapeList, Shapes
 
 ROAD_HALF_WIDTH_M = 5.5
@@ -145,16 +145,8 @@ def _mover(
 
 def _place(radius_m: float, angle_rad: float, height_m: float = 0.0, yaw_rad: float = 0.0) -> np.ndarray:
     """Pose (4, 4) at a place of the street: x along the street, y to the curve's centre, z up."""
-    heading = angle_rad + 0.5 * np.pi + yaw_rad
-    cosine, sine = np.cos(heading), np.sin(heading)
-    return np.array(
-        [
-            [cosine, -sine, 0.0, radius_m * np.cos(angle_rad)],
-            [sine, cosine, 0.0, radius_m * np.sin(angle_rad)],
-            [0.0, 0.0, 1.0, height_m],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    heading_rad = angle_rad + 0.5 * np.pi + yaw_rad
+    return upright_pose(radius_m, *(np.array([x]) for x in (angle_rad, heading_rad, height_m)))[0]
 
 
 def _add(

@@ -189,14 +189,7 @@ def _finish_kerb(material: np.ndarray, local: np.ndarray, normal: np.ndarray) ->
 def _fill_in(
     shapes: Shapes, shape: np.ndarray, local: np.ndarray, described: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> None:
-    """Set material, instance, normal and `local` of hits on static shapes, in place.
-
-    Args:
-        shapes: P shapes.
-        shape: (T, W) index of the shape that is hit; -1 = none.
-        local: (T, 3, W) hits in the street frame, replaced by places in the shape's own axes.
-        described: Material (T, W), instance (T, W) and normal (T, 3, W).
-    """
+    """Set material, instance, normal and `local` of hits on shapes in place; `shape` (T, W) -1 = no hit."""
     material, instance, normal = described
     tile, ray = np.nonzero(shape >= 0)
     index = shape[tile, ray]
@@ -213,16 +206,7 @@ def _cast_mover(
     best: np.ndarray,
     described: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Cast rays at a moving object, each at its own time; nearer hits replace the others in place.
-
-    Args:
-        mover: The moving object.
-        times_s: (T, W) time of each ray.
-        rays: Origins and directions (T, 3, W) in the street frame.
-        cones: Of the T tiles.
-        best: (T, W) ranges of the hits so far.
-        described: `local` (T, 3, W), material (T, W), instance (T, W) and normal (T, 3, W) of the hits.
-    """
+    """Cast rays (T, 3, W) at a moving object, each at its time (T, W); nearer hits replace others in place."""
     local, material, instance, normal = described
     tile = _tiles_near(mover, times_s, cones)
     if len(tile) == 0:
@@ -298,13 +282,7 @@ def _by_direction(directions: np.ndarray) -> np.ndarray:
 def _untiled(
     count: int, tiles: np.ndarray, values: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 ) -> DemoHits:
-    """Hits of `count` rays in their own order; repeated rays have equal values.
-
-    Args:
-        count: Number of rays.
-        tiles: (T, W) indices of the rays.
-        values: Range, material, instance (T, W), normal and local place (T, 3, W).
-    """
+    """Values by tile as hits of `count` rays in their own order; repeated rays have equal values."""
     best, material, instance, normal, local = values
     where = tiles.ravel()
     range_m, kind = np.empty(count, np.float32), np.empty(count, np.int16)

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from nvsf_core.drives.entries import SceneEntry, ViewEntry, is_number
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
@@ -33,7 +33,7 @@ _HOME_VARIABLE = "$NVSF_HOME"
 _MOST_BYTES = MIB
 """Largest catalogue file: some ten thousand scenes."""
 _LONGEST_TEXT = 1000
-"""Longest text value: a path's parts may have 255 bytes each."""
+"""Longest root: a path's parts may have 255 bytes each."""
 _MOST_DOTS = 20
 _MOST_VIEWS = 1000
 _SLACK_S = 1e-6
@@ -41,6 +41,7 @@ _SLACK_S = 1e-6
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
 _NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
 _VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
+_Entry = TypeVar("_Entry", SceneEntry, ViewEntry)
 
 
 def home_from_environment(environ: Mapping[str, str]) -> Path:
@@ -176,23 +177,18 @@ def _entries(table: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, 
 def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path) -> SceneEntry:
     where = f"{path}: scene {raw.get('name')!r:.60}"
     _require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
-    period_s = raw.get("sweep_period_s")
-    if period_s is not None and not is_number(period_s):
-        raise DataError(f"{where}: sweep_period_s: expected seconds of one turn, found {period_s!r:.60}")
+    entry = _made(SceneEntry, raw | {"root": _root(raw, path, kitti360_root, home, where)}, where)
+    period_s = None if entry.sweep_period_s is None else float(entry.sweep_period_s)
+    return replace(entry, test_frames=tuple(sorted(entry.test_frames)), sweep_period_s=period_s)
+
+
+def _made(kind: type[_Entry], raw: Mapping[str, Any], where: str) -> _Entry:
+    """An entry from values as TOML has them; the entry checks their kinds."""
     values: dict[str, Any] = {
-        "name": _string(raw, "name", where),
-        "root": _root(raw, path, kitti360_root, home, where),
-        "sequence": _string(raw, "sequence", where),
-        "first_frame": _integer(raw, "first_frame", where),
-        "last_frame": _integer(raw, "last_frame", where),
-        "test_frames": tuple(sorted(_list(raw, "test_frames", int, where))),
-        "sweep_period_s": None if period_s is None else float(period_s),
-        "cameras": _list(raw, "cameras", str, where) if "cameras" in raw else None,
-        "recipe": _string(raw, "recipe", where) if "recipe" in raw else None,
-        "compensate": _boolean(raw, "compensate", where) if "compensate" in raw else True,
+        key: tuple(value) if isinstance(value, list) else value for key, value in raw.items()
     }
     try:
-        return SceneEntry(**values)
+        return kind(**values)
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
 
@@ -200,7 +196,11 @@ def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pa
 def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path, where: str) -> Path:
     if "root" not in raw:
         return UNSET_ROOT if kitti360_root is None else kitti360_root.absolute()
-    text = _string(raw, "root", where)
+    text = raw["root"]
+    if not isinstance(text, str) or not text or not text.isprintable() or len(text) > _LONGEST_TEXT:
+        raise DataError(
+            f"{where}: root: expected 1 to {_LONGEST_TEXT} printable characters, found {text!r:.60}"
+        )
     if text.split("/")[0] == _HOME_VARIABLE:
         return home / text.removeprefix(_HOME_VARIABLE).lstrip("/")
     # joinpath keeps an absolute root as it is.
@@ -212,27 +212,10 @@ def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
     _require_keys(raw, _VIEW_KEYS, frozenset({"name"}), where)
     if raw["name"] in RESERVED_VIEWS:
         raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
-    shift_m = raw.get("shift_m", [0.0, 0.0, 0.0])
-    yaw_deg = raw.get("yaw_deg", 0.0)
-    if not (isinstance(shift_m, list) and len(shift_m) == 3 and all(map(is_number, shift_m))):
-        raise DataError(f"{where}: shift_m: expected [forward, left, up] in metres, found {shift_m!r:.60}")
-    if not is_number(yaw_deg):
-        raise DataError(f"{where}: yaw_deg: expected degrees, found {yaw_deg!r:.60}")
     frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
-    values: dict[str, Any] = {
-        "name": _string(raw, "name", where),
-        "scenes": _list(raw, "scenes", str, where) if "scenes" in raw else None,
-        "sensor": _string(raw, "sensor", where) if "sensor" in raw else None,
-        "shift_m": tuple(map(float, shift_m)),
-        "yaw_deg": float(yaw_deg),
-        "frames": frames,
-        "times_s": times_s,
-        "exports": _list(raw, "exports", str, where) if "exports" in raw else ("bin", "ply"),
-    }
-    try:
-        return ViewEntry(**values)
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
+    entry = _made(ViewEntry, raw | {"frames": frames, "times_s": times_s}, where)
+    forward_m, left_m, up_m = map(float, entry.shift_m)
+    return replace(entry, shift_m=(forward_m, left_m, up_m), yaw_deg=float(entry.yaw_deg))
 
 
 def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], tuple[float, ...] | None]:
@@ -291,36 +274,6 @@ def _require_keys(raw: Mapping[str, Any], known: frozenset[str], needed: frozens
         )
     if missing:
         raise DataError(f"{where}: missing keys {', '.join(missing)}")
-
-
-def _string(raw: Mapping[str, Any], key: str, where: str) -> str:
-    value = raw[key]
-    if not isinstance(value, str) or not value or not value.isprintable() or len(value) > _LONGEST_TEXT:
-        raise DataError(
-            f"{where}: {key}: expected 1 to {_LONGEST_TEXT} printable characters, found {value!r:.60}"
-        )
-    return value
-
-
-def _integer(raw: Mapping[str, Any], key: str, where: str) -> int:
-    value = raw[key]
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise DataError(f"{where}: {key}: expected a whole number, found {value!r:.60}")
-    return value
-
-
-def _boolean(raw: Mapping[str, Any], key: str, where: str) -> bool:
-    value = raw[key]
-    if not isinstance(value, bool):
-        raise DataError(f"{where}: {key}: expected true or false, found {value!r:.60}")
-    return value
-
-
-def _list(raw: Mapping[str, Any], key: str, kind: type, where: str) -> tuple[Any, ...]:
-    value = raw[key]
-    if not isinstance(value, list) or not all(type(item) is kind for item in value):
-        raise DataError(f"{where}: {key}: expected a list of {kind.__name__}, found {value!r:.60}")
-    return tuple(value)
 
 
 def require_times_in_drive(scene: SceneEntry) -> None:

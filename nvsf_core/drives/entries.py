@@ -93,8 +93,8 @@ class SceneEntry:
     recipe: str | None = None
     """Recipe if a run names none."""
     compensate: bool = True
-    """Ego-motion compensation: each return is placed by the sensor's pose at its own time. False = one pose for
-    a whole sweep, as papers do."""
+    """Ego-motion compensation: each return is placed by the sensor's pose at its own time. False = one pose
+    for a whole sweep, as papers do."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
@@ -106,7 +106,7 @@ class SceneEntry:
         self._require_frames()
         if self.sweep_period_s is not None and not SHORTEST_STEP_S <= self.sweep_period_s <= LONGEST_STEP_S:
             raise DataError(
-                f"sweep_period_s: expected {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} seconds of one turn, "
+                f"sweep_period_s: expected {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} seconds of one sweep, "
                 f"found {self.sweep_period_s}"
             )
         unknown = [name for name in self.cameras or () if name not in CAMERAS]
@@ -204,10 +204,10 @@ _SCENE_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
     "first_frame": (_is_whole, "a whole number"),
     "last_frame": (_is_whole, "a whole number"),
     "test_frames": (_all(_is_whole, 0), "a tuple of frame numbers"),
-    "sweep_period_s": (_or_none(is_number), "a number of seconds, or None"),
+    "sweep_period_s": (_or_none(is_number), "seconds of one sweep, or None"),
     "cameras": (_or_none(_all(_is_text, 0)), "a tuple of cameras, or None for all"),
     "recipe": (_or_none(_is_text), "a recipe's name, or None"),
-    "compensate": (lambda value: isinstance(value, bool), "True or False"),
+    "compensate": (lambda value: isinstance(value, bool), "true or false"),
     "views": (_all(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }
 

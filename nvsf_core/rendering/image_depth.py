@@ -15,19 +15,13 @@ from nvsf_core.evidence.images.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.reproject_camera import (
     FAR_M,
-    SweepOptions,
+    WINDOW_PX,
     box_mean,
     inverse_depth,
     nearest_sources,
+    sweep_shrinking,
 )
-from nvsf_core.rendering.warping import (
-    plane_rays,
-    relative_motion,
-    sample,
-    shrunk,
-    source_pixels,
-    to_float,
-)
+from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shrunk, source_pixels, to_float
 
 _NOISE = 0.01
 """By this much, in colours 0..1, the images must differ more at the sky's distance."""
@@ -60,8 +54,7 @@ def image_depth(
         elevation_rad: Only rays above this elevation are returned.
     """
     nowhere = DepthRays(pose[:3, 3].astype(np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    options = SweepOptions()
-    factor = options.shrinking(pinhole)
+    factor = sweep_shrinking(pinhole)
     small = shrunk(pinhole, factor)
     rays = plane_rays(small).numpy() @ pose[:3, :3].T
     direction = (rays / np.linalg.norm(rays, axis=2, keepdims=True)).astype(np.float32)
@@ -70,16 +63,16 @@ def image_depth(
     if len(chosen) < 2 or not steep.any():
         return nowhere
     # Only the upper rows are swept: down to the lowest steep pixel, and the window around it.
-    rows = min(small.height, int(np.flatnonzero(steep.any(axis=1))[-1]) + 1 + options.window_px)
+    rows = min(small.height, int(np.flatnonzero(steep.any(axis=1))[-1]) + 1 + WINDOW_PX)
     colours = to_float(images[chosen])
-    swept = inverse_depth(pose, pinhole, points_m, colours, poses[chosen], sweep=options, rows=rows * factor)
+    swept = inverse_depth(pose, pinhole, points_m, colours, poses[chosen], rows=rows * factor)
     middle = slice(factor // 2, None, factor)
     inverse = swept[middle, middle][:, : small.width]
     shown = torch.from_numpy(valid).float().expand(2, 1, -1, -1)
     sources = functional.avg_pool2d(torch.cat([colours, shown], dim=1), factor)
     motions = [relative_motion(pose, poses[index]) for index in chosen]
     near, sky = (
-        _disagreement(sources, motions, depth, small, options.window_px)
+        _disagreement(sources, motions, depth, small)
         for depth in (inverse, torch.full_like(inverse, 1.0 / FAR_M))
     )
     is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy() & steep[:rows]
@@ -88,17 +81,10 @@ def image_depth(
     return DepthRays(nowhere.origin_m, direction[:rows][is_known], proven[is_known])
 
 
-def _disagreement(
-    sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, pinhole: Pinhole, window_px: int
-) -> Tensor:
-    """Mean difference (r, w) of two sources' colours around each pixel; NaN unless both show it.
+def _disagreement(sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, pinhole: Pinhole) -> Tensor:
+    """Mean difference (r, w) of the colours of two sources (2, 4, h, w) around each pixel of r upper rows.
 
-    Args:
-        sources: (2, 4, h, w): colour, and 1 where the pixel shows anything.
-        motions: (4, 4) each, from the view's frame to the source's.
-        inverse: (r, w) inverse depths of the upper r rows, 1/m.
-        pinhole: Intrinsics of the view and of the sources.
-        window_px: Side of the square that is averaged.
+    NaN unless both show the pixel at its inverse depth (r, w).
     """
     rays, colours = plane_rays(pinhole)[: len(inverse)], []
     seen = torch.ones(inverse.shape, dtype=torch.bool)
@@ -108,5 +94,5 @@ def _disagreement(
         colours.append(looked_up[:3])
         seen &= inside & (looked_up[3] > 0.999)
     apart = (colours[0] - colours[1]).abs().mean(dim=0)
-    around = box_mean(seen * apart, window_px) / box_mean(seen.float(), window_px)
+    around = box_mean(seen * apart, WINDOW_PX) / box_mean(seen.float(), WINDOW_PX)
     return torch.where(seen, around, torch.nan)

@@ -110,12 +110,7 @@ def _prior_with_objects(
 ) -> np.ndarray:
     """Hit prior (m,) of rays that meet objects: the objects' own where they have over half of the weight.
 
-    Args:
-        surfels: Static surfels.
-        found: Candidates of the m rays: static surfels, then those of each object.
-        hit_prior: (m,) of the static scene.
-        objects: Moving objects.
-        own_priors: For each object the indices (k,) of the rays that meet it, and its own hit prior (k,).
+    `own_priors` are, for each object, the indices (k,) of the rays that meet it, and its hit prior (k,).
     """
     weights, first = found.weights, surfels.index.count
     on_objects, own = np.zeros(len(hit_prior)), np.zeros(len(hit_prior))

@@ -7,7 +7,7 @@ plane sweep between the two source images corrects that guess.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -33,6 +33,16 @@ from nvsf_core.rendering.warping import (
 FAR_M = 300.0
 """Depth of the sky, and of all pixels in a drive without LiDAR."""
 _NEAREST_PLANE_M = 3.0
+_PLANES = 48
+"""Depths of the plane sweep, evenly spaced in inverse depth from 3 m to 300 m."""
+_SWEEP_WIDTH_PX = 704
+"""The plane sweep compares images shrunk by a whole number to about this width, for speed."""
+WINDOW_PX = 17
+"""Side of the square over which the two shrunk images are compared."""
+_BEYOND_PX = 3.0
+"""Pixels nearer than this to a return keep the LiDAR's depth."""
+_PULL = 0.15
+"""Cost of a difference to the filled depth: grey values (0..1) for the whole span of inverse depths."""
 _MEDIAN_PX = 7
 _UNSEEN_COST = 0.5
 """Difference in grey value that is assumed where one of two images does not show a candidate."""
@@ -40,33 +50,9 @@ _BASELINE_FLOOR_M = 0.05
 """Nearer images count as taken at the same place."""
 
 
-@dataclass(frozen=True, slots=True)
-class WarpedView(RenderedImage):
-    """A view made of warped images; black where no source shows it."""
-
-    is_covered: np.ndarray
-    """(H, W) bool: a source shows the pixel."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepOptions:
-    """Settings of the plane sweep that finds depth far from returns."""
-
-    planes: int = 48
-    """Number of depths, evenly spaced in inverse depth from 3 m to 300 m."""
-    width_px: int = 704
-    """Images are compared after shrinking by a whole number to about this width, for speed."""
-    window_px: int = 17
-    """Side of the square over which the two shrunk images are compared."""
-    beyond_px: float = 3.0
-    """Pixels nearer than this to a return keep the LiDAR's depth."""
-    pull: float = 0.15
-    """Cost of a difference to the filled depth: grey values (0..1) for the whole span of inverse depths. 0 is
-    used if the view shows no return at all."""
-
-    def shrinking(self, pinhole: Pinhole) -> int:
-        """By how much images of a camera are shrunk for the comparison."""
-        return max(1, round(pinhole.width / self.width_px))
+def sweep_shrinking(pinhole: Pinhole) -> int:
+    """By how much images of a camera are shrunk for the plane sweep."""
+    return max(1, round(pinhole.width / _SWEEP_WIDTH_PX))
 
 
 def render_by_warping(
@@ -77,12 +63,12 @@ def render_by_warping(
     source_poses: np.ndarray,
     *,
     source_valid: np.ndarray | None = None,
-    sweep: SweepOptions | None = SweepOptions(),
-) -> WarpedView:
+    sweep: bool = True,
+) -> RenderedImage:
     """Render a view by warping the two source images nearest to it.
 
     A pixel is the mean of both, weighted by the inverse of their cameras' distances to the view; where only
-    one shows it, that one's value.
+    one shows it, that one's value; where none does, black.
 
     Args:
         target_pose: (4, 4) camera to scene-local frame, of the view.
@@ -91,7 +77,7 @@ def render_by_warping(
         source_images: (k, H, W, 3) uint8, k >= 1.
         source_poses: (k, 4, 4) camera to scene-local frame.
         source_valid: (H, W) bool, pixels of the sources that show anything; None = all.
-        sweep: Plane sweep for depth far from returns; None = the nearest return's depth is kept.
+        sweep: Find depth far from returns by a plane sweep; False = keep the nearest return's depth.
 
     Raises:
         ShapeError: There is no source, or the arrays do not fit each other.
@@ -115,12 +101,9 @@ def render_by_warping(
         share = seen / (_distance(target_pose, source_poses[index]) + _BASELINE_FLOOR_M)
         total += share * sample(image, grid)
         weight += share
-    is_covered = weight > 0
-    rgb = torch.where(is_covered, total / weight.clamp_min(1e-12), 0.0)
+    rgb = torch.where(weight > 0, total / weight.clamp_min(1e-12), 0.0)
     rgb_u8 = (rgb * 255.0).round().clamp(0, 255).to(torch.uint8)
-    return WarpedView(
-        rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy(), is_covered.numpy()
-    )
+    return RenderedImage(rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy())
 
 
 def inverse_depth(
@@ -130,7 +113,7 @@ def inverse_depth(
     images: Tensor,
     source_poses: np.ndarray,
     *,
-    sweep: SweepOptions | None,
+    sweep: bool = True,
     rows: int | None = None,
 ) -> Tensor:
     """Inverse depth (rows, W) along z, 1/m, of a view's upper rows.
@@ -141,17 +124,17 @@ def inverse_depth(
         depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
         images: (k, 3, H, W) float32 in 0..1; swept if k is 2.
         source_poses: (k, 4, 4) camera to scene-local frame.
-        sweep: Plane sweep for depth far from returns; None = the nearest return's depth is kept.
+        sweep: Find depth far from returns by a plane sweep; False = keep the nearest return's depth.
         rows: Number of upper rows; None = all. The lowest of them are less exact, as points below them are
             ignored: ask for some more.
     """
     seen = pinhole if rows is None else replace(pinhole, height=rows)
     depth_m, gap_px = view_depth(target_pose, seen, depth_points_local)
     inverse = torch.from_numpy(1.0 / depth_m)
-    if sweep is None or len(images) != 2 or _distance(*source_poses) <= _BASELINE_FLOOR_M:
+    if not sweep or len(images) != 2 or _distance(*source_poses) <= _BASELINE_FLOOR_M:
         return inverse
     motions = [relative_motion(target_pose, one) for one in source_poses]
-    return _sweep(images, motions, pinhole, inverse, torch.from_numpy(gap_px), sweep)
+    return _sweep(images, motions, pinhole, inverse, torch.from_numpy(gap_px))
 
 
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
@@ -232,35 +215,21 @@ def _splat(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarr
 
 
 def _sweep(
-    images: Tensor,
-    motions: list[Tensor],
-    pinhole: Pinhole,
-    inverse: Tensor,
-    gap_px: Tensor,
-    options: SweepOptions,
+    images: Tensor, motions: list[Tensor], pinhole: Pinhole, inverse: Tensor, gap_px: Tensor
 ) -> Tensor:
-    """Inverse depth (h, W) of the upper rows; far from returns, that at which both images agree best.
-
-    Args:
-        images: (2, 3, H, W) float32 in 0..1.
-        motions: (4, 4) each, from the view's frame to the image's.
-        pinhole: Intrinsics of the view and of both images.
-        inverse: (h, W) inverse depth from returns, 1/m.
-        gap_px: (h, W) distance to the nearest return.
-        options: Settings.
-    """
-    factor = options.shrinking(pinhole)
+    """Inverse depth (h, W) of the upper rows, with that on which both images agree best far from returns."""
+    factor = sweep_shrinking(pinhole)
     small = shrunk(pinhole, factor)
     grey = functional.avg_pool2d(images.mean(dim=1, keepdim=True), factor)
     size = (len(inverse) // factor, small.width)
     prior = functional.interpolate(inverse[None, None], size, mode="nearest")[0, 0]
     rays = plane_rays(small)[: size[0]]
     # Without any return the filled depth is a placeholder: a pull towards it cost 0.6 dB on a real street.
-    pull = options.pull if bool(torch.isfinite(gap_px).any()) else 0.0
+    pull = _PULL if bool(torch.isfinite(gap_px).any()) else 0.0
     span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
     best_cost = torch.full_like(prior, torch.inf)
     best = prior
-    for plane in torch.linspace(1.0 / FAR_M, 1.0 / _NEAREST_PLANE_M, options.planes):
+    for plane in torch.linspace(1.0 / FAR_M, 1.0 / _NEAREST_PLANE_M, _PLANES):
         candidate = plane.expand(size)
         seen_by_both = torch.ones(size, dtype=torch.bool)
         warped = []
@@ -269,12 +238,12 @@ def _sweep(
             warped.append(sample(image, grid)[0])
             seen_by_both &= seen
         difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), _UNSEEN_COST)
-        cost = box_mean(difference, options.window_px) + pull * (plane - prior).abs() / span
+        cost = box_mean(difference, WINDOW_PX) + pull * (plane - prior).abs() / span
         better = cost < best_cost
         best_cost = torch.where(better, cost, best_cost)
         best = torch.where(better, candidate, best)
     found = functional.interpolate(best[None, None], tuple(inverse.shape), mode="nearest")[0, 0]
-    return torch.where(gap_px > options.beyond_px, found, inverse)
+    return torch.where(gap_px > _BEYOND_PX, found, inverse)
 
 
 def box_mean(image: Tensor, side: int) -> Tensor:

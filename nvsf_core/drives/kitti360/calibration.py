@@ -151,7 +151,6 @@ def read_pinhole(table: KeyedText, camera: str) -> Pinhole:
 
 def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple[list[str], list[str]]:
     """Names of the cameras to read, and a note on each that was left out."""
-    notes: list[str] = []
     present = [name for name in CAMERAS if require_folder(layout.camera_dir(name))]
     if asked is not None:
         for name in asked:
@@ -160,8 +159,8 @@ def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple
                     f"camera {name} was asked for, but there is no folder {layout.camera_dir(name)}; "
                     "take it out of `cameras` in the catalogue or put its images there"
                 )
-        return list(asked), notes
-    wanted = []
+        return list(asked), []
+    wanted, notes = [], []
     for name in present:
         path = layout.perspective_path if name in PERSPECTIVE_CAMERAS else layout.fisheye_path(name)
         if path.is_file():

@@ -22,14 +22,12 @@ _BYTES_PER_RETURN = 16
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The usable returns of a scan, in file order, and the number of others."""
+    """The usable returns of a scan, in file order."""
 
     points: np.ndarray
     """(N, 4) float32: x, y, z (sensor frame, metres), reflectance 0..1."""
     n_absurd: int
     """Points left out as NaN, infinite, beyond 200 m, or with a reflectance outside 0..1."""
-    n_empty: int
-    """Points left out as they are at the sensor's origin: some drivers write dropped rays so."""
 
 
 def read_scan(path: Path, checksum: str = "") -> np.ndarray:
@@ -76,6 +74,7 @@ def parse_scan(path: Path, data: bytes) -> Scan:
         range_m = np.linalg.norm(points[:, :3].astype(np.float64), axis=1)
         in_reach = range_m <= MAX_RANGE_M
         plausible = (points[:, 3] >= 0.0) & (points[:, 3] <= 1.0)
+    # Some drivers write dropped rays as points at the sensor's origin: these are left out, too.
     empty = finite & (range_m == 0.0)
     absurd = ~(finite & in_reach & plausible) & ~empty
     n_absurd, n_rows = int(absurd.sum()), len(points)
@@ -89,4 +88,4 @@ def parse_scan(path: Path, data: bytes) -> Scan:
     usable = points[~(absurd | empty)]
     if not len(usable):
         raise DataError(f"{path}: the scan has no returns; copy it again")
-    return Scan(usable.astype(np.float32), n_absurd, int(empty.sum()))
+    return Scan(usable.astype(np.float32), n_absurd)

@@ -1,8 +1,8 @@
 """Reading of a drive's files up to a size limit, and parsing of numbers, rigid transforms and keyed lines."""
 
 import hashlib
-import os
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 from typing import Self
 
@@ -30,7 +30,7 @@ def read_text(path: Path, most_bytes: int) -> str:
         OSError: It is absent or cannot be read.
         ValueError: It is a folder, a pipe or a device, too large, or not UTF-8; the message says which.
     """
-    if is_there(path) and not path.is_file():
+    if lexists(path) and not path.is_file():
         raise ValueError("expected a regular file, found a folder, a pipe, a device or a link to nowhere")
     size = path.stat().st_size
     if size > most_bytes:
@@ -39,18 +39,13 @@ def read_text(path: Path, most_bytes: int) -> str:
     return path.read_text(encoding="utf-8-sig")
 
 
-def is_there(path: Path) -> bool:
-    """Whether anything has that name, even a link without a target."""
-    return os.path.lexists(path)
-
-
 def require_folder(path: Path) -> bool:
     """Whether there is a folder of that name.
 
     Raises:
         DataError: There is something else of that name.
     """
-    if is_there(path) and not path.is_dir():
+    if lexists(path) and not path.is_dir():
         raise DataError(
             f"{path}: expected a folder, found a file, a pipe or a broken link; unpack the drive again"
         )
@@ -233,7 +228,7 @@ def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
         DataError: It is absent, a folder, a pipe or a device, or too large.
     """
     try:
-        if is_there(path) and not path.is_file():
+        if lexists(path) and not path.is_file():
             raise DataError(
                 f"{path}: expected a {what}, found a folder, a pipe or a device, or a link to nowhere; "
                 "copy it again"

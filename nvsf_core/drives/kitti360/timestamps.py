@@ -2,12 +2,13 @@
 
 import re
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 
 import numpy as np
 
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
-from nvsf_core.drives.kitti360.text import MIB, is_there, read_text
+from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.errors import DataError
 
 NOMINAL_PERIOD_S = 0.1
@@ -136,7 +137,7 @@ def _timestamp_file(layout: DriveLayout) -> Path | None:
     candidates = [layout.timestamps_path()]
     candidates += [layout.camera_timestamps_path(name) for name in CAMERAS]
     # If it is not a regular file it is refused when it is read.
-    return next((path for path in candidates if is_there(path)), None)
+    return next((path for path in candidates if lexists(path)), None)
 
 
 def _recorded_frames(layout: DriveLayout) -> list[int]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from os.path import lexists
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.drives.kitti360.scans import parse_scan, read_scan_bytes
-from nvsf_core.drives.kitti360.text import checksum_of, is_there, require_folder
+from nvsf_core.drives.kitti360.text import checksum_of, require_folder
 from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times
 from nvsf_core.errors import DataError
 
@@ -150,7 +151,7 @@ def _frame_row(
     path = layout.scan_path(frame)
     if not has_scans:
         reasons.append("camera-only drive")
-    elif not is_there(path):
+    elif not lexists(path):
         reasons.append(f"no scan file {path.name}")
     else:
         try:
@@ -180,7 +181,7 @@ def _camera_row(
     checksum = ""
     path = layout.image_path(camera, frame)
     mounted = calibration.cameras[camera]
-    if not is_there(path):
+    if not lexists(path):
         reasons.append(f"no image file {path.name}")
     else:
         try:
@@ -248,7 +249,7 @@ def _disagreement(
 ) -> PoseDisagreement | None:
     camera0 = calibration.cameras.get("image_00")
     camera0_to_pose = read_rectified_camera0_to_pose(layout) if camera0 is None else camera0.to_pose
-    if camera0_to_pose is None or not is_there(layout.cam0_to_world_path):
+    if camera0_to_pose is None or not lexists(layout.cam0_to_world_path):
         return None
     section = range(entry.first_frame, entry.last_frame + 1)
     ours = {frame: poses[frame] @ camera0_to_pose for frame in section if frame in poses}
