@@ -123,8 +123,7 @@ def _shade(hits: DemoHits, directions: np.ndarray) -> np.ndarray:
     far = np.isfinite(hits.range_m)
     haze = 1.0 - np.exp(-np.where(far, hits.range_m, HORIZON_M) / np.float32(350.0))
     haze = np.where(far, haze, 1.0)[:, None]
-    shaded: np.ndarray = (1.0 - haze) * colour + haze * _sky(directions[:, 2])
-    return shaded
+    return (1.0 - haze) * colour + haze * _sky(directions[:, 2])
 
 
 def _sky(up: np.ndarray) -> np.ndarray:
@@ -145,5 +144,4 @@ def _pattern(hits: DemoHits) -> np.ndarray:
     pattern -= np.where((hits.material == Material.PAVEMENT) & slabs, 0.15, 0.0)
     near = np.exp(-np.where(np.isfinite(hits.range_m), hits.range_m, HORIZON_M) / 40.0)
     # Far away the texture is finer than a pixel, which one ray cannot average: it is faded out.
-    faded: np.ndarray = pattern * near
-    return faded
+    return pattern * near

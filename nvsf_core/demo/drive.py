@@ -175,8 +175,7 @@ def _box_to_world(pose: np.ndarray, size_m: tuple[float, float, float]) -> np.nd
     """(4, 4) unit cube to world, of an object with pose (4, 4) whose origin is on the road."""
     raised = np.diag([*size_m, 1.0])
     raised[2, 3] = 0.5 * size_m[2]
-    box: np.ndarray = pose @ raised
-    return box
+    return pose @ raised
 
 
 def _write_frames(

@@ -65,8 +65,7 @@ class EgoSpeed:
         at_knot = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(knots) * (speeds[1:] + speeds[:-1]))])
         before = np.clip(np.searchsorted(knots, times_s, side="right") - 1, 0, None)
         mean_m_s = 0.5 * (speeds[before] + self.speed_m_s(times_s))
-        way_m: np.ndarray = at_knot[before] + mean_m_s * (times_s - knots[before])
-        return way_m
+        return at_knot[before] + mean_m_s * (times_s - knots[before])
 
 
 def ego_pose(times_s: np.ndarray, speed: EgoSpeed | None = None) -> np.ndarray:

@@ -206,7 +206,7 @@ def _cast_mover(
     best: np.ndarray,
     described: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Cast rays (T, 3, W) at a moving object, each at its time (T, W); nearer hits replace others in place."""
+    """Cast rays (T, 3, W) at a moving object, each at its time (T, W); nearer hits are stored in place."""
     local, material, instance, normal = described
     tile = _tiles_near(mover, times_s, cones)
     if len(tile) == 0:

@@ -3,7 +3,7 @@
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -112,10 +112,19 @@ def load_catalogue(
         )
     if len(views) > _MOST_VIEWS:
         raise DataError(f"{paths[0]}: expected at most {_MOST_VIEWS} views in all, found {len(views)}")
-    _require_known_scenes(views, scenes)
+    for where, view in views:
+        for name in view.scenes or ():
+            if name not in scenes:
+                raise DataError(f"{where}: unknown scene {name!r}; the catalogue has {', '.join(scenes)}")
     _require_other_names(scenes)
     ordered = sorted(scenes.values(), key=lambda entry: entry.first_frame - entry.last_frame)
-    return tuple(replace(entry, views=_views_of(entry, views)) for entry in ordered)
+    try:
+        return tuple(
+            replace(entry, views=tuple(one for _, one in views if entry.name in (one.scenes or scenes)))
+            for entry in ordered
+        )
+    except DataError as error:
+        raise DataError(f"{', '.join(map(str, paths)):.300}: {error}") from error
 
 
 def has_data(entry: SceneEntry) -> bool:
@@ -232,21 +241,6 @@ def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], t
     )
 
 
-def _require_known_scenes(views: Iterable[tuple[str, ViewEntry]], scenes: Mapping[str, SceneEntry]) -> None:
-    for where, view in views:
-        for name in scenes if view.scenes is None else view.scenes:
-            if name not in scenes:
-                raise DataError(f"{where}: unknown scene {name!r}; the catalogue has {', '.join(scenes)}")
-            first, last = scenes[name].first_frame, scenes[name].last_frame
-            if view.times_s is None and view.frames != "all":
-                outside = [frame for frame in view.frames if not first <= float(frame) <= last]
-                if outside:
-                    remedy = "; say in `scenes` which it is for" if view.scenes is None else ""
-                    raise DataError(
-                        f"{where}: frames {outside!s:.200} are not in {first}..{last} of scene {name}{remedy}"
-                    )
-
-
 def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
     """Refuse names that differ only in case: on some disks they are one folder."""
     known: dict[str, str] = {}
@@ -254,16 +248,6 @@ def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
         other = known.setdefault(name.casefold(), name)
         if other != name:
             raise DataError(f"scenes {other!r} and {name!r} differ in case alone; rename one")
-
-
-def _views_of(entry: SceneEntry, views: Iterable[tuple[str, ViewEntry]]) -> tuple[ViewEntry, ...]:
-    chosen: dict[str, ViewEntry] = {}
-    for where, view in views:
-        if view.scenes is None or entry.name in view.scenes:
-            if view.name in chosen:
-                raise DataError(f"{where}: scene {entry.name} has a view of this name already; rename one")
-            chosen[view.name] = view
-    return tuple(chosen.values())
 
 
 def _require_keys(raw: Mapping[str, Any], known: frozenset[str], needed: frozenset[str], where: str) -> None:

@@ -127,7 +127,8 @@ class SceneEntry:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise DataError(
-                f"views: expected each name once, found {twice[0]!r} again, if in other letters' case"
+                f"scene {self.name}: views: expected each name once, upper or lower case, found {twice[0]!r} "
+                "again; rename one"
             )
         for view in self.views:
             if view.times_s is not None or view.frames == "all":
@@ -138,7 +139,7 @@ class SceneEntry:
             if outside:
                 raise DataError(
                     f"view {view.name}: frames {outside!s:.200} are not in {self.first_frame}.."
-                    f"{self.last_frame}"
+                    f"{self.last_frame} of scene {self.name}; correct them, or name the view's `scenes`"
                 )
 
     def _require_frames(self) -> None:

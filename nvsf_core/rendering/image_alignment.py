@@ -71,8 +71,7 @@ class PoseCorrection:
         spread = float(weight @ (offset_s - middle_s) ** 2)
         mean = weight @ self.twist
         slope = (weight * (offset_s - middle_s)) @ self.twist / (spread + 1e-4)
-        corrected: np.ndarray = pose @ exp_se3(mean - slope * middle_s)
-        return corrected
+        return pose @ exp_se3(mean - slope * middle_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +140,7 @@ def _improved(
         right[j] -= weighted_j.T @ residual
         right[k] -= weighted_k.T @ residual
     step = spsolve(_of_blocks(places, blocks), right.reshape(-1))
-    improved: np.ndarray = twist + step.reshape(twist.shape)
-    return improved
+    return twist + step.reshape(twist.shape)
 
 
 def _of_blocks(places: Sequence[tuple[int, int]], blocks: Sequence[np.ndarray]) -> csc_array:

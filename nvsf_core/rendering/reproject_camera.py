@@ -210,8 +210,7 @@ def view_label(
 def _splat(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarray:
     """Depth (H, W) of the points that a view shows, inf between them."""
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-    sparse: np.ndarray = splat_depth(points_m, invert_pose(pose), intrinsics, (pinhole.height, pinhole.width))
-    return sparse
+    return splat_depth(points_m, invert_pose(pose), intrinsics, (pinhole.height, pinhole.width))
 
 
 def _sweep(

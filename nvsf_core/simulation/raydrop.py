@@ -24,14 +24,12 @@ def rays_return(hit: np.ndarray) -> np.ndarray:
 
     Exactly one half is a return: to count it as a drop costs range PSNR.
     """
-    returns: np.ndarray = hit >= HIT_THRESHOLD
-    return returns
+    return hit >= HIT_THRESHOLD
 
 
 def cells_return(hit: np.ndarray) -> np.ndarray:
     """Whether pixels of a pano show a return, bool of any shape, by the threshold of the papers' protocol."""
-    returns: np.ndarray = hit > HIT_THRESHOLD
-    return returns
+    return hit > HIT_THRESHOLD
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +45,7 @@ class HitBlend:
 
     def logit(self, network_logit: np.ndarray, ray_head_logit: np.ndarray) -> np.ndarray:
         """The blended logit; all arrays of one shape."""
-        found: np.ndarray = self.network * network_logit + self.ray_head * ray_head_logit + self.offset
-        return found
+        return self.network * network_logit + self.ray_head * ray_head_logit + self.offset
 
 
 EVEN = HitBlend(network=0.5, ray_head=0.5, offset=0.0)
@@ -100,11 +97,9 @@ def sharpen_hits(probability: np.ndarray, sharpness: float = SAMPLING_SHARPNESS)
         shift = 0.5 * (low + high)
         expected = np.mean(1.0 / (1.0 + np.exp(-np.clip(logit + shift, -60.0, 60.0))))
         low, high = (shift, high) if expected < p.mean() else (low, shift)
-    sharpened: np.ndarray = 1.0 / (1.0 + np.exp(-np.clip(logit + 0.5 * (low + high), -60.0, 60.0)))
-    return sharpened
+    return 1.0 / (1.0 + np.exp(-np.clip(logit + 0.5 * (low + high), -60.0, 60.0)))
 
 
 def sample_returns(hit: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """Whether rays return, bool of any shape, sampled from their sharpened hit probabilities."""
-    returns: np.ndarray = generator.random(hit.shape) < sharpen_hits(hit)
-    return returns
+    return generator.random(hit.shape) < sharpen_hits(hit)

@@ -244,8 +244,7 @@ def sample_scan(
         axis=-1,
     ).astype(np.float32)
     order = np.argsort(np.mod(azimuth, 2.0 * np.pi), axis=1, kind="stable")
-    sampled: np.ndarray = np.take_along_axis(scan, order[..., None], 1)[np.take_along_axis(kept, order, 1)]
-    return sampled
+    return np.take_along_axis(scan, order[..., None], 1)[np.take_along_axis(kept, order, 1)]
 
 
 # Wide: sensor, path, instant and mounting are independent of each other.

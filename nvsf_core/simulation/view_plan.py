@@ -89,11 +89,5 @@ def plan_view(
 def plan_sweeps(view: ViewPlan, recorded_table: LaserTable, sensor: str | None) -> SweepPlan:
     """The sweeps of a view, by the sensor of that name; None = the one that recorded the drive."""
     other = None if sensor in (None, recorded_table.name) else sensor
-    return SweepPlan(
-        name=view.name,
-        frame=view.frame,
-        time_s=view.time_s,
-        mount=view.mount,
-        table=recorded_table if other is None else sensor_table(other),
-        is_recorded_sensor=other is None,
-    )
+    table = recorded_table if other is None else sensor_table(other)
+    return SweepPlan(view.name, view.frame, view.time_s, view.mount, table, other is None)

@@ -11,7 +11,7 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
 from nvsf_core.drives.kitti360.layout import LAST_FRAME
-from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers
+from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers, require_regular
 from nvsf_core.errors import DataError
 
 STATIC_FRAME = -1
@@ -56,16 +56,11 @@ def read_boxes(path: Path, first_frame: int, last_frame: int) -> tuple[list[Box]
     Raises:
         DataError: The file is not plain XML or too large, or a field of a box is missing or damaged.
     """
-    size = path.stat().st_size if path.is_file() else None
-    if size is None or size > _MOST_BYTES:
-        raise DataError(
-            f"cannot read boxes {path}: expected a regular file of at most {_MOST_BYTES:,} bytes, found "
-            f"{'none' if size is None else f'{size:,}'}; restore the file of the drive, or remove it"
-        )
     boxes: list[Box] = []
     left_out: list[str] = []
-    place = "its first element"
+    place = "before its first element"
     try:
+        require_regular(path, _MOST_BYTES)
         _require_short_tokens(path)
         for element in _children(path):
             place = f"element {element.tag}"
@@ -82,7 +77,7 @@ def read_boxes(path: Path, first_frame: int, last_frame: int) -> tuple[list[Box]
             f"cannot read boxes {path} ({error!r:.300}); restore the file of the drive"
         ) from error
     except ValueError as error:
-        raise DataError(f"{path}, {place}: {error}; restore the file of the drive") from error
+        raise DataError(f"{path}, {place}: {error}; restore the file of the drive, or remove it") from error
     return boxes, left_out
 
 

@@ -30,13 +30,23 @@ def read_text(path: Path, most_bytes: int) -> str:
         OSError: It is absent or cannot be read.
         ValueError: It is a folder, a pipe or a device, too large, or not UTF-8; the message says which.
     """
+    require_regular(path, most_bytes)
+    # With or without a byte order mark.
+    return path.read_text(encoding="utf-8-sig")
+
+
+def require_regular(path: Path, most_bytes: int) -> None:
+    """Refuse what is not a regular file of at most `most_bytes`.
+
+    Raises:
+        OSError: It is absent.
+        ValueError: It is a folder, a pipe or a device, or too large; the message says which.
+    """
     if lexists(path) and not path.is_file():
         raise ValueError("expected a regular file, found a folder, a pipe, a device or a link to nowhere")
     size = path.stat().st_size
     if size > most_bytes:
-        raise ValueError(f"expected at most {most_bytes:,} bytes, found {size:,}")
-    # With or without a byte order mark.
-    return path.read_text(encoding="utf-8-sig")
+        raise ValueError(f"expected a regular file of at most {most_bytes:,} bytes, found {size:,}")
 
 
 def require_folder(path: Path) -> bool:
@@ -228,17 +238,10 @@ def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
         DataError: It is absent, a folder, a pipe or a device, or too large.
     """
     try:
-        if lexists(path) and not path.is_file():
-            raise DataError(
-                f"{path}: expected a {what}, found a folder, a pipe or a device, or a link to nowhere; "
-                "copy it again"
-            )
-        size = path.stat().st_size
-        if size > most_bytes:
-            raise DataError(
-                f"{path}: expected a {what} of at most {most_bytes:,} bytes, found {size:,}; copy it again"
-            )
+        require_regular(path, most_bytes)
         return path.read_bytes()
+    except ValueError as error:
+        raise DataError(f"{path}: no {what}, {error}; copy it again") from error
     except OSError as error:
         raise DataError(f"no {what} file {path} ({error.strerror}); unpack the drive's {what}s") from error
 
