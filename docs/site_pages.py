@@ -1,9 +1,13 @@
-"""Pages of the documentation site that are made from elsewhere: start, contributing, the API."""
+"""Pages of the documentation site that are made from elsewhere: start, recipes, contributing, the API."""
 
 import re
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import mkdocs_gen_files
+
+from nvsf_core.recipe import preset, preset_names
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("nvsf_core", "assets", "pipelines")
@@ -43,6 +47,33 @@ def _api() -> list[str]:
     return lines
 
 
+def _recipes() -> str:
+    """What the README says of recipes, and how each differs from the default values of its family."""
+    said = (ROOT / "README.md").read_text().partition("## Recipes")[2].partition("\n## ")[0]
+    rows = ["| recipe | family | what differs from the family's defaults |", "| --- | --- | --- |"]
+    for recipe in map(preset, preset_names()):
+        others = ", ".join(_differences(recipe, type(recipe)(name=recipe.name)))
+        rows.append(f"| `{recipe.name}` | {recipe.family} | {others or 'nothing'} |")
+    table = "\n".join(rows)
+    specs = "\n\n".join(f"::: nvsf_core.recipe.{name}" for name in ("residual", "paper"))
+    return f"# Recipes\n{_from_root(said)}\n## All presets\n\n{table}\n\n## Every value\n\n{specs}\n"
+
+
+def _differences(recipe: Any, plain: Any, prefix: str = "") -> list[str]:
+    """Values of a recipe, or of a part of one, that are not those of `plain`."""
+    found = []
+    for one in fields(recipe):
+        value, default = getattr(recipe, one.name), getattr(plain, one.name)
+        if value == default or one.name == "name":
+            continue
+        if is_dataclass(value) and type(value) is type(default):
+            found += _differences(value, default, f"{prefix}{one.name}.")
+        else:
+            found.append(f"`{prefix}{one.name}` {'is added' if is_dataclass(value) else value}")
+    return found
+
+
+_page("recipes.md", _recipes())
 _page("index.md", _from_root((ROOT / "README.md").read_text()))
 _page("contributing.md", _from_root((ROOT / "CONTRIBUTING.md").read_text()))
 decisions = sorted((ROOT / "docs/decisions").glob("*.md"))

@@ -1,5 +1,6 @@
 """The command `nvsf`: what make and Dagster do, for those who installed the package."""
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -90,6 +91,37 @@ def scenes() -> None:
         made = ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
         there = made if has_data(entry) or entry.name == DEMO_SCENE else f"no data at {entry.root}"
         click.echo(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
+
+
+@main.command()
+@click.option(
+    "--backbone", type=click.Path(path_type=Path), help="torchvision's squeezenet1_1, if it is here."
+)
+@click.option("--out", type=click.Path(path_type=Path), help="File to write; default: under NVSF_HOME.")
+def weights(backbone: Path | None, out: Path | None) -> None:
+    """Make the weights of LPIPS from public files: the package lpips, and torchvision's SqueezeNet (5 MB)."""
+    import torch
+
+    from nvsf_core.drives.catalogue import home_from_environment
+    from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE
+    from nvsf_core.metrics.lpips_weights import BACKBONE_URL, HEADS_PLACE, make_lpips_weights
+
+    # The package itself needs torchvision, so it is looked into and never imported.
+    package = importlib.util.find_spec("lpips")
+    if package is None or package.origin is None:
+        raise click.ClickException(f"the heads are missing: {sys.executable} -m pip install --no-deps lpips")
+    made = out or home_from_environment(os.environ) / WEIGHTS_NAME
+    made.parent.mkdir(parents=True, exist_ok=True)
+    if backbone is None:
+        backbone = Path(torch.hub.get_dir()) / "checkpoints" / BACKBONE_URL.rpartition("/")[2]
+        try:
+            torch.hub.load_state_dict_from_url(BACKBONE_URL, check_hash=True, weights_only=True)
+        except OSError as error:
+            raise click.ClickException(
+                f"{BACKBONE_URL}: {error}; fetch it and name it: --backbone"
+            ) from error
+    make_lpips_weights(Path(package.origin).parent / HEADS_PLACE, backbone, made)
+    click.echo(f"export {WEIGHTS_VARIABLE}={made.absolute()}")
 
 
 @main.command()

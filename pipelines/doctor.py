@@ -89,7 +89,9 @@ def _lpips() -> Finding:
     except NvsfError as error:
         return Finding("LPIPS weights", False, str(error))
     if path is None:
-        words = f"not found: set {WEIGHTS_VARIABLE} to {WEIGHTS_NAME}. Without them LPIPS is `not run`"
+        words = (
+            f"not found: make {WEIGHTS_NAME} with `nvsf weights` and set {WEIGHTS_VARIABLE}; else `not run`"
+        )
         return Finding("LPIPS weights", False, words)
     return Finding("LPIPS weights", True, str(path))
 

@@ -81,7 +81,7 @@ def _row(sweeps: Sweeps, surfels: Surfels, *, shaped: bool) -> dict[str, Any]:
     off_m = np.abs(rendered.range_m.astype(np.float64) - a["range_m"][asking])
     return {
         "voxel_m": surfels.index.voxel_m,
-        "voxels": surfels.index.count,
+        "voxels": surfels.index.voxel_count,
         "build_rays_s": int(proving.sum()) / build,
         "list_rays_s": len(origin_m) / listing,
         "answer_rays_s": len(origin_m) / answering,

@@ -57,7 +57,7 @@ def learn_range_bias(
 def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np.ndarray) -> np.ndarray:
     """One Gauss-Newton step (lasers,) from returns (n, 3) of which `bias` is taken off."""
     index, voxel = index_points(points, _VOXEL_M)
-    mean, normal = _flat_voxels(points, voxel, index.count)
+    mean, normal = _flat_voxels(points, voxel, index.voxel_count)
     flat = np.flatnonzero(np.any(normal != 0.0, axis=1)[voxel])
     lasers = len(bias)
     if len(flat) == 0:
@@ -137,8 +137,8 @@ def learn_intensity_gain(
         return gain
     for _ in range(_GAIN_ITERATIONS):
         own = gain[source]
-        summed = np.bincount(voxel, weights=own * shine, minlength=index.count)
-        mean = (summed / np.bincount(voxel, weights=own**2, minlength=index.count))[voxel]
+        summed = np.bincount(voxel, weights=own * shine, minlength=index.voxel_count)
+        mean = (summed / np.bincount(voxel, weights=own**2, minlength=index.voxel_count))[voxel]
         products = np.bincount(source, weights=mean * shine, minlength=lasers) + prior
         gain = products / (np.bincount(source, weights=mean**2, minlength=lasers) + prior)
         gain = np.clip(gain / np.mean(gain), *_LIMITS)

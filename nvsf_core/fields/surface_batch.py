@@ -1,6 +1,7 @@
 """Rays with the surfaces that evidence proposes for them, static and of moving objects: a field's input."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on
 from nvsf_core.evidence.moving.rigid_path import MovingObject
-from nvsf_core.evidence.static.surfels import STOP_TRANSMITTANCE, Surfels
+from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kernels.surface_list import list_surfaces
 
@@ -40,8 +41,7 @@ def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float)
     return places
 
 
-@dataclass(frozen=True, slots=True)
-class ObjectSurfaces:
+class ObjectSurfaces(NamedTuple):
     """t surfaces of m of the n rays of a batch: those that meet an object; ascending along each ray."""
 
     ray: np.ndarray
@@ -79,7 +79,7 @@ class ObjectSurfaces:
         return ObjectSurfaces(ray, first, **columns)
 
 
-_COLUMNS = tuple(column.name for column in fields(ObjectSurfaces) if column.name not in ("ray", "first"))
+_COLUMNS = ObjectSurfaces._fields[2:]
 
 
 def object_surfaces(
@@ -188,14 +188,10 @@ def surface_batch(
     Where there are more than `most` surfaces the farthest are left out.
     """
     met = NO_SURFACES if objects is None else objects
-    index, towards = surfels.index, np.ascontiguousarray(direction, np.float32)
+    towards = np.ascontiguousarray(direction, np.float32)
     first, range_m, logit, facts, point_m, hit_prior = list_surfaces(
-        np.ascontiguousarray(origin_m, np.float32), towards, near_m, far_m,
-        index.origin_m, index.voxel_m, index.bricks, index.cells,
-        surfels.mean_m, surfels.normal, surfels.precision, surfels.opacity,
-        surfels.missed_share, STOP_TRANSMITTANCE, most, surfels.hits, surfels.intensity,
-        met.ray, met.first, met.range_m, met.opacity, met.cosine, met.is_planar, met.hits, met.intensity,
-        met.place_m, met.hit_prior,
+        np.ascontiguousarray(origin_m, np.float32), towards, surfels.index, surfels.surfaces,
+        surfels.walk_limits(near_m, far_m, most), met,
     )  # fmt: skip
     count = np.diff(first)
     step = np.arange(max(1, int(count.max(initial=1))))

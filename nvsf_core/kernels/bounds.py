@@ -1,10 +1,11 @@
-"""Rays that cross a moving thing's bounds, each at its own time, in numba.
+"""Rays that cross the box around a moving object, each ray at its own time, in numba.
 
-The thing's poses are x, y, z in scene-local metres and yaw in radians, linear in time between its scans and
+The object's poses are x, y, z in scene-local metres and yaw in radians, linear in time between its scans and
 with constant velocity beyond them, as `MovingObject.pose_at` says.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -12,9 +13,30 @@ from numba import njit, prange
 from nvsf_core.kernels.voxel_march import RAYS_A_TASK, clip
 
 
+class MovingBounds(NamedTuple):
+    """A box that moves, and the rays that may meet it at all."""
+
+    axis: np.ndarray
+    """(3,) unit: a ray that meets the box runs within an angle of it..."""
+    least_cosine: float
+    """...whose cosine this is."""
+    first_s: float
+    """The box is there from this time..."""
+    last_s: float
+    """...to this one."""
+    path_time_s: np.ndarray
+    """(k,) float64 ascending, k >= 1."""
+    path_pose: np.ndarray
+    """(k, 4) float64 x, y, z in scene-local metres and yaw in radians, at these times."""
+    low_m: np.ndarray
+    """(3,) lower corner in the box's own frame."""
+    high_m: np.ndarray
+    """(3,) upper corner."""
+
+
 @njit(inline="always")
 def _interval(time_s, path_time_s):  # type: ignore[no-untyped-def]
-    """The two poses (the same where there is one) that a time's pose is told by, and its share between."""
+    """The two poses (the same where there is one) that a time lies between, and the share of the second."""
     if len(path_time_s) == 1:
         return 0, 0, 0.0
     before = 0
@@ -31,7 +53,7 @@ def _between(path_pose, axis, a, b, share):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _in_its_frame(origin, direction, time_s, path_time_s, path_pose):  # type: ignore[no-untyped-def]
-    """Origin and direction, three numbers each, in the thing's frame at a time."""
+    """Origin and direction, three numbers each, in the object's frame at a time."""
     a, b, share = _interval(time_s, path_time_s)
     yaw_rad = _between(path_pose, 3, a, b, share)
     cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -47,17 +69,20 @@ def _in_its_frame(origin, direction, time_s, path_time_s, path_pose):  # type: i
 
 @njit(parallel=True, cache=True)
 def rays_into_bounds(  # type: ignore[no-untyped-def]
-    origins, directions, time_s, axis, least_cosine, first_s, last_s, path_time_s, path_pose, low_m, high_m
+    origins, directions, time_s, box
 ):
-    """Which of n rays, origins and unit directions (n, 3) at times (n,), cross bounds that move.
+    """Which of n rays cross a box that moves.
 
-    Asked first, and of every ray: whether it runs within an angle of the unit `axis` (3,), whose cosine is
-    `least_cosine`, and is fired between `first_s` and `last_s`. The bounds `low_m`, `high_m` (3,) are in the
-    thing's frame; its k poses (k, 4) are at `path_time_s` (k,), k >= 1.
+    Args:
+        origins: (n, 3), scene-local.
+        directions: (n, 3) unit.
+        time_s: (n,) when each is fired.
+        box: `MovingBounds`; direction and time are compared first, of every ray.
 
     Returns:
-        ray (m,) int64 ascending; origins and directions (m, 3) float32 in the thing's frame.
+        ray (m,) int64 ascending; origins and directions (m, 3) float32 in the box's frame.
     """
+    axis, least_cosine, first_s, last_s, path_time_s, path_pose, low_m, high_m = box
     n = len(time_s)
     crosses = np.zeros(n, np.bool_)
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):

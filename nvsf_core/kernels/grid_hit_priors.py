@@ -1,6 +1,7 @@
 """Whether scans' grids of lasers and firings returned towards places: read between their cells."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -8,6 +9,23 @@ from numba import njit, prange
 from nvsf_core.kernels.voxel_march import RAYS_A_TASK
 
 _TURN_RAD = 2.0 * np.pi
+
+
+class FiringLasers(NamedTuple):
+    """Where the lasers of a sensor look."""
+
+    turned_down_rad: float
+    """By which a ray in the world lies above the same ray as recorded."""
+    number: np.ndarray
+    """(l,) int64 lasers that ever return, at least one."""
+    elevation_rad: np.ndarray
+    """(L,) of all lasers."""
+    vertical_offset_m: np.ndarray
+    """(L,)."""
+    horizontal_offset_m: np.ndarray
+    """(L,)."""
+    shift_rad: np.ndarray
+    """(L,) by which a laser looks ahead of the encoder."""
 
 
 @njit(inline="always")
@@ -26,17 +44,17 @@ def _of_laser(azimuth_rad, flat_m, horizontal_offset_m, shift_rad, fraction, las
 
 @njit(inline="always")
 def _of_scan(  # type: ignore[no-untyped-def]
-    x, y, z, turned_down_rad, lasers, looks_rad, vertical_offset_m, horizontal_offset_m, shift_rad, fraction,
-    last, is_hit,
-):  # fmt: skip
+    x, y, z, lasers, fraction, last, is_hit
+):
     """Share of one scan's firings that returned, at a place (x, y, z) of its sensor's frame."""
+    turned_down_rad, numbers, looks_rad, vertical_offset_m, horizontal_offset_m, shift_rad = lasers
     azimuth_rad, ahead_m, range_m = math.atan2(y, x), math.hypot(x, y), math.sqrt(x * x + y * y + z * z)
     cosine, sine = math.cos(turned_down_rad), math.sin(turned_down_rad)
     flat_m = abs(cosine * ahead_m + sine * z)
     elevation_rad = math.atan2(cosine * z - sine * ahead_m, flat_m)
     above, below = -1, -1
     above_rad, below_rad = np.inf, np.inf
-    for laser in lasers:
+    for laser in numbers:
         apart = looks_rad[laser] + vertical_offset_m[laser] / range_m - elevation_rad
         if 0.0 < apart < above_rad:
             above, above_rad = laser, apart
@@ -57,9 +75,8 @@ def _of_scan(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, cache=True)
 def share_of_scans(  # type: ignore[no-untyped-def]
-    places_m, to_sensor, weights, turned_down_rad, lasers, looks_rad, vertical_offset_m, horizontal_offset_m,
-    shift_rad, scans, fraction, is_hit,
-):  # fmt: skip
+    places_m, to_sensor, weights, lasers, scans, fraction, is_hit
+):
     """Share (v,) float32 of some scans, by weight, that returned towards places of a frame of their own.
 
     The two lasers and two firings of each that look beside a place are weighted by how near to it they do.
@@ -68,12 +85,7 @@ def share_of_scans(  # type: ignore[no-untyped-def]
         places_m: (v, 3) float64, none of them a sensor's centre.
         to_sensor: (k, 4, 4) float64 from the places' frame to each asked scan's sensor.
         weights: (k,) float64 above 0 of the asked scans.
-        turned_down_rad: By which a ray in the world lies above the same ray as recorded.
-        lasers: (l,) int64 lasers that ever return, at least one.
-        looks_rad: (L,) elevations of all lasers; the following three of the table, likewise.
-        vertical_offset_m: (L,).
-        horizontal_offset_m: (L,).
-        shift_rad: (L,) by which a laser looks ahead of the encoder.
+        lasers: `FiringLasers` of the scans' sensor.
         scans: (k,) int64 asked scans, of the n that the grids are of.
         fraction: (n, f) ascending sweep fractions of the scans' firings, at least two, infinite behind the
             last.
@@ -91,8 +103,7 @@ def share_of_scans(  # type: ignore[no-untyped-def]
                     pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3],
                     pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3],
                     pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3],
-                    turned_down_rad, lasers, looks_rad, vertical_offset_m, horizontal_offset_m, shift_rad,
-                    fraction[scan], np.searchsorted(fraction[scan], np.inf) - 1, is_hit[scan],
+                    lasers, fraction[scan], np.searchsorted(fraction[scan], np.inf) - 1, is_hit[scan],
                 )  # fmt: skip
                 weight += weights[k]
             found[i] = total / weight

@@ -142,17 +142,23 @@ def _solve(system, right):  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, cache=True)
-def register_pairs(points, normals, offsets, sources, targets, start, yaw_free, gates_m):  # type: ignore[no-untyped-def]
+def register_pairs(clouds, sources, targets, start, yaw_free, gates_m):  # type: ignore[no-untyped-def]
     """Register cloud `sources[i]` to cloud `targets[i]`, for all pairs i.
 
-    points, normals (3, n) float32, each cloud about a centre of its own; offsets (clouds + 1,); start
-    (pairs, 4) first guess of yaw, x, y, z; yaw_free (pairs,) bool; gates_m (g,) descending: how far
-    apart partners may be.
+    Args:
+        clouds: Points and normals (3, n) float32, each cloud about a centre of its own, and offsets (c + 1,):
+            where each of the c clouds begins.
+        sources: (pairs,) int64 clouds that are moved.
+        targets: (pairs,) int64 clouds that they are moved onto.
+        start: (pairs, 4) float64 first guess of yaw in radians and x, y, z in metres.
+        yaw_free: (pairs,) bool: whether the yaw is estimated.
+        gates_m: (g,) descending: how far apart partners may be.
 
     Returns:
         motion (pairs, 4): target = R(yaw) source + t; information (pairs, 4, 4) with unit noise; quality
         (pairs, 3): share of inliers, their mean distance in metres, their mean e^T M e.
     """
+    points, normals, offsets = clouds
     count = len(sources)
     motions = start.copy()
     informations = np.zeros((count, 4, 4))

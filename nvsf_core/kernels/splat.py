@@ -10,6 +10,9 @@ import numpy as np
 from numba import njit
 
 _LARGEST_FOOTPRINT_PX = 12
+_NEAR_M = 0.5
+_MARGIN_M, _MARGIN_SHARE = 0.3, 0.05
+"""A surface's own thickness, and its thickness as a share of the depth: it may be seen at a grazing angle."""
 
 
 def splat_depth(
@@ -18,14 +21,11 @@ def splat_depth(
     intrinsics: tuple[float, float, float, float],
     shape: tuple[int, int],
     radius_m: float = 0.08,
-    margin_m: float = 0.3,
-    margin_share: float = 0.05,
-    near_m: float = 0.5,
 ) -> np.ndarray:
     """Depth of the nearest visible point in each pixel.
 
-    A point of depth z is hidden where a point of depth z' with z > z' + margin_m + margin_share z'
-    covers its pixel with a square of half side fx radius_m / z', at most 12 pixels.
+    Points nearer than 0.5 m are left out. A point of depth z is hidden where a point of depth z' with
+    z > z' + 0.3 m + 0.05 z' covers its pixel with a square of half side fx radius_m / z', at most 12 pixels.
 
     Args:
         points_m: (M, 3) float32, in the frame that `world_to_camera` maps from.
@@ -33,9 +33,6 @@ def splat_depth(
         intrinsics: fx, fy, cx, cy in pixels; pixel centres at integers.
         shape: Rows and columns of the image.
         radius_m: Half side of what a point hides, metres.
-        margin_m: A surface's own thickness, metres.
-        margin_share: Its thickness as a share of the depth, for surfaces seen at grazing angles.
-        near_m: Nearer points are left out.
 
     Returns:
         (H, W) float32 depth along z in metres; inf where no point is seen.
@@ -44,12 +41,12 @@ def splat_depth(
     motion = np.ascontiguousarray(world_to_camera[:3], np.float32)
     fx, fy, cx, cy = intrinsics
     rows, columns = shape
-    image = _project(points, motion, fx, fy, cx, cy, near_m)
+    image = _project(points, motion, fx, fy, cx, cy, _NEAR_M)
     nearest = np.full(shape, np.inf, np.float32)
     _nearest(image, nearest)
     # Hiding needs only each pixel's nearest point: what that hides, the ones behind it need not.
     cover = np.full((rows, columns), np.inf, np.float32)
-    _cover(nearest, cover, fx * radius_m, margin_m, margin_share)
+    _cover(nearest, cover, fx * radius_m, _MARGIN_M, _MARGIN_SHARE)
     return np.where(nearest <= cover, nearest, np.float32(np.inf))
 
 

@@ -29,42 +29,45 @@ def _describe(distance, opacity, cosine, is_planar, hits, intensity, at, range_m
 
 @njit(parallel=True, cache=True)
 def list_surfaces(  # type: ignore[no-untyped-def]
-    origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, precisions, opacities, missed_share, stop_transmittance, most, hits, intensities,
-    met, met_first, met_range_m, met_opacity, met_cosine, met_planar, met_hits, met_intensity, met_place_m,
-    met_hit_prior,
+    origins, directions, grid, surfaces, limits, met
 ):  # fmt: skip
-    """Surfaces of n rays: `find_candidates` of what stands, and those of moving objects, merged by range.
+    """Surfaces of n rays: static ones as of `find_candidates`, and those of moving objects, merged by range.
 
-    The rays `met` (e,), ascending, have surfaces of their own, from `met_first` (e + 1,) on, ascending in
-    range; where there are more than `most` surfaces in all, the farthest are left out.
+    Args:
+        origins: (n, 3) float32, scene-local.
+        directions: (n, 3) float32, of unit length.
+        grid: A `VoxelIndex`.
+        surfaces: `VoxelSurfaces`, the static ones.
+        limits: `WalkLimits`; where a ray has more than `most` surfaces in all, the farthest are left out.
+        met: `ObjectSurfaces` of the same rays, empty where nothing moves.
 
     Returns:
         first (n + 1,) int64: where each ray's surfaces begin; of all m surfaces: range_m (m,), opacity logit
         (m,) within +-6, facts (m, 6): logit / 6, cosine, planar?, log(1 + hits) / 5, intensity, range / 50;
-        point_m (m, 3): where it lies, of an object's its place; vote (m,) of an object's, -1 of what stands.
+        point_m (m, 3): where it lies, of an object's its place; hit prior (m,) of an object's, -1 of a static
+        one.
     """
-    n = origins.shape[0]
+    n, most = origins.shape[0], limits.most
+    normals, intensities, hits = surfaces.normal, surfaces.intensity, surfaces.hits
     row_of = np.full(n, -1, np.int64)
-    for row in range(len(met)):
-        row_of[met[row]] = row
+    for row in range(len(met.ray)):
+        row_of[met.ray[row]] = row
     distance = np.empty((n, most), np.float32)
     voxels = np.empty((n, most), np.int32)
     opacity = np.empty((n, most), np.float32)
     cosine = np.empty((n, most), np.float32)
-    standing = np.zeros(n, np.int64)
+    static = np.zeros(n, np.int64)
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
-            standing[ray] = walk(
-                ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-                means, normals, precisions, opacities, missed_share, stop_transmittance,
-                distance[ray], voxels[ray], opacity[ray], cosine[ray],
+            static[ray] = walk(
+                ray, origins, directions, grid, surfaces, limits,
+                (distance[ray], voxels[ray], opacity[ray], cosine[ray]),
             )  # fmt: skip
     first = np.zeros(n + 1, np.int64)
     for ray in range(n):
         row = row_of[ray]
-        moving = 0 if row < 0 else met_first[row + 1] - met_first[row]
-        first[ray + 1] = first[ray] + min(standing[ray] + moving, most)
+        moving = 0 if row < 0 else met.first[row + 1] - met.first[row]
+        first[ray + 1] = first[ray] + min(static[ray] + moving, most)
     count = first[n]
     range_m, logit = np.empty(count, np.float32), np.empty(count, np.float32)
     facts, point_m = np.empty((count, N_FACTS), np.float32), np.empty((count, 3), np.float32)
@@ -72,12 +75,12 @@ def list_surfaces(  # type: ignore[no-untyped-def]
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             row = row_of[ray]
-            own = 0 if row < 0 else met_first[row]
-            own_end = 0 if row < 0 else met_first[row + 1]
+            own = 0 if row < 0 else met.first[row]
+            own_end = 0 if row < 0 else met.first[row + 1]
             i = 0
             for at in range(first[ray], first[ray + 1]):
-                # Of equally near surfaces the standing one comes first.
-                if i < standing[ray] and (own == own_end or distance[ray, i] <= met_range_m[own]):
+                # Of equally near surfaces the static one comes first.
+                if i < static[ray] and (own == own_end or distance[ray, i] <= met.range_m[own]):
                     voxel = voxels[ray, i]
                     is_planar = (
                         normals[voxel, 0] != 0.0 or normals[voxel, 1] != 0.0 or normals[voxel, 2] != 0.0
@@ -91,11 +94,11 @@ def list_surfaces(  # type: ignore[no-untyped-def]
                     i += 1
                 else:
                     _describe(
-                        met_range_m[own], met_opacity[own], met_cosine[own], met_planar[own], met_hits[own],
-                        met_intensity[own], at, range_m, logit, facts,
+                        met.range_m[own], met.opacity[own], met.cosine[own], met.is_planar[own],
+                        met.hits[own], met.intensity[own], at, range_m, logit, facts,
                     )  # fmt: skip
                     for axis in range(3):
-                        point_m[at, axis] = met_place_m[own, axis]
-                    hit_prior[at] = met_hit_prior[own]
+                        point_m[at, axis] = met.place_m[own, axis]
+                    hit_prior[at] = met.hit_prior[own]
                     own += 1
     return first, range_m, logit, facts, point_m, hit_prior

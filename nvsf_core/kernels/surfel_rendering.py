@@ -1,4 +1,4 @@
-"""Rays answered by surfels alone, walked and composited at once: no list of surfaces ever reaches memory."""
+"""LiDAR rays rendered from surfels alone, walked and composited in one pass without a list of surfaces."""
 
 import numpy as np
 from numba import njit, prange
@@ -11,18 +11,24 @@ _HANDS = 16
 
 @njit(parallel=True, cache=True)
 def render_by_surfels(  # type: ignore[no-untyped-def]
-    origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, precisions, opacities, intensities, missed_share, stop_transmittance, most,
+    origins, directions, grid, surfaces, limits
 ):  # fmt: skip
     """The weighted median surface of each ray, of those that `find_candidates` gives with the same arguments.
 
+    Args:
+        origins: (n, 3) float32, scene-local.
+        directions: (n, 3) float32, of unit length.
+        grid: A `VoxelIndex`.
+        surfaces: `VoxelSurfaces`.
+        limits: `WalkLimits`.
+
     Weights are w_i = a_i prod_{j<i} (1 - a_j); the median is the first surface with
-    ``sum up to i >= half of the total``, the intensity the mean of the voxels' `intensities` (v,) by weight.
+    ``sum up to i >= half of the total``, the intensity the mean of the voxels' intensities by weight.
 
     Returns:
         range_m (n,) float32, infinite without a surface; intensity (n,) float32, 0 there.
     """
-    n = origins.shape[0]
+    n, most, intensities = origins.shape[0], limits.most, surfaces.intensity
     range_m = np.full(n, np.inf, np.float32)
     intensity = np.zeros(n, np.float32)
     half, one = np.float32(0.5), np.float32(1.0)
@@ -37,11 +43,7 @@ def render_by_surfels(  # type: ignore[no-untyped-def]
         opacity = np.empty(most, np.float32)
         cosine = np.empty(most, np.float32)
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
-            count = walk(
-                ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-                means, normals, precisions, opacities, missed_share, stop_transmittance,
-                distance, voxel, opacity, cosine,
-            )  # fmt: skip
+            count = walk(ray, origins, directions, grid, surfaces, limits, (distance, voxel, opacity, cosine))
             if count == 0:
                 continue
             light = one

@@ -45,7 +45,7 @@ def _angle(y, x):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _cell(azimuth, count):  # type: ignore[no-untyped-def]
-    """Which of a turn's `count` cells looks at an azimuth: -a / 2 pi of a sweep after its middle."""
+    """Which of a sweep's `count` cells looks at an azimuth: -a / 2 pi of a sweep after its middle."""
     return min(max(int((np.float32(0.5) - azimuth * np.float32(0.5 / math.pi)) * count), 0), count - 1)
 
 
@@ -101,20 +101,26 @@ def _look(image, first_row, end_row, column, range_m, margin_m):  # type: ignore
 
 @njit(parallel=True, cache=True)
 def look_back(  # type: ignore[no-untyped-def]
-    points, scans, images, to_sensor, laser_elevation, laser_offset_m, turn_down_rad, near_m, per_range
-):  # fmt: skip
+    points, scans, images, to_sensor, lasers, near_m, per_range
+):
     """Walk from each point's own scan outwards in time, in both directions.
 
-    points (m, 3) float32 scene-local; scans (m,) int32; images (n, lasers, cells) float32 range from the
-    sensor's centre, 0 where nothing; to_sensor (n, k, 3, 4) float32 from the scene at k moments of each
-    turn; laser tables (lasers,) from the top, at least two. Surfaces within near_m + per_range * range
-    are one.
+    Args:
+        points: (m, 3) float32, scene-local.
+        scans: (m,) int32, of the points.
+        images: (n, l, cells) float32 range from the sensor's centre, 0 where nothing returned.
+        to_sensor: (n, k, 3, 4) float32 from the scene at k moments of each sweep.
+        lasers: Elevations (l,) and vertical offsets (l,) float32 from the top, at least two; and the angle by
+            which the sensor's rays were turned up on their way into the scene.
+        near_m: Two ranges show one surface within near_m + per_range * range.
+        per_range: Likewise.
 
     Returns:
         (m, 3) int16: scans that saw through the point; scans that confirmed it although one nearer to it
         in time, in that direction, had seen through, until three in a row did; scans that confirmed it.
     """
     n, _, cells = images.shape
+    laser_elevation, laser_offset_m, turn_down_rad = lasers
     moments = to_sensor.shape[1]
     sine, cosine = np.float32(math.sin(turn_down_rad)), np.float32(math.cos(turn_down_rad))
     counts = np.zeros((len(points), 3), np.int16)

@@ -9,6 +9,7 @@ Precisions are inverse covariances, 1/m^2: xx, xy, xz, yy, yz, zz; (0, 6) where 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -22,7 +23,37 @@ _FALL = 0.2
 """At `apart` squared standard deviations off, returns that are no plane stop exp(-_FALL * apart) of what they
 stop in their middle. Planes stop as much out to their ends: walls must not leak between voxels."""
 RAYS_A_TASK = 256
-"""Rays that one thread answers before it asks for more."""
+"""Rays that one thread renders before it takes more."""
+
+
+class VoxelSurfaces(NamedTuple):
+    """The surface in each of v voxels."""
+
+    mean_m: np.ndarray
+    """(v, 3) float32, scene-local."""
+    normal: np.ndarray
+    """(v, 3) float32; 0 where the returns are no plane."""
+    precision: np.ndarray
+    """(v, 6) float32; (0, 6) where no shapes are known."""
+    opacity: np.ndarray
+    """(v,) float32."""
+    intensity: np.ndarray
+    """(v,) float32."""
+    hits: np.ndarray
+    """(v,) int32."""
+
+
+class WalkLimits(NamedTuple):
+    """Where a walk begins and ends, and what a missed surface still stops."""
+
+    near_m: float
+    far_m: float
+    most: int
+    """Surfaces after which the walk ends."""
+    missed_share: float
+    """Share of its opacity that a surface keeps for a ray that misses it inside its voxel."""
+    stop_transmittance: float
+    """The walk ends where less of the light than this is left."""
 
 
 @njit(inline="always")
@@ -101,7 +132,7 @@ def _cross_brick(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, cache=True)
 def count_passes(  # type: ignore[no-untyped-def]
-    origins, directions, stops_m, grid_origin, voxel_m, bricks, cells, means, precisions, n_threads
+    origins, directions, stops_m, grid, means, precisions, n_threads
 ):  # fmt: skip
     """How often each voxel's returns were seen through by rays that end at `stops_m` (shape (n,)).
 
@@ -114,17 +145,17 @@ def count_passes(  # type: ignore[no-untyped-def]
     for thread in prange(n_threads):
         for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
             _count_ray(
-                origins[ray], directions[ray], float(stops_m[ray]), grid_origin, voxel_m, bricks, cells,
-                means, precisions, partial[thread],
-            )  # fmt: skip
+                origins[ray], directions[ray], float(stops_m[ray]), grid, means, precisions, partial[thread]
+            )
     return partial.sum(axis=0)
 
 
 @njit(cache=True)
 def _count_ray(  # type: ignore[no-untyped-def]
-    origin, direction, stop_m, grid_origin, voxel_m, bricks, cells, means, precisions, passes
+    origin, direction, stop_m, grid, means, precisions, passes
 ):  # fmt: skip
     """Add one to `passes` of each voxel whose returns a ray meets and that it has left before `stop_m`."""
+    grid_origin, voxel_m, bricks, cells = grid
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -176,15 +207,25 @@ def _count_ray(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def walk(  # type: ignore[no-untyped-def]
-    ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, precisions, opacities, missed_share, stop_transmittance,
-    range_m, voxels, opacity, cosine,
+    ray, origins, directions, grid, surfaces, limits, found_surfaces
 ):  # fmt: skip
-    """Fill the last four arrays (k,) with the surfaces of one ray, see `find_candidates`; how many there are.
+    """Write the surfaces of one ray, see `find_candidates`, into four arrays (k,); how many there are.
 
     Empty bricks are crossed in one step. All state is in scalars: the compiler keeps no array in registers.
+
+    Args:
+        ray: Number of the ray.
+        origins: (n, 3) float32.
+        directions: (n, 3) float32.
+        grid: A `VoxelIndex`.
+        surfaces: `VoxelSurfaces`.
+        limits: `WalkLimits`.
+        found_surfaces: range_m, voxel, opacity and cosine, each (k,), to be written.
     """
-    most = range_m.shape[0]
+    grid_origin, voxel_m, bricks, cells = grid
+    means, normals, precisions, opacities = surfaces[0], surfaces[1], surfaces[2], surfaces[3]
+    near_m, far_m, most, missed_share, stop_transmittance = limits
+    range_m, voxels, opacity, cosine = found_surfaces
     ny_bricks, nz_bricks = bricks.shape[1], bricks.shape[2]
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, ny_bricks * BRICK, nz_bricks * BRICK
     ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
@@ -259,32 +300,36 @@ def walk(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True, cache=True)
 def find_candidates(  # type: ignore[no-untyped-def]
-    origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-    means, normals, precisions, opacities, missed_share, stop_transmittance, n_candidates,
+    origins, directions, grid, surfaces, limits
 ):  # fmt: skip
     """The surfaces that each ray may end on, in order.
 
     A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its returns (or,
     without shapes, their mean) closest, kept inside the voxel. Opacity falls off towards the ends of a shape
     that is no plane; returns that are missed, or without shapes a plane that is missed inside its voxel, keep
-    `missed_share` of it. The walk ends at `n_candidates` or where less than `stop_transmittance` of the light
-    is left.
+    `missed_share` of it.
+
+    Args:
+        origins: (n, 3) float32, scene-local.
+        directions: (n, 3) float32, of unit length.
+        grid: A `VoxelIndex`.
+        surfaces: `VoxelSurfaces`.
+        limits: `WalkLimits`; k is its `most`.
 
     Returns:
         range_m (n, k) float32, 0 where there is none; voxel (n, k) int32, -1 where there is none;
         opacity (n, k) float32; cosine of incidence (n, k) float32; count (n,) int32.
     """
     n = origins.shape[0]
-    range_m = np.zeros((n, n_candidates), np.float32)
-    voxels = np.full((n, n_candidates), -1, np.int32)
-    opacity = np.zeros((n, n_candidates), np.float32)
-    cosine = np.zeros((n, n_candidates), np.float32)
+    range_m = np.zeros((n, limits.most), np.float32)
+    voxels = np.full((n, limits.most), -1, np.int32)
+    opacity = np.zeros((n, limits.most), np.float32)
+    cosine = np.zeros((n, limits.most), np.float32)
     count = np.zeros(n, np.int32)
     for chunk in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(chunk * RAYS_A_TASK, min(n, (chunk + 1) * RAYS_A_TASK)):
             count[ray] = walk(
-                ray, origins, directions, near_m, far_m, grid_origin, voxel_m, bricks, cells,
-                means, normals, precisions, opacities, missed_share, stop_transmittance,
-                range_m[ray], voxels[ray], opacity[ray], cosine[ray],
+                ray, origins, directions, grid, surfaces, limits,
+                (range_m[ray], voxels[ray], opacity[ray], cosine[ray]),
             )  # fmt: skip
     return range_m, voxels, opacity, cosine, count

@@ -113,16 +113,25 @@ def load_lpips() -> Lpips | None:
         return None
     try:
         tensors, _ = load_tensors(path)
-        found = _digest(tensors)
     except StoreError:
-        tensors, found = {}, "no readable safetensors file"
+        tensors = {}
+    require_version_0_1(tensors, str(path))
+    return Lpips(tensors)
+
+
+def require_version_0_1(tensors: Mapping[str, Tensor], origin: str) -> None:
+    """Refuse weights that are not those of version 0.1, to the last bit.
+
+    Raises:
+        StoreError: They are not; it names their `origin`.
+    """
+    found = _digest(tensors) if tensors else "no readable tensors"
     if found != _DIGEST:
         raise StoreError(
-            f"LPIPS weights {path}: expected the numbers of {WEIGHTS_NAME} (SHA-256 {_DIGEST[:16]}...), "
-            f"found {found:.40}; restore the file, or remove it and unset {WEIGHTS_VARIABLE}: LPIPS is then "
-            "not run"
+            f"LPIPS weights {origin}: expected the numbers of {WEIGHTS_NAME} (SHA-256 {_DIGEST[:16]}...), "
+            f"found {found:.40}; make the file with `nvsf weights`, or remove it and unset "
+            f"{WEIGHTS_VARIABLE}: LPIPS is then not run"
         )
-    return Lpips(tensors)
 
 
 def _digest(tensors: Mapping[str, Tensor]) -> str:
@@ -141,7 +150,7 @@ def lpips_measure(lpips: Lpips | None, predicted: np.ndarray, truth: np.ndarray)
     the network was trained on: its numbers compare with the papers' only.
     """
     if lpips is None:
-        return absent(f"no LPIPS weights: set {WEIGHTS_VARIABLE} to {WEIGHTS_NAME}")
+        return absent(f"no LPIPS weights: make them with `nvsf weights`, or set {WEIGHTS_VARIABLE}")
     same_shape(predicted, truth)
     bad = fault(predicted, truth)
     if bad is not None:

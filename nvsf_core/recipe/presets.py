@@ -143,6 +143,11 @@ _PRESETS: dict[str, Recipe] = {
 _FAMILIES: dict[str, type[Recipe]] = {"residual": ResidualRecipe, "paper": PaperRecipe}
 
 
+def preset_names() -> list[str]:
+    """Names of all presets, ours first."""
+    return list(_PRESETS)
+
+
 def preset(name: str) -> Recipe:
     """A recipe by name; `name@0.5` is the same with half of its step sizes.
 

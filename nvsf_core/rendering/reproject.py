@@ -5,7 +5,7 @@ import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on, merge_objects
-from nvsf_core.evidence.static.surfels import STOP_TRANSMITTANCE, Candidates, Surfels, candidates_of
+from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.surfel_rendering import render_by_surfels
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.weights import weighted_median_index
@@ -54,7 +54,7 @@ def reproject_rays(
     rays = np.unique(np.concatenate([ray for ray, _ in met]))
     if len(rays) > 0:
         found = candidates_of(surfels, origin_m[rays], direction[rays], most=most, near_m=NEAR_M, far_m=far_m)
-        found = merge_objects(found, rays, surfels.index.count, objects, met)
+        found = merge_objects(found, rays, surfels.index.voxel_count, objects, met)
         own_priors = [
             (np.searchsorted(rays, ray), one.hit_prior(own, origin_m[ray], direction[ray], time_s[ray]))
             for one, (ray, own) in zip(objects, met, strict=True)
@@ -78,24 +78,12 @@ def _render_static(
     far_m: float,
 ) -> RenderedRays:
     """Arguments and result as of `reproject_rays`, without moving objects."""
-    index = surfels.index
     range_m, intensity = render_by_surfels(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
-        NEAR_M,
-        far_m,
-        index.origin_m,
-        index.voxel_m,
-        index.bricks,
-        index.cells,
-        surfels.mean_m,
-        surfels.normal,
-        surfels.precision,
-        surfels.opacity,
-        surfels.intensity,
-        surfels.missed_share,
-        STOP_TRANSMITTANCE,
-        most,
+        surfels.index,
+        surfels.surfaces,
+        surfels.walk_limits(NEAR_M, far_m, most),
     )
     hit = np.where(np.isfinite(range_m), hit_prior, 0.0).astype(np.float32)
     return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
@@ -112,14 +100,14 @@ def _prior_with_objects(
 
     `own_priors` are, for each object, the indices (k,) of the rays that meet it, and its hit prior (k,).
     """
-    weights, first = found.weights, surfels.index.count
+    weights, first = found.weights, surfels.index.voxel_count
     on_objects, own = np.zeros(len(hit_prior)), np.zeros(len(hit_prior))
     for one, (rays, share) in zip(objects, own_priors, strict=True):
-        is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.index.count)
+        is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.index.voxel_count)
         on_it = np.where(is_its, weights[rays], 0.0).sum(axis=1)
         on_objects[rays] += on_it
         own[rays] += on_it * share
-        first += one.surfels.index.count
+        first += one.surfels.index.voxel_count
     mixed: np.ndarray = hit_prior.copy()
     rows = np.flatnonzero(on_objects > 0.5 * weights.sum(axis=1))
     mixed[rows] = own[rows] / on_objects[rows]

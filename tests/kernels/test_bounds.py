@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.moving.rigid_path import MovingObject
-from nvsf_core.kernels.bounds import rays_into_bounds
+from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 
 FRAME_S = 0.1
 LOW_M, HIGH_M = np.array([-2.0, -0.9, -0.2]), np.array([2.2, 0.9, 1.5])
@@ -30,9 +30,8 @@ def rays(count: int, last_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def crossing(thing: MovingObject, origin, direction, time_s, *, cone=EVERYWHERE):
     first_s, last_s = thing.there_s
-    return rays_into_bounds(
-        origin, direction, time_s, *cone, first_s, last_s, thing.time_s, thing.pose, LOW_M, HIGH_M
-    )
+    box = MovingBounds(*cone, first_s, last_s, thing.time_s, thing.pose, LOW_M, HIGH_M)
+    return rays_into_bounds(origin, direction, time_s, box)
 
 
 def by_numpy(thing: MovingObject, origin, direction, time_s) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.kernels.grid_hit_priors import share_of_scans
+from nvsf_core.kernels.grid_hit_priors import FiringLasers, share_of_scans
 
 ELEVATION = np.deg2rad(np.array([2.0, 1.0, 0.0, -1.0]))
 FIRINGS = 360
@@ -25,10 +25,9 @@ def shares(place_m, to_sensor, weights, is_hit, offset_m=NONE, turned_down_rad=0
     scans = np.arange(len(to_sensor))
     # A firing fewer than the grid has columns: behind the last fraction there is none.
     fraction = np.tile(np.append(FRACTION, np.inf).astype(np.float32), (len(scans), 1))
-    return share_of_scans(
-        place_m, to_sensor, weights, turned_down_rad, np.arange(4), ELEVATION, NONE, offset_m, NONE, scans,
-        fraction, np.pad(is_hit, ((0, 0), (0, 0), (0, 1)), constant_values=True),
-    )  # fmt: skip
+    lasers = FiringLasers(turned_down_rad, np.arange(4), ELEVATION, NONE, offset_m, NONE)
+    is_hit = np.pad(is_hit, ((0, 0), (0, 0), (0, 1)), constant_values=True)
+    return share_of_scans(place_m, to_sensor, weights, lasers, scans, fraction, is_hit)
 
 
 def test_a_place_on_a_firing_reads_that_firing_alone() -> None:

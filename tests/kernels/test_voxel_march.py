@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
-from nvsf_core.kernels.voxel_march import find_candidates
+from nvsf_core.kernels.voxel_march import WalkLimits, find_candidates
 
 VOXEL_M = 0.5
 NEAR_M, FAR_M = 0.9, 60.0
@@ -44,7 +44,7 @@ def crossed_m(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> tu
     """Where one ray enters and leaves every voxel (v,), near to far: by its slabs, without a walk."""
     index = surfels.index
     brick, within = np.nonzero(index.cells >= 0)
-    corner = np.zeros((index.count, 3))
+    corner = np.zeros((index.voxel_count, 3))
     place = np.argwhere(index.bricks >= 0)[np.argsort(index.bricks[index.bricks >= 0])][brick] * 8
     place = place + np.stack([within >> 6, (within >> 3) & 7, within & 7], axis=1)
     corner[index.cells[brick, within]] = index.origin_m + place * VOXEL_M
@@ -59,7 +59,7 @@ def crossed_m(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> tu
 def apart(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """By how many standard deviations, squared (v,), one ray passes each voxel's returns; in float64."""
     rows, columns = np.triu_indices(3)
-    precision = np.empty((surfels.index.count, 3, 3))
+    precision = np.empty((surfels.index.voxel_count, 3, 3))
     precision[:, rows, columns] = precision[:, columns, rows] = surfels.precision
     mean, towards = surfels.mean_m - origin.astype(np.float64), direction.astype(np.float64)
     across = np.einsum("vij,j->vi", precision, towards)
@@ -70,11 +70,9 @@ def apart(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> np.nda
 
 def walked(surfels: Surfels, stop: float = 0.0) -> tuple[np.ndarray, ...]:
     """Of `some_rays`: ranges, voxels, opacities, cosines and counts; what is missed keeps a tenth."""
-    index = surfels.index
     return find_candidates(
-        *some_rays(), NEAR_M, FAR_M, index.origin_m, VOXEL_M, index.bricks, index.cells,
-        surfels.mean_m, surfels.normal, surfels.precision, surfels.opacity, 0.1, stop, 200,
-    )  # fmt: skip
+        *some_rays(), surfels.index, surfels.surfaces, WalkLimits(NEAR_M, FAR_M, 200, 0.1, stop)
+    )
 
 
 def test_a_ray_meets_exactly_the_voxels_whose_slabs_it_crosses_in_their_order(sparse) -> None:

@@ -85,9 +85,9 @@ def test_points_share_a_voxel_exactly_where_their_floors_are_equal(
     points = _cloud(seed, n, 2.0) + shift_m
     index, voxel = index_points(points, voxel_m)
     _, exact = np.unique(np.floor((points - index.origin_m) / voxel_m), axis=0, return_inverse=True)
-    assert index.count == exact.max() + 1 and voxel.min() >= 0 and voxel.max() < index.count
+    assert index.voxel_count == exact.max() + 1 and voxel.min() >= 0 and voxel.max() < index.voxel_count
     pairs = {(int(a), int(b)) for a, b in zip(voxel, exact.ravel(), strict=True)}
-    assert len(pairs) == index.count
+    assert len(pairs) == index.voxel_count
 
 
 @LAW

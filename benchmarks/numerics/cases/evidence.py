@@ -87,7 +87,8 @@ def _million_in_a_voxel() -> Reading:
     thickness = float(abs(surfels.thickness_m[main] - spread))
     return Reading(
         error=max(error, thickness), limit=2e-5, unit="m",
-        outcome=f"{len(inside)} returns; normal z {abs(surfels.normal[main, 2]):.6f}; {index.count} voxels",
+        outcome=f"{len(inside)} returns; normal z {abs(surfels.normal[main, 2]):.6f}; "
+        f"{index.voxel_count} voxels",
         is_refuted=not abs(surfels.normal[main, 2]) > 0.9999,
     )  # fmt: skip
 

@@ -29,10 +29,10 @@ def _voxels() -> Reading:
     within = place % 8
     expected = index.cells[brick, within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]]
     wrong = int((expected != voxel[sample]).sum())
-    everyone = int(np.bincount(voxel).sum()) == _POINTS and int(voxel.max()) + 1 == index.count
+    everyone = int(np.bincount(voxel).sum()) == _POINTS and int(voxel.max()) + 1 == index.voxel_count
     return Reading(
         error=float(wrong), limit=0.0, unit="of 2,000 sampled", is_refuted=not everyone,
-        outcome=f"{index.count:,} voxels; each point counted once: {everyone}",
+        outcome=f"{index.voxel_count:,} voxels; each point counted once: {everyone}",
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from nvsf_core.evidence.moving.soft_motion import flow_between, flow_to
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
-from nvsf_core.kernels.grid_hit_priors import share_of_scans
+from nvsf_core.kernels.grid_hit_priors import FiringLasers, share_of_scans
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
@@ -190,11 +190,13 @@ class NearHitPriors:
         if len(self.scans) == 0:
             return np.ones(len(place_o), np.float32)
         hit_priors, table, prior = self.hit_priors, self.hit_priors.table, self.hit_priors.prior
-        found: np.ndarray = share_of_scans(
-            np.ascontiguousarray(place_o, np.float64), self.object_to_sensor, self.weight,
+        lasers = FiringLasers(
             hit_priors.elevation_correction_rad, hit_priors.lasers.astype(np.int64), table.elevation_rad,
             table.vertical_offset_m, table.horizontal_offset_m,
-            (table.phase_steps - table.firing_shift_steps) * table.step_rad, self.scans, prior.fraction,
-            prior.is_hit,
+            (table.phase_steps - table.firing_shift_steps) * table.step_rad,
+        )  # fmt: skip
+        found: np.ndarray = share_of_scans(
+            np.ascontiguousarray(place_o, np.float64), self.object_to_sensor, self.weight, lasers, self.scans,
+            prior.fraction, prior.is_hit,
         )  # fmt: skip
         return found

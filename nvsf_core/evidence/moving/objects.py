@@ -13,7 +13,7 @@ from nvsf_core.evidence.moving.object_evidence import (
 )
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
-from nvsf_core.kernels.bounds import rays_into_bounds
+from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 
 _MOST_CANDIDATES = 12
 _MARGIN_M = 0.1
@@ -197,7 +197,7 @@ def merge_objects(
     )  # fmt: skip
     number = first_voxel
     for one, (ray, own) in zip(objects, met, strict=True):
-        first_voxel, number = number, number + one.surfels.index.count
+        first_voxel, number = number, number + one.surfels.index.voxel_count
         rows = np.searchsorted(rays, ray)
         own_voxel = np.where(own.voxel >= 0, own.voxel + first_voxel, -1)
         voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
@@ -240,10 +240,11 @@ def _crossing(
     """
     axis, least_cosine = _cone(path, middle_s, origin_m, spare_m)
     first_s, last_s = path.there_s
-    crossing: tuple[np.ndarray, np.ndarray, np.ndarray] = rays_into_bounds(
-        origin_m, direction, time_s, axis, least_cosine, first_s, last_s, path.time_s, path.pose,
-        path.low_m - _MARGIN_M, path.high_m + _MARGIN_M,
+    box = MovingBounds(
+        axis, least_cosine, first_s, last_s, path.time_s, path.pose, path.low_m - _MARGIN_M,
+        path.high_m + _MARGIN_M,
     )  # fmt: skip
+    crossing: tuple[np.ndarray, np.ndarray, np.ndarray] = rays_into_bounds(origin_m, direction, time_s, box)
     return crossing
 
 

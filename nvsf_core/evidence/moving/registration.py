@@ -82,12 +82,12 @@ def register(clouds: list[Cloud], first: np.ndarray, second: np.ndarray, shift_m
         [clouds[a].tells_yaw and clouds[b].tells_yaw for a, b in zip(first, second, strict=True)], bool
     )
     start = np.concatenate([np.zeros((len(first), 1)), shift_m - between], axis=1)
-    motion, information, quality = register_pairs(
+    packed = (
         np.ascontiguousarray(np.concatenate([cloud.point_m for cloud in clouds]).T),
         np.ascontiguousarray(np.concatenate([cloud.normal for cloud in clouds]).T),
         np.concatenate([[0], np.cumsum([len(cloud.point_m) for cloud in clouds])]),
-        first, second, start, yaw_free, _GATES_M,
-    )  # fmt: skip
+    )
+    motion, information, quality = register_pairs(packed, first, second, start, yaw_free, _GATES_M)
     motion[:, 1:] += between
     kept = (quality[:, 0] >= _LEAST_INLIERS) & np.isfinite(motion).all(axis=1)
     motion[~yaw_free, 0] = 0.0

@@ -43,9 +43,11 @@ def classify_returns(returns: TimedReturns, above_ground: np.ndarray) -> np.ndar
         returns.scan_of(above_ground).astype(np.int32),
         images,
         _to_sensor(returns),
-        returns.table.elevation_rad[lasers].astype(np.float32),
-        returns.table.vertical_offset_m[lasers].astype(np.float32),
-        float(returns.elevation_correction_rad),
+        (
+            returns.table.elevation_rad[lasers].astype(np.float32),
+            returns.table.vertical_offset_m[lasers].astype(np.float32),
+            float(returns.elevation_correction_rad),
+        ),
         _MARGIN_M,
         _MARGIN_PER_RANGE,
     )

@@ -6,12 +6,17 @@ from typing import ClassVar
 import numpy as np
 
 from nvsf_core.evidence.static.voxels import VoxelIndex, index_points
-from nvsf_core.kernels.voxel_march import count_passes, find_candidates
+from nvsf_core.kernels.voxel_march import (
+    VoxelSurfaces,
+    WalkLimits,
+    count_passes,
+    find_candidates,
+)
 
 MIN_PLANE_RETURNS = 5
 PLANE_EIGENVALUE_RATIO = 4.0
 _MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
-STOP_TRANSMITTANCE = 0.005
+_STOP_TRANSMITTANCE = 0.005
 _NOISE_M = 0.005
 """Returns of one surface scatter at least so far."""
 _DOUBT = 0.3
@@ -69,9 +74,20 @@ class Surfels:
         return ((self.hits + 0.1) / (self.hits + self.passes + 0.2)).astype(np.float32)
 
     @property
-    def missed_share(self) -> float:
-        """What is left of a voxel's opacity for a ray that misses its shape, or without one its plane."""
-        return _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
+    def surfaces(self) -> VoxelSurfaces:
+        """As the kernels take them."""
+        return VoxelSurfaces(
+            self.mean_m, self.normal, self.precision, self.opacity, self.intensity, self.hits
+        )
+
+    def walk_limits(self, near_m: float, far_m: float, most: int) -> WalkLimits:
+        """A walk from near to far, over at most so many surfaces.
+
+        What is left of a voxel's opacity for a ray that misses its shape, or without one its plane, is a
+        constant of the method.
+        """
+        missed_share = _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
+        return WalkLimits(float(near_m), float(far_m), most, missed_share, _STOP_TRANSMITTANCE)
 
     @property
     def is_planar(self) -> np.ndarray:
@@ -124,7 +140,7 @@ def build_surfels(
     kept = slice(None) if is_surface is None else is_surface
     points = origin_m[kept] + direction[kept] * range_m[kept, None]
     index, voxel = index_points(points, voxel_m)
-    count = index.count
+    count = index.voxel_count
     hits = np.bincount(voxel, minlength=count)
     mean, covariance = _moments(points, voxel, hits)
     normal, thickness = _planes(covariance, hits)
@@ -135,10 +151,7 @@ def build_surfels(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
         stops_m.astype(np.float32),
-        index.origin_m,
-        voxel_m,
-        index.bricks,
-        index.cells,
+        index,
         mean_m,
         precision,
         threads,
@@ -159,23 +172,12 @@ def candidates_of(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, *, most: int, near_m: float, far_m: float
 ) -> Candidates:
     """Surfaces that rays (n, 3), scene-local, may end on between near and far."""
-    index = surfels.index
     range_m, voxel, opacity, cosine, _ = find_candidates(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
-        near_m,
-        far_m,
-        index.origin_m,
-        index.voxel_m,
-        index.bricks,
-        index.cells,
-        surfels.mean_m,
-        surfels.normal,
-        surfels.precision,
-        surfels.opacity,
-        surfels.missed_share,
-        STOP_TRANSMITTANCE,
-        most,
+        surfels.index,
+        surfels.surfaces,
+        surfels.walk_limits(near_m, far_m, most),
     )
     return Candidates(range_m, voxel, opacity, cosine)
 

@@ -33,21 +33,20 @@ def unobserved_beside(
     index, voxel = index_points(middle_m, voxel_m)
     passes = count_passes(
         np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
-        range_m.astype(np.float32), index.origin_m, voxel_m, index.bricks, index.cells,
-        np.zeros((index.count, 3), np.float32), _NO_SHAPES, threads,
+        range_m.astype(np.float32), index, np.zeros((index.voxel_count, 3), np.float32), _NO_SHAPES, threads,
     )  # fmt: skip
     is_unobserved = passes[voxel] == 0
     if not is_unobserved.any():
         return None
     middle_m, beside = middle_m[is_unobserved], beside[is_unobserved]
     index, voxel = index_points(middle_m, voxel_m)
-    each = np.empty(index.count, np.int64)
+    each = np.empty(index.voxel_count, np.int64)
     each[voxel] = np.arange(len(voxel))
-    none, flat = np.zeros(index.count, np.int32), np.zeros(index.count, np.float32)
+    none, flat = np.zeros(index.voxel_count, np.int32), np.zeros(index.voxel_count, np.float32)
     return Surfels(
-        index=index, mean_m=middle_m[each].astype(np.float32), normal=np.zeros((index.count, 3), np.float32),
-        precision=_NO_SHAPES, thickness_m=flat, intensity=surfels.intensity[beside[each]], hits=none,
-        passes=none,
+        index=index, mean_m=middle_m[each].astype(np.float32),
+        normal=np.zeros((index.voxel_count, 3), np.float32), precision=_NO_SHAPES, thickness_m=flat,
+        intensity=surfels.intensity[beside[each]], hits=none, passes=none,
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """A sparse index of the voxels that hold returns, in bricks, ready for the march; planes of their points."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,8 +10,7 @@ from nvsf_core.errors import DataError
 BRICK = 8
 
 
-@dataclass(frozen=True, slots=True)
-class VoxelIndex:
+class VoxelIndex(NamedTuple):
     """Numbers the voxels that hold at least one return."""
 
     origin_m: np.ndarray
@@ -24,7 +23,7 @@ class VoxelIndex:
     """(n_bricks, 512) int32: a voxel's number, or -1."""
 
     @property
-    def count(self) -> int:
+    def voxel_count(self) -> int:
         """Number of voxels that hold a return."""
         return int(self.cells.max(initial=-1)) + 1
 
@@ -34,7 +33,7 @@ class VoxelIndex:
         corner = np.empty_like(brick)
         corner[self.bricks[tuple(brick.T)]] = brick * BRICK
         row, cell = np.nonzero(self.cells >= 0)
-        found = np.empty((self.count, 3), np.int64)
+        found = np.empty((self.voxel_count, 3), np.int64)
         found[self.cells[row, cell]] = corner[row] + np.stack(np.unravel_index(cell, (BRICK,) * 3), axis=1)
         return found
 

@@ -36,7 +36,7 @@ def test_every_point_lies_in_the_voxel_that_the_index_names() -> None:
     within = ijk % 8
     assert (brick >= 0).all()
     assert (index.cells[brick, within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]] == voxel).all()
-    assert index.count == len(np.unique(ijk, axis=0))
+    assert index.voxel_count == len(np.unique(ijk, axis=0))
 
 
 def test_no_points_are_an_error_that_says_what_to_look_at() -> None:
@@ -68,10 +68,10 @@ def test_see_throughs_equal_a_walk_in_small_steps(wall) -> None:
     origin, direction, range_m = rays_to_wall(300, 5)
     index = wall.index
     rows, columns = np.triu_indices(3)
-    precision = np.zeros((index.count, 3, 3))
+    precision = np.zeros((index.voxel_count, 3, 3))
     if len(wall.precision):
         precision[:, rows, columns] = precision[:, columns, rows] = wall.precision
-    counted = np.zeros(index.count, int)
+    counted = np.zeros(index.voxel_count, int)
     for o, d, r in zip(origin.astype(float), direction.astype(float), range_m, strict=True):
         points = o + d * np.arange(0, r + 1.0, 0.002)[:, None]
         ijk = np.floor((points - index.origin_m) / index.voxel_m).astype(int)
@@ -88,7 +88,7 @@ def test_see_throughs_equal_a_walk_in_small_steps(wall) -> None:
             near = off + d * np.arange(-1.0, 1.0, 0.001)[:, None]
             counted[crossed] += np.einsum("ni,ij,nj->n", near, precision[crossed], near).min() <= 6.25
     walked = count_passes(
-        origin, direction, range_m + 1.0, index.origin_m, index.voxel_m, index.bricks, index.cells,
+        origin, direction, range_m + 1.0, index,
         wall.mean_m, wall.precision, 2,
     )  # fmt: skip
     assert counted.sum() > 200
@@ -106,7 +106,7 @@ def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross() -
     road = build_surfels(*rays, noisy_m, np.zeros(60_000), voxel_m=0.2, threads=1, shaped=True)
     index = road.index
     crossed = count_passes(
-        *rays, noisy_m, index.origin_m, index.voxel_m, index.bricks, index.cells, road.mean_m,
+        *rays, noisy_m, index, road.mean_m,
         np.zeros((0, 6), np.float32), 1,
     )  # fmt: skip
     # At 3 to 12 degrees a ray crosses up to several voxels of the road above it, before the one it ends in.

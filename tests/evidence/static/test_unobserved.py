@@ -46,9 +46,7 @@ def test_it_holds_no_return_shares_a_face_with_what_is_proven_and_no_ray_crossed
     beside = np.stack([proven.index.find(place + face) for face in faces])
     assert (beside >= 0).any(axis=0).all()
     index = unknown.index
-    passes = count_passes(
-        *rays, index.origin_m, VOXEL_M, index.bricks, index.cells, unknown.mean_m, unknown.precision, 1
-    )
+    passes = count_passes(*rays, index, unknown.mean_m, unknown.precision, 1)
     assert passes.sum() == 0 and unknown.passes.sum() == 0 and unknown.hits.sum() == 0
 
 
@@ -92,7 +90,7 @@ def test_where_all_around_is_seen_nothing_is_unknown() -> None:
 def test_places_and_numbers_of_voxels_find_each_other(proven: Surfels) -> None:
     index = proven.index
     place = index.places()
-    assert np.array_equal(index.find(place), np.arange(index.count))
+    assert np.array_equal(index.find(place), np.arange(index.voxel_count))
     inside = np.floor((proven.mean_m - index.origin_m) / VOXEL_M).astype(np.int64)
     assert (inside == place).all(axis=1).mean() > 0.99, "but for means on a border"
     outside = np.array([[-1, 0, 0], [0, 0, 8 * index.bricks.shape[2]], [10**6, 0, 0]])

@@ -124,7 +124,7 @@ def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of
     assert outcome.metadata["rendered_voxel_m"] == FIELD_VOXEL_M
     own = evidence.rendered
     assert own is not None and evidence.for_rendering is own
-    assert len(own.precision) == own.index.count and len(evidence.static.precision) == 0
+    assert len(own.precision) == own.index.voxel_count and len(evidence.static.precision) == 0
     again = SceneEvidence.from_arrays(evidence.to_arrays()).for_rendering.to_arrays()
     assert all(np.array_equal(again[name], value) for name, value in own.to_arrays().items())
     assert replace(evidence, rendered=None).for_rendering is evidence.static
