@@ -57,7 +57,7 @@ def measured_when_stationary(
     *,
     leave_out: int | None = None,
 ) -> RenderedRays:
-    """Replace what stationary training scans measured along the same rays; unchanged if there are none.
+    """Use what stationary training scans measured along the same rays; no change if there are no such scans.
 
     Args:
         rendered: Of r rays of a sweep of the recording sensor.
@@ -193,7 +193,7 @@ class RenderedSweep:
         return {name: column.reshape(self.rays.shape).astype(np.float32) for name, column in columns.items()}
 
     def pano_hit(self, pano: LinearPano) -> np.ndarray:
-        """Probability (H, W) float32 that any ray of a pano's pixel returns: 1 - product of its 1 - p."""
+        """Probability (H, W) float32, 1 - prod(1 - p), that any of the rays of a pano's pixel returns."""
         row, column, kept = pano.cells_towards(self.azimuth_rad, self.elevation_rad)
         kept &= self.is_known & (self.distance_m > 0.0) & (self.distance_m < pano.max_range_m)
         missed = np.log1p(-np.clip(self.rendered.hit[kept].astype(np.float64), 0.0, 1.0 - 1e-7))
