@@ -43,10 +43,10 @@ def require_regular(path: Path, most_bytes: int) -> None:
         ValueError: It is a folder, a pipe or a device, or too large; the message says which.
     """
     if lexists(path) and not path.is_file():
-        raise ValueError("expected a regular file, found a folder, a pipe, a device or a link to nowhere")
+        raise ValueError("expected a regular file, found a folder, a pipe or a device, or a link to nowhere")
     size = path.stat().st_size
     if size > most_bytes:
-        raise ValueError(f"expected a regular file of at most {most_bytes:,} bytes, found {size:,}")
+        raise ValueError(f"expected at most {most_bytes:,} bytes, found {size:,}")
 
 
 def require_folder(path: Path) -> bool:
