@@ -1,1 +1,1 @@
-"""The demo: an analytic street, exact everywhere, written as a drive."""
+"""The demo drive: an analytic street whose true ranges are known, written in KITTI-360's layout."""

@@ -1,4 +1,4 @@
-"""The demo's cameras: where they are mounted, and what they see at the shutter, one ray a pixel."""
+"""The demo's cameras: their calibration, and their images, rendered with one ray a pixel."""
 
 from dataclasses import dataclass
 
@@ -11,15 +11,6 @@ from nvsf_core.drives.kitti360.writer import RectifiedCamera
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.se3 import exp_so3, invert_pose, pose_from_parts
 
-__all__ = [
-    "BASELINE_M",
-    "LIDAR_TO_POSE",
-    "DemoCamera",
-    "demo_fisheye",
-    "demo_perspective",
-    "render_image",
-]
-
 BASELINE_M = 0.6
 """From camera 0 to camera 1, to the right."""
 LIDAR_TO_POSE = pose_from_parts(
@@ -27,7 +18,7 @@ LIDAR_TO_POSE = pose_from_parts(
 )
 """(4, 4); the pose frame has x forward, y right, z down."""
 _CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Camera (x right, y down, z forward) in the pose frame."""
+"""Rotation from a level camera's frame (x right, y down, z forward) to the pose frame."""
 _RECTIFICATIONS = {
     "image_00": exp_so3(np.array([-0.003, 0.0002, -0.007])),
     "image_01": exp_so3(np.array([0.003, 0.017, 0.012])),
@@ -44,7 +35,7 @@ _ALBEDO = {
     Material.RUBBER: (0.1, 0.1, 0.1), Material.CLOTH: (0.2, 0.3, 0.62),
 }  # fmt: skip
 _TINT = {Material.PLASTER: 0.22, Material.PAINT: 0.7, Material.LEAF: 0.25, Material.CLOTH: 0.3}
-"""How much an object's own colour moves away from its material's."""
+"""By how much the colours of single objects differ from their material's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,13 +45,13 @@ class DemoCamera:
     name: str
     """`image_00` and so on."""
     model: RectifiedCamera | MeiFisheye
-    """As its calibration file describes it."""
+    """As in its calibration file."""
     image_to_pose: np.ndarray
-    """(4, 4) of the camera that took the stored image: the rectified one where there is one."""
+    """(4, 4) camera to pose frame, of the stored image (rectified if perspective)."""
     camera_to_pose: np.ndarray
-    """(4, 4) of the unrectified camera, as `calib_cam_to_pose.txt` has it."""
+    """(4, 4) unrectified camera to pose frame, as in `calib_cam_to_pose.txt`."""
     directions: np.ndarray
-    """(H W, 3) unit, camera frame, row-major; straight ahead where a pixel sees nothing."""
+    """(H W, 3) unit, camera frame, row-major; straight ahead for pixels outside the lens's image."""
     seen: np.ndarray
     """(H W,) bool: the pixel lies in the lens's image."""
 
@@ -97,7 +88,7 @@ def demo_fisheye(name: str, side: int) -> DemoCamera:
 
 
 def render_image(world: DemoWorld, camera: DemoCamera, time_s: float) -> np.ndarray:
-    """The image (H, W, 3) uint8, red first, of a shutter at `time_s`; black where the lens sees nothing."""
+    """Image (H, W, 3) uint8, red first, taken at `time_s`; black outside the lens's image."""
     pose = world.lidar_to_street(np.array([time_s]))[0] @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
     directions = (camera.directions @ pose[:3, :3].T).astype(np.float32)
     origins = np.broadcast_to(pose[:3, 3].astype(np.float32), directions.shape)
@@ -109,7 +100,10 @@ def render_image(world: DemoWorld, camera: DemoCamera, time_s: float) -> np.ndar
 
 
 def _shade(hits: DemoHits, directions: np.ndarray) -> np.ndarray:
-    """Colours (N, 3) in 0..1: sun and sky on a patterned surface, sky mirrored by glass and paint, haze."""
+    """Colours (N, 3) in 0..1 of hits along `directions` (N, 3).
+
+    Light of sun and sky on a patterned surface, the sky mirrored by glass and paint, and haze.
+    """
     albedo = np.array([_ALBEDO[kind] for kind in Material], np.float32)[hits.material]
     tint = np.array([_TINT.get(kind, 0.0) for kind in Material], np.float32)[hits.material]
     phase = hits.instance[:, None] * np.array([0.37, 0.71, 1.13], np.float32)
@@ -129,8 +123,7 @@ def _shade(hits: DemoHits, directions: np.ndarray) -> np.ndarray:
     far = np.isfinite(hits.range_m)
     haze = 1.0 - np.exp(-np.where(far, hits.range_m, HORIZON_M) / np.float32(350.0))
     haze = np.where(far, haze, 1.0)[:, None]
-    shaded: np.ndarray = (1.0 - haze) * colour + haze * _sky(directions[:, 2])
-    return shaded
+    return (1.0 - haze) * colour + haze * _sky(directions[:, 2])
 
 
 def _sky(up: np.ndarray) -> np.ndarray:
@@ -140,7 +133,7 @@ def _sky(up: np.ndarray) -> np.ndarray:
 
 
 def _pattern(hits: DemoHits) -> np.ndarray:
-    """Relative brightness (N,) fixed to the surface: stains on all, courses on walls, slabs on pavements."""
+    """Relative brightness (N,) of the surface's texture: stains, courses on walls, slabs on pavements."""
     x, y, z = (hits.local_m[:, axis] for axis in range(3))
     stains = np.sin(2.1 * x + 1.3 * np.sin(1.7 * y)) * np.sin(1.9 * y + 2.3 * z + 0.7 * np.sin(2.9 * x))
     grain = np.sin(9.0 * x + 4.0 * z) * np.sin(8.0 * y - 5.0 * z + 2.0 * np.sin(3.0 * x))
@@ -150,6 +143,5 @@ def _pattern(hits: DemoHits) -> np.ndarray:
     slabs = (np.mod(x, 0.75) < 0.04) | (np.mod(y, 0.75) < 0.04)
     pattern -= np.where((hits.material == Material.PAVEMENT) & slabs, 0.15, 0.0)
     near = np.exp(-np.where(np.isfinite(hits.range_m), hits.range_m, HORIZON_M) / 40.0)
-    # Finer than a pixel far away: what one ray a pixel cannot average is faded out.
-    faded: np.ndarray = pattern * near
-    return faded
+    # Far away the texture is finer than a pixel, which one ray cannot average: it is faded out.
+    return pattern * near

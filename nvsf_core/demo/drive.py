@@ -1,4 +1,4 @@
-"""Write the demo drive: an analytic street, scanned and photographed, in KITTI-360's layout."""
+"""Writing of the demo drive: simulated scans and images of an analytic street, in KITTI-360's layout."""
 
 import os
 import shutil
@@ -11,13 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from nvsf_core.demo.cameras import (
-    LIDAR_TO_POSE,
-    DemoCamera,
-    demo_fisheye,
-    demo_perspective,
-    render_image,
-)
+from nvsf_core.demo.cameras import LIDAR_TO_POSE, DemoCamera, demo_fisheye, demo_perspective, render_image
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.demo.street import CAR_SIZE_M
@@ -40,36 +34,34 @@ from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.se3 import invert_pose
 
-__all__ = ["DEMO_SEQUENCE", "DemoSize", "write_demo"]
-
 DEMO_SEQUENCE = "2013_05_28_drive_9900_sync"
-"""KITTI-360 has no such number."""
+"""A number that KITTI-360 does not have."""
 _START = datetime.fromisoformat("2013-05-28 08:00:00")
 """Without a time zone, as KITTI-360's files are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoSize:
-    """How much of the demo to write; the street is the same."""
+    """Size of a demo drive; the street is always the same."""
 
     frames: int
-    """Frames 0 .. frames - 1."""
+    """Number of frames, from 0."""
     lasers: tuple[int, ...]
-    """Which of the HDL-64E's lasers, from the top."""
+    """Indices of the HDL-64E's lasers, 0 = top."""
     firings: int
-    """Of each laser in a turn."""
+    """Firings of each laser in a sweep."""
     cameras: tuple[str, ...]
-    """Perspective cameras."""
+    """Names of the perspective cameras."""
     width: int
-    """Of their images."""
+    """Columns of their images."""
     height: int
-    """Of their images."""
+    """Rows of their images."""
     fisheye_side: int
-    """Of the square image of `image_02`; 0 for none."""
+    """Side of the square image of `image_02`; 0 = no fisheye."""
 
     @classmethod
     def full(cls) -> Self:
-        """What the demo drive is: 32 frames, a whole HDL-64E, two cameras and a fisheye."""
+        """The demo drive: 32 frames, a whole HDL-64E, two cameras and a fisheye."""
         return cls(
             frames=32, lasers=tuple(range(64)), firings=2100, cameras=("image_00", "image_01"),
             width=704, height=188, fisheye_side=350,
@@ -77,7 +69,7 @@ class DemoSize:
 
     @classmethod
     def tiny(cls) -> Self:
-        """What a test can write and read in a second: 4 frames, 8 lasers, one small camera."""
+        """A drive that is written and read in a second: 4 frames, 8 lasers, one small camera."""
         return cls(
             frames=4, lasers=(4, 10, 16, 22, 28, 36, 46, 56), firings=64, cameras=("image_00",),
             width=64, height=48, fisheye_side=0,
@@ -93,20 +85,20 @@ def write_demo(
     traffic: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write the demo drive whole: `root` appears when everything is in it.
+    """Write the demo drive, sequence `DEMO_SEQUENCE`. The same arguments give the same bytes.
 
-    The sequence is `DEMO_SEQUENCE`. The same arguments give the same bytes.
+    `root` appears only when it is complete.
 
     Args:
         root: KITTI-360 root to make; it must not exist, or be an empty folder.
-        size: How much; None = `DemoSize.full()`.
-        seed: Of the street and of all noise.
-        speed: Of the recording car; None = the demo's own, about 9 m/s.
-        traffic: Cars that drive in addition to the demo's own, at most 12.
-        progress: Told (frames done, frames) after each frame.
+        size: Size of the drive; None = `DemoSize.full()`.
+        seed: Seed of the street and of all noise.
+        speed: Speed of the recording car; None = about 9 m/s.
+        traffic: Number of cars that drive in addition to the demo's own, at most 12.
+        progress: Called with (frames done, frames) after each frame.
 
     Raises:
-        DataError: `root` holds something already, or the disk refuses.
+        DataError: `root` exists and is not empty, or cannot be written.
     """
     size = DemoSize.full() if size is None else size
     if _is_taken(root):
@@ -162,11 +154,11 @@ def _write_times(layout: DriveLayout, cameras: list[DemoCamera], frames: int) ->
     for kind, shift in (("", 0.0), ("start", -0.5 * FRAME_PERIOD_S), ("end", 0.5 * FRAME_PERIOD_S)):
         write_timestamps(layout.timestamps_path(kind), _START, (instants + shift).tolist())
     for camera in cameras:
-        write_timestamps(layout.camera_dir(camera.name).parent / "timestamps.txt", _START, instants.tolist())
+        write_timestamps(layout.camera_timestamps_path(camera.name), _START, instants.tolist())
 
 
 def _boxes(world: DemoWorld, frames: int) -> list[WrittenBox]:
-    """Moving objects once a frame, at the pose's instant; parked cars once."""
+    """Boxes of moving objects in each frame, at the pose's instant, and of parked cars once."""
     boxes = []
     for mover in world.street.movers:
         poses = world.object_to_world(mover.object_id, np.arange(frames) * FRAME_PERIOD_S)
@@ -180,11 +172,10 @@ def _boxes(world: DemoWorld, frames: int) -> list[WrittenBox]:
 
 
 def _box_to_world(pose: np.ndarray, size_m: tuple[float, float, float]) -> np.ndarray:
-    """Unit cube to world of an object that stands on the road: its frame's origin is below its centre."""
+    """(4, 4) unit cube to world, of an object with pose (4, 4) whose origin is on the road."""
     raised = np.diag([*size_m, 1.0])
     raised[2, 3] = 0.5 * size_m[2]
-    box: np.ndarray = pose @ raised
-    return box
+    return pose @ raised
 
 
 def _write_frames(
@@ -203,7 +194,7 @@ def _write_frames(
             rgb = render_image(world, camera, frame * FRAME_PERIOD_S)
             write_image(layout.image_path(camera.name, frame), rgb)
 
-    # numpy lets go of the interpreter in long operations, so threads use the cores there are.
+    # numpy releases the interpreter's lock in long operations, so threads use all cores.
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for done, _ in enumerate(pool.map(write_frame, range(size.frames)), start=1):
             if progress is not None:

@@ -1,47 +1,45 @@
-"""Crowns of trees: balls of leaves, at most one in each cell of a crown's grid, so that walking is exact."""
+"""The demo's tree crowns: balls of leaves in a grid, at most one a cell, so that rays find them exactly."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.demo.shapes import TileCones, candidates
-
-__all__ = ["Crowns", "cast_crowns", "make_foliage"]
+from nvsf_core.demo.shapes import TileCones, candidates, near_to_far
 
 GRID_CELLS = 16
 """Cells of a crown's grid along each axis."""
 _BALL_SHARE = 0.17
-"""Share of the cells inside a crown that hold a ball: a ray crosses about 3 m of crown unharmed."""
+"""Share of the cells inside a crown that hold a ball: a ray crosses about 3 m of crown without a hit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowns:
-    """C crowns that share one foliage, each turned and scaled its own way."""
+    """C crowns with the same foliage, each with a rotation and a scale of its own."""
 
     centre_m: np.ndarray
     """(C, 3) float32."""
     axes: np.ndarray
     """(C, 3, 3) float32, rows are the grid's axes."""
     radius_m: np.ndarray
-    """(C,) float32, of the sphere that the grid's cube is inscribed about."""
+    """(C,) float32, of the sphere inside the grid's cube."""
     instance: np.ndarray
-    """(C,) int32, which tree."""
+    """(C,) int32, number of the tree."""
     foliage: np.ndarray
-    """(cells, cells, cells, 4) float32: centre and radius of each cell's ball in cells, radius 0 for none."""
+    """(cells, cells, cells, 4) float32: centre and radius of each cell's ball, in cells; radius 0 = none."""
 
 
 def make_foliage(rng: np.random.Generator) -> np.ndarray:
-    """Balls of one crown: each lies inside its cell, cells inside an uneven sphere hold one or none."""
+    """Sample the balls of a crown in cells of an uneven sphere, each inside its cell: `Crowns.foliage`."""
     shape = (GRID_CELLS,) * 3
     radius = rng.uniform(0.28, 0.48, shape)
     corner = np.stack(np.meshgrid(*[np.arange(GRID_CELLS)] * 3, indexing="ij"), axis=-1)
-    # The jitter leaves every ball inside its own cell: then the first ball on a walk is the nearest.
+    # The jitter keeps every ball inside its cell, so the first ball along a ray is the nearest.
     jitter = rng.uniform(-1.0, 1.0, (*shape, 3)) * (0.5 - radius[..., None])
     centre = corner + 0.5 + jitter
     away = (centre - GRID_CELLS / 2) / (GRID_CELLS / 2)
     waves = np.sin(away * (5.0, 6.0, 5.0) + (1.0, 0.0, 0.0)).prod(axis=-1)
     reach = np.linalg.norm(away, axis=-1)
-    # Leaves seek the light: the outer half is three times as dense as the middle.
+    # As in real trees, the outer half is three times as dense as the middle.
     share = _BALL_SHARE * np.where(reach > 0.55, 1.3, 0.45)
     present = (reach < 0.84 + 0.1 * waves) & (rng.random(shape) < share)
     foliage: np.ndarray = np.concatenate([centre, np.where(present, radius, 0.0)[..., None]], axis=-1)
@@ -55,13 +53,13 @@ def cast_crowns(
     range_m: np.ndarray,
     cones: TileCones,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First leaves of tiles of rays, nearer than what the rays have hit already.
+    """First hits of tiles of rays on leaves, where they are nearer than the hits so far.
 
     Args:
-        crowns: In the rays' frame.
+        crowns: C crowns in the rays' frame.
         origins_m: (T, 3, W) float32.
         directions: (T, 3, W) float32, unit.
-        range_m: (T, W) float32, range so far; inf for none.
+        range_m: (T, W) float32, range of the hits so far; inf = no hit.
         cones: Of the same tiles.
 
     Returns:
@@ -72,11 +70,7 @@ def cast_crowns(
     normals = np.zeros_like(directions)
     reach = float(best.max(initial=0.0))
     tile, member, bound = candidates(cones, crowns.centre_m, crowns.radius_m, reach)
-    first = np.flatnonzero(np.diff(tile, prepend=-1))
-    rank = np.arange(len(tile)) - np.repeat(first, np.diff(first, append=len(tile)))
-    for turn in range(int(rank.max(initial=-1)) + 1):
-        now = np.flatnonzero(rank == turn)
-        now = now[bound[now] < best[tile[now]].max(axis=1)]
+    for now in near_to_far(tile, bound, best):
         _try_crowns(crowns, tile[now], member[now], origins_m, directions, best, crown, normals)
     return best, crown, normals
 
@@ -91,9 +85,7 @@ def _try_crowns(
     crown: np.ndarray,
     normals: np.ndarray,
 ) -> None:
-    """One crown for each of some tiles (no tile twice); the last three are updated in place."""
-    if len(tile) == 0:
-        return
+    """Cast the rays of k tiles (each once) at one crown each; the last three arguments change in place."""
     to_grid = crowns.axes[member] / (crowns.radius_m[member] * (2.0 / GRID_CELLS))[:, None, None]
     origin = to_grid @ (origins_m[tile] - crowns.centre_m[member][:, :, None])
     direction = to_grid @ directions[tile]
@@ -122,9 +114,10 @@ def _try_crowns(
 def _walk(
     foliage: np.ndarray, origin: np.ndarray, direction: np.ndarray, near: np.ndarray, far: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Walk rays (N, 3) in cells from `near` to `far`, cell by cell; first ball's range (inf) and normal.
+    """Range (N,), inf without a hit, and normal (N, 3) of the first ball along rays (N, 3), in cells.
 
-    J. Amanatides, A. Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987.
+    Rays are followed from `near` to `far` cell by cell: J. Amanatides, A. Woo, "A Fast Voxel Traversal
+    Algorithm for Ray Tracing", Eurographics 1987.
     """
     found = np.full(len(near), np.inf, np.float32)
     normal = np.zeros((len(near), 3), np.float32)
@@ -161,7 +154,7 @@ def _walk(
 
 
 def _meet_balls(ball: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Entry of rays (N, 3) into balls (N, 4), inf where missed, and outward unit normals there."""
+    """Range (N,) of rays (N, 3) at which they enter balls (N, 4), inf if missed, and outward unit normals."""
     relative = origin - ball[:, :3]
     square = np.square(direction).sum(axis=1)
     middle = -(relative * direction).sum(axis=1) / square

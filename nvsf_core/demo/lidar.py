@@ -1,10 +1,10 @@
-"""The demo's LiDAR: each firing of each laser at its own time, then what a real sensor does to it.
+"""The demo's LiDAR: true ranges of all rays at their own times, then noise, mixed pixels and dropped rays.
 
 A ray of laser l at encoder angle theta starts at o = (0, 0, v_l / cos e_l) + h_l (-sin theta, cos theta, 0)
-and runs along d = (cos e_l cos theta, cos e_l sin theta, sin e_l); the file records o + r d. In the
-world the same ray is turned up by the sensor's elevation correction, in the plane of theta, about the
-sensor's centre: files are as recorded, without it. These rays are written out here rather than taken
-from `sensors.beam_table`, so that the demo can tell whether those are right.
+and runs along d = (cos e_l cos theta, cos e_l sin theta, sin e_l); the file records o + r d. In the world
+the same ray is turned up by the sensor's elevation correction, in the plane of theta, about the sensor's
+centre; files are without it. These rays are computed here and not by `sensors.beam_table`, so that the demo
+can test that module.
 """
 
 from dataclasses import dataclass
@@ -12,27 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.demo.motion import FRAME_PERIOD_S
-from nvsf_core.demo.shapes import (
-    Kind,
-    ShapeList,
-    Shapes,
-    cast_shapes,
-    tile_cones,
-    tile_index,
-    tile_select,
-)
+from nvsf_core.demo.shapes import Kind, ShapeList, Shapes, cast_shapes, tile_cones, tile_index, tile_select
 from nvsf_core.demo.street import Material
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 
-__all__ = ["MAX_RANGE_M", "RANGE_NOISE_M", "DemoScan", "ExactRays", "exact_rays", "simulate_scan"]
-
 MAX_RANGE_M = 80.0
-"""Nothing farther is recorded."""
+"""Longest range that is recorded."""
 RANGE_NOISE_M = 0.015
-"""Standard deviation of a range."""
+"""Standard deviation of the range noise."""
 OWN_VEHICLE = -2
-"""`instance` of returns from the recording car itself."""
+"""`instance` of returns from the own vehicle."""
 
 _REFLECTIVITY = {
     Material.SKY: 0.0, Material.ASPHALT: 0.22, Material.MARKING: 0.55, Material.PAVEMENT: 0.33,
@@ -41,44 +31,44 @@ _REFLECTIVITY = {
     Material.RUBBER: 0.08, Material.CLOTH: 0.45,
 }  # fmt: skip
 _GLASS_RETURNS = 0.35
-"""Share of pulses on glass that come back at all: the rest goes through or away."""
+"""Share of pulses on glass that come back; the others pass through or are reflected away."""
 _RANDOM_DROPS = 0.008
 _HALF_SIGNAL = 2e-6
-"""reflectivity x cos incidence / range^2 at which half of the pulses are lost: asphalt at 60 m."""
+"""reflectivity x cos incidence / range^2 at which half of the rays are dropped: asphalt at 60 m."""
 _MIXED_SHARE = 0.3
-"""Share of the pulses at an edge that fall on both sides of it."""
+"""Share of the pulses at an edge that hit both sides of it."""
 _MIXED_STEP_M = (0.15, 2.0)
-"""Two surfaces this far apart along the ray merge into one echo between them."""
+"""Two surfaces whose ranges differ by this much give one return between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoScan:
-    """One turn as recorded: N returns, laser by laser from the top, azimuth ascending in [0, 360) degrees."""
+    """N recorded returns of a sweep: laser by laser from the top, azimuth ascending in [0, 360) degrees."""
 
     points_m: np.ndarray
     """(N, 3) float32 in the sensor's frame at each return's own time."""
     intensity: np.ndarray
     """(N,) float32 in 0..0.99, in steps of 0.01."""
     laser: np.ndarray
-    """(N,) int16, index among the lasers that were asked for."""
+    """(N,) int16, index into the `lasers` of `simulate_scan`."""
     time_s: np.ndarray
     """(N,) float64 of firing, since the first frame."""
     true_range_m: np.ndarray
     """(N,) float32 along the laser's ray, without noise."""
     instance: np.ndarray
-    """(N,) int32 of what was met; -2 is the recording car."""
+    """(N,) int32, number of the object that was hit; `OWN_VEHICLE` = the own vehicle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExactRays:
-    """What L lasers x F firings would meet, without noise, mixed pixels or chance; all (L, F)."""
+    """True values of L lasers x F firings, without noise and mixed pixels."""
 
     range_m: np.ndarray
-    """float32 along the laser's ray; inf where it meets nothing."""
+    """(L, F) float32 along the laser's ray; inf where it hits nothing."""
     chance: np.ndarray
-    """float64, of a return: 0 beyond `MAX_RANGE_M`."""
+    """(L, F) float64 hit probability; 0 beyond `MAX_RANGE_M`."""
     intensity: np.ndarray
-    """float64, expected, 0..0.99."""
+    """(L, F) float64 expected intensity, 0..0.99."""
 
 
 def exact_rays(
@@ -91,16 +81,16 @@ def exact_rays(
     mount: np.ndarray | None,
     own_vehicle: bool,
 ) -> ExactRays:
-    """The truth for any sensor on the recording car's path, at any time.
+    """True values for any sensor on the recording car's path, at any time.
 
     Args:
-        world: What to look at.
+        world: The demo's world.
         table: The sensor.
         lasers: (L,) rows of the table.
         theta_rad: (L, F) encoder angles.
         time_s: (L, F) since the first frame.
-        mount: (4, 4) pose of the sensor in the recording sensor's frame; None = the same place.
-        own_vehicle: Whether the recording car is around the sensor, wherever that is mounted.
+        mount: (4, 4) pose of the sensor in the recording sensor's frame; None = the same pose.
+        own_vehicle: Whether the own vehicle is around the sensor, at the same place in the sensor's frame.
     """
     origin, direction = _recorded_rays(table, lasers, theta_rad)
     tiles = tile_index(len(lasers), theta_rad.shape[1], 8)
@@ -110,24 +100,18 @@ def exact_rays(
     )
     shape = theta_rad.shape
     range_m, material, cosine = range_m.reshape(shape), material.reshape(shape), cosine.reshape(shape)
-    present = range_m < MAX_RANGE_M
-    distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
-    reflectivity = _reflectivity(material)
-    return ExactRays(
-        range_m=range_m,
-        chance=present * _return_chance(distance, material, reflectivity, cosine),
-        intensity=np.clip(_shine(distance, reflectivity, cosine), 0.0, 0.99),
-    )
+    present, _, chance, shine = _expected_return(range_m, material, cosine)
+    return ExactRays(range_m=range_m, chance=present * chance, intensity=np.clip(shine, 0.0, 0.99))
 
 
 def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int) -> DemoScan:
-    """The scan of a frame.
+    """Simulate the recorded scan of a frame.
 
     Args:
-        world: What to scan; its seed, with the frame's number, also decides the noise.
-        frame: Its pose instant is frame x 0.1 s, when the lasers face forward.
+        world: The demo's world; its seed and the frame's number are the seed of the noise.
+        frame: Number of the frame; the instant of its pose is frame x 0.1 s, when the lasers face forward.
         lasers: (L,) indices of the HDL-64E's lasers, from the top.
-        firings: Firings a turn, at most the 4000 steps of the encoder.
+        firings: Firings a sweep, at most the 4000 steps of the encoder.
     """
     rng = np.random.default_rng([world.seed, 1 + frame])
     theta, fraction = _firings(HDL_64E, lasers, firings, rng)
@@ -142,7 +126,7 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
     kept = np.flatnonzero(returned)
     points = (origin[kept] + measured.ravel()[kept, None] * direction[kept]).astype(np.float32)
     laser = kept // firings
-    # float64: float32 would round a small negative angle up to the whole turn itself.
+    # float64: in float32 a small negative angle modulo 2 pi is rounded up to 2 pi.
     recorded = np.arctan2(points[:, 1].astype(np.float64), points[:, 0].astype(np.float64))
     order = np.lexsort((np.mod(recorded, 2.0 * np.pi), laser))
     kept = kept[order]
@@ -159,11 +143,11 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
 def _firings(
     table: LaserTable, lasers: np.ndarray, firings: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Encoder angles theta in [0, 2 pi), ascending within a laser, and their sweep fractions, (L, F).
+    """Encoder angles theta (L, F) in [0, 2 pi), ascending within a laser, and their sweep fractions (L, F).
 
-    All lasers fire together, in firing columns one or two steps of the encoder apart (evenly, if there
-    are fewer), starting anywhere; each laser's own column is the firing's, shifted by its constant. A
-    firing at azimuth a in (-pi, pi] comes s = -a / 2 pi of a sweep after the pose's instant.
+    All lasers fire together, one or two steps of the encoder after the last firing (more if there are fewer
+    firings), from a random start; each laser's angle is shifted by its constant. A firing at azimuth a in
+    (-pi, pi] comes s = -a / 2 pi of a sweep after the pose's instant.
     """
     steps = np.diff(np.arange(firings + 1) * table.lattice_steps // firings)
     start = rng.integers(table.lattice_steps)
@@ -189,7 +173,7 @@ def _recorded_rays(table: LaserTable, lasers: np.ndarray, theta: np.ndarray) -> 
 
 
 def _turned_up(vectors: np.ndarray, theta: np.ndarray, angle_rad: float) -> np.ndarray:
-    """Vectors (N, 3) turned up by an angle in the vertical plane of theta (N,)."""
+    """Vectors (N, 3) rotated upwards by an angle in the vertical plane of theta (N,)."""
     ahead = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], axis=-1)
     along, up = (vectors * ahead).sum(axis=1), vectors[:, 2]
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
@@ -209,7 +193,7 @@ def _cast(
     mount: np.ndarray | None,
     own_vehicle: Shapes | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Range, material, instance and |cos incidence| (N,) of recorded rays fired at their times."""
+    """Range, material, instance and |cos incidence|, each (N,), of the first hits of recorded rays (N, 3)."""
     correction = table.elevation_correction_rad
     origin, direction = _turned_up(origin, theta, correction), _turned_up(direction, theta, correction)
     pose = world.lidar_to_street(time_s)
@@ -235,7 +219,7 @@ def _cast(
 
 
 def _own_vehicle() -> Shapes:
-    """What the LiDAR sees of its car: the bonnet's middle and two roof mounts, nearer than 2.5 m."""
+    """The parts of its own car that the LiDAR sees: the bonnet's middle and two roof mounts, within 2.5 m."""
     shapes = ShapeList()
     paint = int(Material.PAINT)
     shapes.add(Kind.ELLIPSOID, np.array([1.9, 0.0, -0.84]), (0.25, 0.2, 0.07), np.eye(3), paint, OWN_VEHICLE)
@@ -251,42 +235,36 @@ _OWN_VEHICLE = _own_vehicle()
 def _measure(
     rng: np.random.Generator, range_m: np.ndarray, material: np.ndarray, cosine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measured range, intensity and whether there is a return, on the grid (L, F) of lasers x firings."""
+    """Measured range, intensity and whether the ray returns, each (L, F), from true values (L, F)."""
     shape = range_m.shape
-    present = range_m < MAX_RANGE_M
-    distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
+    present, distance, chance, shine = _expected_return(range_m, material, cosine)
 
-    # Mixed pixels: a pulse at an edge echoes from both surfaces, and the echo lies between them.
+    # Mixed pixels: a pulse at an edge is reflected by both surfaces, and the return lies between them.
     beside = np.roll(distance, -1, axis=1)
     jump = np.abs(beside - distance)
     edge = present & np.roll(present, -1, axis=1) & (jump > _MIXED_STEP_M[0]) & (jump < _MIXED_STEP_M[1])
     share = np.where(edge & (rng.random(shape) < _MIXED_SHARE), rng.uniform(0.1, 0.9, shape), 0.0)
     measured = distance + share * (beside - distance) + rng.normal(0.0, RANGE_NOISE_M, shape)
 
-    reflectivity = _reflectivity(material)
-    chance = _return_chance(distance, material, reflectivity, cosine)
     returned = present & (rng.random(shape) < chance) & (measured < MAX_RANGE_M)
-
-    intensity = np.clip(_shine(distance, reflectivity, cosine) + rng.normal(0.0, 0.02, shape), 0.0, 0.99)
+    intensity = np.clip(shine + rng.normal(0.0, 0.02, shape), 0.0, 0.99)
     return measured, (np.round(intensity * 100.0) / 100.0).astype(np.float32), returned
 
 
-def _reflectivity(material: np.ndarray) -> np.ndarray:
-    found: np.ndarray = np.array([_REFLECTIVITY[kind] for kind in Material])[material]
-    return found
+def _expected_return(
+    range_m: np.ndarray, material: np.ndarray, cosine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Expected values of returns, all of one shape.
 
-
-def _return_chance(
-    distance_m: np.ndarray, material: np.ndarray, reflectivity: np.ndarray, cosine: np.ndarray
-) -> np.ndarray:
-    """Probability that a pulse comes back strong enough to be seen."""
-    signal = reflectivity * np.maximum(cosine, 0.01) / np.maximum(distance_m, 2.0) ** 2
-    chance: np.ndarray = 1.0 / (1.0 + (_HALF_SIGNAL / np.maximum(signal, 1e-12)) ** 2)
+    Returns:
+        Whether the range is below `MAX_RANGE_M`; the range, at most that; the probability that a pulse comes
+        back strong enough; the expected intensity, not clipped.
+    """
+    present = range_m < MAX_RANGE_M
+    distance = np.where(present, range_m, np.float32(MAX_RANGE_M))
+    reflectivity = np.array([_REFLECTIVITY[kind] for kind in Material])[material]
+    signal = reflectivity * np.maximum(cosine, 0.01) / np.maximum(distance, 2.0) ** 2
+    chance = 1.0 / (1.0 + (_HALF_SIGNAL / np.maximum(signal, 1e-12)) ** 2)
     chance *= np.where(material == Material.GLASS, _GLASS_RETURNS, 1.0) * (1.0 - _RANDOM_DROPS)
-    return chance
-
-
-def _shine(distance_m: np.ndarray, reflectivity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Expected intensity before it is clipped."""
-    shine: np.ndarray = reflectivity * (0.35 + 0.65 * cosine) * (1.1 - distance_m / 160.0)
-    return shine
+    shine = reflectivity * (0.35 + 0.65 * cosine) * (1.1 - distance / 160.0)
+    return present, distance, chance, shine

@@ -1,28 +1,15 @@
-"""Ray casting of boxes, ellipsoids and cylinders, exact and in bulk: rays in tiles, shapes culled per tile.
+"""Exact ray casting of boxes, ellipsoids and cylinders, many rays at once.
 
-Rays lie in tiles: `origins_m` and `directions` (T, 3, W) float32, W neighbouring rays a tile, T tiles.
-A tile is bounded by a cone; the shapes whose bounding spheres touch it are tried from near to far, all
-tiles at once, and a tile stops where the next sphere begins behind everything that it has hit.
+Rays are grouped in T tiles of W neighbouring rays: `origins_m` and `directions` are (T, 3, W) float32. A cone
+bounds each tile. The shapes whose bounding spheres touch it are tried from near to far, for all tiles at
+once; a tile is done when the next sphere begins behind all of its hits.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-
-__all__ = [
-    "TILE_RAYS",
-    "Kind",
-    "ShapeList",
-    "Shapes",
-    "TileCones",
-    "candidates",
-    "cast_shapes",
-    "describe_hits",
-    "tile_cones",
-    "tile_index",
-    "tile_select",
-]
 
 TILE_RAYS = 64
 """W: large enough for long vectors, small enough for narrow cones."""
@@ -30,7 +17,7 @@ _TINY = np.float32(1e-20)
 
 
 class Kind(IntEnum):
-    """What a shape is, in its own axes scaled to half sizes of 1."""
+    """Kind of a shape: the points that it holds, in its own axes scaled to half sizes of 1."""
 
     BOX = 0
     """|x|, |y|, |z| <= 1."""
@@ -55,9 +42,9 @@ class Shapes:
     radius_m: np.ndarray
     """(P,) float32, of the bounding sphere."""
     material: np.ndarray
-    """(P,) int16, what it is made of."""
+    """(P,) int16, of `street.Material`."""
     instance: np.ndarray
-    """(P,) int32, which object it belongs to."""
+    """(P,) int32, number of the object that it belongs to."""
 
 
 class ShapeList:
@@ -75,7 +62,16 @@ class ShapeList:
         material: int,
         instance: int,
     ) -> None:
-        """Add one shape; `axes` (3, 3) has the shape's own axes as rows."""
+        """Add one shape.
+
+        Args:
+            kind: Kind of the shape.
+            centre_m: (3,) its centre.
+            half_m: Half sizes along its own axes.
+            axes: (3, 3) its own axes as rows.
+            material: See `Shapes`.
+            instance: See `Shapes`.
+        """
         row = (kind, np.asarray(centre_m, np.float64), np.array(half_m), axes, material, instance)
         self._rows.append(row)
 
@@ -100,7 +96,7 @@ class ShapeList:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileCones:
-    """Cone around the rays of each tile: rays start within `spread_m` of the apex."""
+    """A cone around the rays of each tile."""
 
     apex_m: np.ndarray
     """(T, 3) float32."""
@@ -109,13 +105,13 @@ class TileCones:
     cos_angle: np.ndarray
     """(T,) float32, of the half opening angle."""
     spread_m: np.ndarray
-    """(T,) float32."""
+    """(T,) float32, largest distance of a ray's origin from the apex."""
 
 
 def tile_index(rows: int, columns: int, tile_rows: int) -> np.ndarray:
-    """Row-major indices (T, W) of a rows x columns grid cut into tiles of tile_rows x W/tile_rows.
+    """Row-major indices (T, W) of a grid of rows x columns, cut into tiles of tile_rows x W/tile_rows.
 
-    Tiles beyond the border repeat its last row or column, so an index may appear more than once.
+    Tiles that cross the border repeat the last row or column, so an index may appear more than once.
     """
     tile_columns = TILE_RAYS // tile_rows
     row = np.minimum(np.arange(-(-rows // tile_rows) * tile_rows), rows - 1).reshape(-1, 1, tile_rows, 1)
@@ -124,13 +120,13 @@ def tile_index(rows: int, columns: int, tile_rows: int) -> np.ndarray:
 
 
 def tile_select(values: np.ndarray, tiles: np.ndarray) -> np.ndarray:
-    """Rows of (N, 3) by tile: (T, 3, W) float32 for tiles (T, W)."""
+    """Values (N, 3) of the rays of each tile: (T, 3, W) float32, for ray indices `tiles` (T, W)."""
     selected: np.ndarray = np.moveaxis(np.asarray(values, np.float32).T[:, tiles], 0, 1)
     return np.ascontiguousarray(selected)
 
 
 def tile_cones(origins_m: np.ndarray, directions: np.ndarray) -> TileCones:
-    """Bounding cones of tiles of rays (T, 3, W)."""
+    """Bounding cones of tiles of rays (T, 3, W), (T, 3, W)."""
     apex = origins_m.mean(axis=2)
     axis = directions.mean(axis=2)
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), _TINY)
@@ -142,14 +138,20 @@ def tile_cones(origins_m: np.ndarray, directions: np.ndarray) -> TileCones:
 def candidates(
     cones: TileCones, centre_m: np.ndarray, radius_m: np.ndarray, reach_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs (tile, sphere) that may meet within `reach_m`, and the range before which they cannot.
+    """Pairs (tile, sphere) that may meet within `reach_m`.
 
-    A sphere's centre at distance v from the apex, c along the axis and s across it, is s cos a - c sin a
-    away from the cone of half angle a (or farther): no ray of the tile can meet it where that exceeds
-    its radius.
+    A sphere's centre c along the axis and s across it is at least s cos a - c sin a away from the cone of
+    half angle a: where that exceeds its radius no ray of the tile can meet it.
+
+    Args:
+        cones: Of T tiles.
+        centre_m: (P, 3) centres of the spheres.
+        radius_m: (P,) their radii.
+        reach_m: Longest range that matters.
 
     Returns:
-        tile, sphere, lower_bound_m; each (K,), sorted by tile and then by bound.
+        tile, sphere and lower_bound_m, a range before which they cannot meet; each (K,), sorted by tile and
+        then by bound.
     """
     along = cones.axis @ centre_m.T - np.sum(cones.axis * cones.apex_m, axis=1)[:, None]
     square = (
@@ -160,7 +162,7 @@ def candidates(
     distance = np.sqrt(np.maximum(square, 0.0))
     across = np.sqrt(np.maximum(square - along**2, 0.0))
     sine = np.sqrt(1.0 - cones.cos_angle**2)
-    # A millimetre and a bit covers float32 at 100 m.
+    # Two millimetres cover float32's rounding at 100 m.
     radius = radius_m[None, :] + cones.spread_m[:, None] + 2e-3
     bound = distance - radius
     touch = (across * cones.cos_angle[:, None] - along * sine[:, None] <= radius) & (bound < reach_m)
@@ -172,6 +174,26 @@ def candidates(
     return tile[order], sphere[order], bound[order]
 
 
+def near_to_far(tile: np.ndarray, bound_m: np.ndarray, best_m: np.ndarray) -> Iterator[np.ndarray]:
+    """Rounds of pairs to try: in each the next nearest pair of every tile, unless the tile is done.
+
+    Args:
+        tile: (K,) tiles of pairs, as `candidates` sorts them.
+        bound_m: (K,) range before which a pair cannot meet.
+        best_m: (T, W) ranges of the hits so far; read anew for each round.
+
+    Yields:
+        Indices of pairs, at least one, no tile twice.
+    """
+    first = np.flatnonzero(np.diff(tile, prepend=-1))
+    rank = np.arange(len(tile)) - np.repeat(first, np.diff(first, append=len(tile)))
+    for step in range(int(rank.max(initial=-1)) + 1):
+        now = np.flatnonzero(rank == step)
+        now = now[bound_m[now] < best_m[tile[now]].max(axis=1)]
+        if len(now):
+            yield now
+
+
 def cast_shapes(
     shapes: Shapes,
     origins_m: np.ndarray,
@@ -179,13 +201,13 @@ def cast_shapes(
     range_m: np.ndarray,
     cones: TileCones,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First hits of tiles of rays among shapes, nearer than what the rays have hit already.
+    """First hits of tiles of rays on shapes, where they are nearer than the hits so far.
 
     Args:
         shapes: P shapes in the rays' frame.
         origins_m: (T, 3, W) float32, outside all shapes.
         directions: (T, 3, W) float32, unit.
-        range_m: (T, W) float32, range so far; inf for none.
+        range_m: (T, W) float32, range of the hits so far; inf = no hit.
         cones: Of the same tiles.
 
     Returns:
@@ -200,13 +222,8 @@ def cast_shapes(
         tile, member, bound = candidates(cones, shapes.centre_m[members], shapes.radius_m[members], reach)
         keep = bound < farthest[tile]
         tile, member, bound = tile[keep], members[member[keep]], bound[keep]
-        first = np.flatnonzero(np.diff(tile, prepend=-1))
-        rank = np.arange(len(tile)) - np.repeat(first, np.diff(first, append=len(tile)))
-        for turn in range(int(rank.max(initial=-1)) + 1):
-            now = np.flatnonzero(rank == turn)
-            now = now[bound[now] < best[tile[now]].max(axis=1)]
-            if len(now):
-                _try_shapes(shapes, kind, member[now], tile[now], origins_m, directions, best, shape)
+        for now in near_to_far(tile, bound, best):
+            _try_shapes(shapes, kind, member[now], tile[now], origins_m, directions, best, shape)
     return best, shape
 
 
@@ -224,7 +241,7 @@ def describe_hits(shapes: Shapes, shape: np.ndarray, points_m: np.ndarray) -> tu
     axes, half, kind = shapes.axes[shape], shapes.half_m[shape], shapes.kind[shape]
     local = np.einsum("nij,nj->ni", axes, points_m - shapes.centre_m[shape])
     unit = local / half
-    # Of a box the face whose half size is used up; of a cylinder its lid or its side.
+    # A point on a box lies on the face of its largest scaled coordinate; on a cylinder, on a lid or the side.
     face = np.zeros_like(unit)
     side = np.argmax(np.abs(unit), axis=1)
     face[np.arange(len(unit)), side] = np.sign(unit[np.arange(len(unit)), side])
@@ -248,7 +265,7 @@ def _try_shapes(
     best: np.ndarray,
     shape: np.ndarray,
 ) -> None:
-    """One shape for each of some tiles (no tile twice); `best` and `shape` are updated in place."""
+    """Cast the rays of k tiles (each once) at one shape each; `best` and `shape` are updated in place."""
     to_unit = shapes.axes[member] / shapes.half_m[member][:, :, None]
     origin = to_unit @ (origins_m[tile] - shapes.centre_m[member][:, :, None])
     direction = to_unit @ directions[tile]
@@ -269,7 +286,7 @@ def _try_shapes(
 
 
 def _slab(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Entry and exit of |x_c| <= 1 over the axes c of (n, C, W)."""
+    """Ranges (n, W) at which rays (n, C, W) enter and leave |x_c| <= 1 for all axes c."""
     inverse = 1.0 / np.where(np.abs(direction) < _TINY, _TINY, direction)
     middle = -origin * inverse
     half = np.abs(inverse)
@@ -277,9 +294,9 @@ def _slab(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _sphere(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Entry and exit of sum of x_c^2 <= 1 over the axes c of (n, C, W); inf and -inf where it is missed.
+    """Ranges (n, W) at which rays (n, C, W) enter and leave sum of x_c^2 <= 1; inf and -inf if they miss it.
 
-    By the closest approach: b^2 - a c would cancel for small shapes far away.
+    Computed from the closest approach: b^2 - a c would cancel for small shapes far away.
     """
     square = np.maximum(np.square(direction).sum(axis=1), _TINY)
     middle = -(origin * direction).sum(axis=1) / square

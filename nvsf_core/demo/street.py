@@ -1,4 +1,4 @@
-"""What stands and drives in the demo street: houses, poles, trees, parked cars, a moving car, a cyclist."""
+"""The demo street: houses, poles, trees, parked cars, moving cars and a cyclist."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,74 +7,72 @@ from enum import IntEnum
 import numpy as np
 
 from nvsf_core.demo.leaves import Crowns, make_foliage
-from nvsf_core.demo.motion import ROAD_RADIUS_M, ArcMotion
+from nvsf_core.demo.motion import ROAD_RADIUS_M, ArcMotion, upright_pose
 from nvsf_core.demo.shapes import Kind, ShapeList, Shapes
-
-__all__ = ["KERB_HEIGHT_M", "ROAD_HALF_WIDTH_M", "Material", "Mover", "ParkedCar", "Street", "build_street"]
 
 ROAD_HALF_WIDTH_M = 5.5
 """From the road's middle line to either kerb."""
 KERB_HEIGHT_M = 0.12
-"""Of the pavement above the road."""
+"""Height of the pavement above the road."""
 CAR_SIZE_M = (4.3, 1.8, 1.5)
 """Length, width, height of every car."""
 _CYCLIST_SIZE_M = (1.75, 0.6, 1.75)
 _STREET_RAD = (-1.05, 1.45)
-"""Angles between which the street is built up; the recording car drives from 0 to 0.36."""
+"""Angles between which there are houses; the recording car drives from 0 to 0.36."""
 
 
 class Material(IntEnum):
-    """What a ray can meet."""
+    """Material of what a ray hits."""
 
     SKY = 0
-    """Nothing."""
+    """No hit."""
     ASPHALT = 1
-    """Of the road."""
+    """Road."""
     MARKING = 2
     """White paint on the road."""
     PAVEMENT = 3
-    """Beside the road, raised."""
+    """Raised, beside the road."""
     KERB = 4
-    """Its face."""
+    """Vertical face of the pavement, and steps of houses."""
     PLASTER = 5
-    """Of houses."""
+    """Walls."""
     GLASS = 6
     """Windows of houses and cars."""
     BARK = 7
-    """Of trunks."""
+    """Tree trunks."""
     LEAF = 8
-    """Of crowns."""
+    """Tree crowns and bushes."""
     METAL = 9
-    """Of poles."""
+    """Poles and the bicycle's frame."""
     SIGN = 10
-    """Retroreflective."""
+    """Traffic signs, retroreflective."""
     PAINT = 11
-    """Of cars."""
+    """Car bodies."""
     RUBBER = 12
-    """Of wheels."""
+    """Wheels."""
     CLOTH = 13
-    """Of people."""
+    """People."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mover:
-    """Something that moves along the road."""
+    """A moving object."""
 
     object_id: int
     """Its instance number."""
     label: str
     """Class in the box file."""
     motion: ArcMotion
-    """Of its frame: x ahead, y left, z up, origin on the road below its centre."""
+    """Motion of its frame: x ahead, y left, z up, origin on the road below its centre."""
     shapes: Shapes
-    """In that frame."""
+    """Its shapes in that frame."""
     size_m: tuple[float, float, float]
-    """Length, width, height of its box, which stands on the road."""
+    """Length, width, height of its box, whose bottom is on the road."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParkedCar:
-    """A car that stands still."""
+    """A parked car."""
 
     object_id: int
     """Its instance number."""
@@ -84,20 +82,20 @@ class ParkedCar:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Street:
-    """Everything but the ground, in the street frame (see `demo_motion`)."""
+    """Everything but the ground, in the street frame (see `demo.motion`)."""
 
     shapes: Shapes
-    """What stands still."""
+    """All static shapes, the parked cars' included."""
     crowns: Crowns
-    """Of the trees."""
+    """Tree crowns and bushes."""
     movers: tuple[Mover, ...]
-    """What moves."""
+    """Moving objects."""
     parked: tuple[ParkedCar, ...]
-    """Where the parked cars' shapes stand."""
+    """Poses of the parked cars."""
 
 
 def build_street(seed: int, *, traffic: int = 0) -> Street:
-    """The street of a seed: the same seed gives the same street, whatever `traffic` cars drive in it more."""
+    """Build the street of a seed, with `traffic` more moving cars, which change nothing else."""
     rng = np.random.default_rng([seed, 360])
     shapes = ShapeList()
     _add_houses(shapes, rng)
@@ -105,7 +103,7 @@ def build_street(seed: int, *, traffic: int = 0) -> Street:
     crowns = _add_trees(shapes, rng)
     parked = _add_parked_cars(shapes, rng)
     movers = (
-        # Oncoming on the inner lane; it passes the recording car half-way through the drive.
+        # Oncoming on the inner lane; it passes the recording car in the middle of the drive.
         _mover(1, "car", ArcMotion(ROAD_RADIUS_M - 2.4, 0.44, -8.5), CAR_SIZE_M, _add_car),
         # Ahead on the right; the recording car comes up to 3 m at the end.
         _mover(2, "rider", ArcMotion(ROAD_RADIUS_M + 3.1, 0.2, 4.6), _CYCLIST_SIZE_M, _add_cyclist),
@@ -114,9 +112,9 @@ def build_street(seed: int, *, traffic: int = 0) -> Street:
 
 
 def _traffic(seed: int, cars: int) -> tuple[Mover, ...]:
-    """More cars, in turn on the inner lane before and behind the demo's own and on the outer one ahead.
+    """More moving cars, alternately on the inner lane, around the demo's own, and on the outer lane.
 
-    They keep their distance for three seconds, although some brake and others get faster.
+    Some brake and others accelerate, but for three seconds none touches another.
     """
     rng = np.random.default_rng([seed, 361])
     inner = [0.44 + step for step in (-0.14, 0.14, -0.28, 0.28, 0.42, 0.56)]
@@ -139,23 +137,16 @@ def _mover(
     size_m: tuple[float, float, float],
     add: Callable[[ShapeList, np.ndarray, int], None],
 ) -> Mover:
+    """A moving object; `add` adds its shapes at a pose to a list."""
     shapes = ShapeList()
     add(shapes, np.eye(4), object_id)
     return Mover(object_id, label, motion, shapes.build(), size_m)
 
 
 def _place(radius_m: float, angle_rad: float, height_m: float = 0.0, yaw_rad: float = 0.0) -> np.ndarray:
-    """Pose (4, 4) at a place of the street: x counter-clockwise along it, y to the curve's centre, z up."""
-    heading = angle_rad + 0.5 * np.pi + yaw_rad
-    cosine, sine = np.cos(heading), np.sin(heading)
-    return np.array(
-        [
-            [cosine, -sine, 0.0, radius_m * np.cos(angle_rad)],
-            [sine, cosine, 0.0, radius_m * np.sin(angle_rad)],
-            [0.0, 0.0, 1.0, height_m],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    """Pose (4, 4) at a place of the street: x along the street, y to the curve's centre, z up."""
+    heading_rad = angle_rad + 0.5 * np.pi + yaw_rad
+    return upright_pose(radius_m, *(np.array([x]) for x in (angle_rad, heading_rad, height_m)))[0]
 
 
 def _add(
@@ -167,7 +158,7 @@ def _add(
     look: tuple[Material, int],
     axes: np.ndarray | None = None,
 ) -> None:
-    """Add a shape given in a frame; `look` is its material and instance, `axes` rows in that frame."""
+    """Add a shape with centre and axes (rows) in the frame of `pose`; `look` is its material and instance."""
     own = pose[:3, :3].T if axes is None else axes @ pose[:3, :3].T
     shapes.add(kind, pose[:3, :3] @ np.array(centre_m) + pose[:3, 3], half_m, own, int(look[0]), look[1])
 
@@ -184,7 +175,7 @@ def _add_houses(shapes: ShapeList, rng: np.random.Generator) -> None:
             pose = _place(front + side * 0.5 * depth, angle, 0.5 * height, yaw)
             wall = (Material.PLASTER, instance)
             _add(shapes, Kind.BOX, pose, (0.0, 0.0, 0.0), (0.5 * length, 0.5 * depth, 0.5 * height), wall)
-            # A bay window stands out of every other front, a step lies before the door.
+            # More than half of the houses have a bay window, all have a step at the door.
             towards_road = side * 0.5 * depth
             if rng.random() < 0.6:
                 offset = rng.uniform(-0.25, 0.25) * length
@@ -204,13 +195,13 @@ def _add_poles(shapes: ShapeList, rng: np.random.Generator) -> None:
         instance = 400 + number
         if number % 3 == 0:
             _add(shapes, Kind.CYLINDER, pose, (0.0, 0.0, 1.4), (0.03, 0.03, 1.4), (Material.METAL, instance))
-            # A round sign that faces along the street: its axis is the pole's x.
+            # A round sign that faces along the street: its axis is the x axis of the pole's frame.
             axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
             disc = (-0.05, 0.0, 2.5)
             _add(shapes, Kind.CYLINDER, pose, disc, (0.3, 0.3, 0.012), (Material.SIGN, instance), axes)
         else:
             _add(shapes, Kind.CYLINDER, pose, (0.0, 0.0, 3.0), (0.07, 0.07, 3.0), (Material.METAL, instance))
-            # The lamp reaches over the road, whichever side the pole stands on.
+            # The lamp is above the road, on whichever side the pole is.
             lamp = (0.0, side * 0.6, 6.0)
             _add(shapes, Kind.BOX, pose, lamp, (0.1, 0.65, 0.06), (Material.METAL, instance))
 

@@ -1,6 +1,6 @@
-"""The demo's world, exact everywhere: cast rays into it at any place and any time.
+"""The demo's world: exact casting of rays from any place at any time.
 
-Known to the demo's writer and to scoring only; training reads files.
+Only the demo's writer and scoring use it; training reads files.
 """
 
 from dataclasses import dataclass
@@ -18,87 +18,79 @@ from nvsf_core.demo.shapes import (
     tile_cones,
     tile_select,
 )
-from nvsf_core.demo.street import (
-    KERB_HEIGHT_M,
-    ROAD_HALF_WIDTH_M,
-    Material,
-    Mover,
-    build_street,
-)
+from nvsf_core.demo.street import KERB_HEIGHT_M, ROAD_HALF_WIDTH_M, Material, Mover, build_street
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.se3 import invert_pose
 
-__all__ = ["HORIZON_M", "DemoHits", "DemoWorld"]
-
 HORIZON_M = 300.0
-"""Nothing is farther: beyond it the ground has merged with the haze."""
+"""Longest range of a hit: farther ground is hidden by haze."""
 _INNER_M = ROAD_RADIUS_M - ROAD_HALF_WIDTH_M
 _OUTER_M = ROAD_RADIUS_M + ROAD_HALF_WIDTH_M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoHits:
-    """What N rays met first."""
+    """First hits of N rays."""
 
     range_m: np.ndarray
-    """(N,) float32 along the ray; inf where it meets nothing."""
+    """(N,) float32 along the ray; inf without a hit."""
     material: np.ndarray
-    """(N,) int16, of `Material`; SKY where it meets nothing."""
+    """(N,) int16, of `Material`; SKY without a hit."""
     instance: np.ndarray
-    """(N,) int32, which object; 0 is the ground, -1 nothing."""
+    """(N,) int32, number of the object; 0 = ground, -1 = no hit."""
     normal: np.ndarray
-    """(N, 3) float32, unit, outwards; 0 where it meets nothing."""
+    """(N, 3) float32, unit, outwards; 0 without a hit."""
     local_m: np.ndarray
-    """(N, 3) float32, the place in the met shape's own axes (ground, leaves: in the street): for textures."""
+    """(N, 3) float32, place in the shape's own axes (ground, leaves: in the street frame), for textures."""
 
 
 class DemoWorld:
     """The street of a seed, its moving objects and the recording car's path, at any time.
 
-    World coordinates are as large as KITTI-360's, so they are float64; inside, rays are float32 about
-    the centre of the street's curve, exact to 0.1 mm at 100 m.
+    World coordinates are as large as KITTI-360's and so float64. Rays are cast in float32 in the street
+    frame, exact to 0.1 mm at 100 m.
     """
 
     def __init__(self, seed: int = 0, *, speed: EgoSpeed | None = None, traffic: int = 0) -> None:
         self.seed = seed
-        """Of the street."""
+        """Seed of the street and of all noise."""
         self._speed = speed
         self.street = build_street(seed, traffic=traffic)
-        """What stands in it."""
+        """Everything but the ground."""
         self.street_to_world = street_to_world()
         """(4, 4) float64."""
         self._world_to_street = invert_pose(self.street_to_world)
 
     def lidar_to_street(self, times_s: np.ndarray) -> np.ndarray:
-        """Poses (n, 4, 4) float64 of the recording LiDAR in the street at any times (n,)."""
+        """Poses (n, 4, 4) float64, recording LiDAR to street, at times (n,)."""
         return ego_pose(times_s, self._speed)
 
     def lidar_to_world(self, times_s: np.ndarray) -> np.ndarray:
-        """Poses (n, 4, 4) float64 of the recording LiDAR at any times (n,) since the first frame."""
+        """Poses (n, 4, 4) float64, recording LiDAR to world, at times (n,) since the first frame."""
         return self.street_to_world @ self.lidar_to_street(times_s)
 
     def object_to_world(self, object_id: int, times_s: np.ndarray) -> np.ndarray:
-        """Poses (n, 4, 4) of a moving object: x ahead, y left, z up, origin on the road below its centre.
+        """Poses (n, 4, 4), moving object to world: x ahead, y left, z up, origin on the road below it.
 
         Raises:
-            KeyError: No such object moves.
+            KeyError: No moving object has this number.
         """
         movers = {mover.object_id: mover for mover in self.street.movers}
         return self.street_to_world @ movers[object_id].motion.pose(np.atleast_1d(times_s))
 
     def cast(self, origins_m: np.ndarray, directions: np.ndarray, times_s: np.ndarray) -> DemoHits:
-        """First hits of rays in any order, without the recording car itself.
+        """First hits of rays in any order; the recording car is not there.
 
         Args:
             origins_m: (N, 3) float64, world, above the pavement and outside all objects.
             directions: (N, 3), world, unit.
-            times_s: (N,) seconds since the first frame, of each ray.
+            times_s: (N,) time of each ray, seconds since the first frame.
 
         Returns:
-            N hits; normals in the world.
+            N hits, with normals in the world.
 
         Raises:
-            ShapeError: The shapes differ from these.
+            ShapeError: The arrays have other shapes.
         """
         if origins_m.shape != directions.shape or times_s.shape != origins_m.shape[:1]:
             raise ShapeError(
@@ -115,7 +107,14 @@ class DemoWorld:
     def cast_in_street(
         self, origins_m: np.ndarray, directions: np.ndarray, times_s: np.ndarray, tiles: np.ndarray
     ) -> DemoHits:
-        """First hits of rays in the street frame; `tiles` (T, W) says which rays are neighbours."""
+        """First hits of rays in any order, in the street frame; the recording car is not there.
+
+        Args:
+            origins_m: (N, 3), above the pavement and outside all objects.
+            directions: (N, 3), unit.
+            times_s: (N,) time of each ray, seconds since the first frame.
+            tiles: (T, W) indices of neighbouring rays; each ray at least once.
+        """
         origin, direction = tile_select(origins_m, tiles), tile_select(directions, tiles)
         cones = tile_cones(origin, direction)
         best, material = _cast_ground(origin, direction)
@@ -142,7 +141,7 @@ class DemoWorld:
 
 
 def _cast_ground(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Range (inf) and material (T, W) on road, kerbs and pavement, for rays from above the pavement."""
+    """Range (inf without a hit) and material, both (T, W), of rays on road, kerbs and pavement."""
     z, slope = origin[:, 2], direction[:, 2]
     falls = slope < -1e-7
     safe = np.where(falls, slope, np.float32(-1.0))
@@ -153,7 +152,7 @@ def _cast_ground(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray,
     found = np.where(on_walk, to_walk, to_road)
     material = np.where(on_walk, Material.PAVEMENT, Material.ASPHALT).astype(np.int16)
 
-    # Above the road at the kerb's height and beyond it at the road's: the kerb's face lies between.
+    # A ray above the road at the pavement's height, and outside it at the road's, hits the kerb between.
     tile, ray = np.nonzero(falls & ~on_walk & ~on_road)
     flat_origin = origin[tile, :2, ray].astype(np.float64)
     flat_direction = direction[tile, :2, ray].astype(np.float64)
@@ -171,14 +170,14 @@ def _cast_ground(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray,
 
 
 def _radius(origin: np.ndarray, direction: np.ndarray, range_m: np.ndarray) -> np.ndarray:
-    """Distance from the street's centre (T, W) of points on rays."""
+    """Horizontal distance (T, W) from the street's centre of the points at ranges (T, W) on rays."""
     x = origin[:, 0] + range_m * direction[:, 0]
     y = origin[:, 1] + range_m * direction[:, 1]
     return np.sqrt(x * x + y * y)
 
 
 def _finish_kerb(material: np.ndarray, local: np.ndarray, normal: np.ndarray) -> None:
-    """Kerbs face the road: normals (T, 3, W) in place."""
+    """Set the normals (T, 3, W) of hits on kerbs, which face the road, in place."""
     tile, ray = np.nonzero(material == Material.KERB)
     place = local[tile, :2, ray]
     radius = np.linalg.norm(place, axis=1)
@@ -190,7 +189,7 @@ def _finish_kerb(material: np.ndarray, local: np.ndarray, normal: np.ndarray) ->
 def _fill_in(
     shapes: Shapes, shape: np.ndarray, local: np.ndarray, described: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> None:
-    """Where `shape` (T, W) is one: its material, instance, normal, and its own coordinates in `local`."""
+    """Set material, instance, normal and `local` of hits on shapes in place; `shape` (T, W) -1 = no hit."""
     material, instance, normal = described
     tile, ray = np.nonzero(shape >= 0)
     index = shape[tile, ray]
@@ -207,7 +206,7 @@ def _cast_mover(
     best: np.ndarray,
     described: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Cast rays (T, 3, W) at a moving object, each at its own time (T, W); all results in place."""
+    """Cast rays (T, 3, W) at a moving object, each at its time (T, W); nearer hits are stored in place."""
     local, material, instance, normal = described
     tile = _tiles_near(mover, times_s, cones)
     if len(tile) == 0:
@@ -216,7 +215,7 @@ def _cast_mover(
     pose = mover.motion.pose(times.ravel())
     turn = pose[:, :3, :3].astype(np.float32).reshape(*times.shape, 3, 3)
     offset = pose[:, :3, 3].astype(np.float32).reshape(*times.shape, 3)
-    # The object in the rays' frame is the rays in the object's frame, ray by ray.
+    # Instead of the object the rays are moved: into the object's frame at each ray's time.
     from_object = rays[0][tile] - np.moveaxis(offset, -1, 1)
     origin = np.einsum("twij,tiw->tjw", turn, from_object)
     direction = np.einsum("twij,tiw->tjw", turn, rays[1][tile])
@@ -233,7 +232,7 @@ def _cast_mover(
 
 
 def _tiles_near(mover: Mover, times_s: np.ndarray, cones: TileCones) -> np.ndarray:
-    """Indices of the tiles whose cones touch the ball about wherever the object is in their time."""
+    """Indices of the tiles whose cones touch a ball around all places of the object during their rays."""
     first, last = times_s.min(axis=1), times_s.max(axis=1)
     centre = mover.motion.pose(0.5 * (first + last))[:, :3, 3]
     fastest_m_s = np.abs(mover.motion.speed_m_s) + np.abs(mover.motion.gain_m_s2) * np.abs(last)
@@ -248,7 +247,7 @@ def _tiles_near(mover: Mover, times_s: np.ndarray, cones: TileCones) -> np.ndarr
 
 
 def _paint(material: np.ndarray, local: np.ndarray, normal: np.ndarray) -> None:
-    """Markings on the road, windows in walls and cars: same shape, another material (T, W), in place."""
+    """Set the material (T, W) of hits on road markings and on windows of houses and cars, in place."""
     tile, ray = np.nonzero(material == Material.ASPHALT)
     x, y = local[tile, 0, ray], local[tile, 1, ray]
     off = np.sqrt(x * x + y * y) - np.float32(ROAD_RADIUS_M)
@@ -263,7 +262,7 @@ def _paint(material: np.ndarray, local: np.ndarray, normal: np.ndarray) -> None:
     window = (column > 0.7) & (column < 1.7) & (row > 0.9) & (row < 2.3)
     material[tile[window], ray[window]] = Material.GLASS
 
-    # Of a car's ellipsoids only the cabin reaches 0.15 m to 0.5 m above its own middle with steep sides.
+    # Only the cabin has steep sides at this height above the middle of its ellipsoid.
     tile, ray = np.nonzero(material == Material.PAINT)
     height, steep = local[tile, 2, ray], np.abs(normal[tile, 2, ray]) < 0.8
     window = (height > 0.29) & (height < 0.58) & steep
@@ -271,7 +270,7 @@ def _paint(material: np.ndarray, local: np.ndarray, normal: np.ndarray) -> None:
 
 
 def _by_direction(directions: np.ndarray) -> np.ndarray:
-    """Tiles (T, W) of rays in any order, by direction in bins of 3 degrees; some rays fill up twice."""
+    """Tiles (T, W) of rays, sorted by direction in bins of 3 degrees; some rays are repeated to fill up."""
     step = np.deg2rad(3.0)
     azimuth = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / step).astype(np.int64)
     elevation = np.floor(np.arcsin(np.clip(directions[:, 2], -1.0, 1.0)) / step).astype(np.int64)
@@ -283,7 +282,7 @@ def _by_direction(directions: np.ndarray) -> np.ndarray:
 def _untiled(
     count: int, tiles: np.ndarray, values: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 ) -> DemoHits:
-    """Values by tile put back into the rays' order; repeated rays have equal values."""
+    """Values by tile as hits of `count` rays in their own order; repeated rays have equal values."""
     best, material, instance, normal, local = values
     where = tiles.ravel()
     range_m, kind = np.empty(count, np.float32), np.empty(count, np.int16)

@@ -1,1 +1,1 @@
-"""Recorded drives: the catalogue of them, and one folder a format."""
+"""Recorded drives: the scene catalogue, and one folder for each format of recordings."""

@@ -1,14 +1,14 @@
-"""The scene catalogue: which drives there are, which synthetic views are asked for, and at which times."""
+"""Reading of the scene catalogue: sections of recorded drives, and the synthetic views to make of them."""
 
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from nvsf_core.drives.entries import EXPORTS, SceneEntry, ViewEntry
+from nvsf_core.drives.entries import SceneEntry, ViewEntry, is_number
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.drives.kitti360.timestamps import frame_times
@@ -16,7 +16,6 @@ from nvsf_core.errors import DataError
 from nvsf_core.names import RESERVED_VIEWS
 
 __all__ = [
-    "EXPORTS",
     "UNSET_ROOT",
     "SceneEntry",
     "ViewEntry",
@@ -28,20 +27,21 @@ __all__ = [
 ]
 
 UNSET_ROOT = Path("$NVSF_KITTI360_ROOT")
-"""Root of an entry that names none while the variable is not set: it exists nowhere, and says why."""
+"""Root of a scene without one if the variable is not set: it does not exist, and its name says why."""
 
 _HOME_VARIABLE = "$NVSF_HOME"
 _MOST_BYTES = MIB
-"""Of a catalogue: some ten thousand scenes."""
+"""Largest catalogue file: some ten thousand scenes."""
 _LONGEST_TEXT = 1000
-"""Of a value: a path's parts may have 255 bytes each."""
+"""Longest root: a path's parts may have 255 bytes each."""
 _MOST_DOTS = 20
 _MOST_VIEWS = 1000
-_LARGEST = 1e15
-"""Larger numbers are none that a catalogue asks for."""
+_SLACK_S = 1e-6
+"""Times may lie outside the drive by this rounding error."""
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
 _NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
 _VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
+_Entry = TypeVar("_Entry", SceneEntry, ViewEntry)
 
 
 def home_from_environment(environ: Mapping[str, str]) -> Path:
@@ -50,7 +50,7 @@ def home_from_environment(environ: Mapping[str, str]) -> Path:
 
 
 def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, ...]:
-    """The catalogue that NVSF_SCENES (default: the project's `scenes.toml`) and NVSF_KITTI360_ROOT ask for.
+    """The catalogue given by NVSF_SCENES (default: the project's `scenes.toml`) and NVSF_KITTI360_ROOT.
 
     Raises:
         DataError: See `load_catalogue`.
@@ -73,7 +73,7 @@ def _own_catalogue() -> Path:
 
 
 def _expanded(text: str, what: str) -> Path:
-    """A path whose leading `~` or `~user` stands for a home folder."""
+    """A path with a leading `~` or `~user` replaced by the home folder; `what` names it in the message."""
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
@@ -83,15 +83,15 @@ def _expanded(text: str, what: str) -> Path:
 def load_catalogue(
     paths: Sequence[Path], kitti360_root: Path | None, *, home: Path | None = None
 ) -> tuple[SceneEntry, ...]:
-    """Read catalogue files; scenes with more frames come first, else in the files' order.
+    """Read catalogue files into scenes, longest first, else in the files' order.
 
     Args:
         paths: Catalogue files; a view of one may name a scene of another.
-        kitti360_root: Where entries without a root are looked for.
-        home: What `$NVSF_HOME` in a root means; default `.nvsf` in the working directory.
+        kitti360_root: KITTI-360 root of scenes that give none; None = `UNSET_ROOT`.
+        home: Folder for `$NVSF_HOME` in a root; None = `.nvsf` in the working directory.
 
     Raises:
-        DataError: A file is absent or no TOML, a key is unknown, missing or of the wrong kind, a name
+        DataError: A file is absent or not TOML, a key is unknown, missing or of the wrong kind, a name
             is given twice, or frames do not fit; the message names file, entry and key.
     """
     scenes: dict[str, SceneEntry] = {}
@@ -112,17 +112,26 @@ def load_catalogue(
         )
     if len(views) > _MOST_VIEWS:
         raise DataError(f"{paths[0]}: expected at most {_MOST_VIEWS} views in all, found {len(views)}")
-    _require_known_scenes(views, scenes)
+    for where, view in views:
+        for name in view.scenes or ():
+            if name not in scenes:
+                raise DataError(f"{where}: unknown scene {name!r}; the catalogue has {', '.join(scenes)}")
     _require_other_names(scenes)
     ordered = sorted(scenes.values(), key=lambda entry: entry.first_frame - entry.last_frame)
-    return tuple(replace(entry, views=_views_of(entry, views)) for entry in ordered)
+    try:
+        return tuple(
+            replace(entry, views=tuple(one for _, one in views if entry.name in (one.scenes or scenes)))
+            for entry in ordered
+        )
+    except DataError as error:
+        raise DataError(f"{', '.join(map(str, paths)):.300}: {error}") from error
 
 
 def has_data(entry: SceneEntry) -> bool:
-    """Whether a scan or an image of the section is on this machine.
+    """Whether a scan or an image of the scene is on this machine.
 
     Raises:
-        DataError: The disk does not say.
+        DataError: The folders cannot be read.
     """
     layout = DriveLayout(entry.root, entry.sequence)
     try:
@@ -150,17 +159,17 @@ def _read_toml(path: Path) -> dict[str, Any]:
         )
     try:
         return tomllib.loads(text)
-    # A number of five thousand digits is a ValueError, brackets nested as deep a RecursionError.
+    # A number of 5000 digits raises a ValueError, as deeply nested brackets a RecursionError.
     except (ValueError, RecursionError) as error:
         reason = error if isinstance(error, tomllib.TOMLDecodeError) else "absurd numbers or nesting"
         raise DataError(f"{path} is no TOML: {reason!s:.300}; correct the file") from error
 
 
 def _is_nested(text: str) -> bool:
-    """Whether a key has absurdly many parts: reading `a.a.a. ... = 1` takes gigabytes."""
+    """Whether a key has too many parts: reading `a.a.a. ... = 1` takes gigabytes."""
     for line in text.splitlines():
         *before, last = line.split("=")
-        # A key ends at each `=`, in inline tables too; a line without any is a header, or no TOML.
+        # A key ends at each `=`, in inline tables too; a line without `=` is a header, or not TOML.
         keys = [re.split(r"[,{\[]", part)[-1] for part in before] or [last.partition(",")[0]]
         if any(key.count(".") > _MOST_DOTS for key in keys):
             return True
@@ -177,23 +186,18 @@ def _entries(table: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, 
 def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path) -> SceneEntry:
     where = f"{path}: scene {raw.get('name')!r:.60}"
     _require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
-    period_s = raw.get("sweep_period_s")
-    if period_s is not None and not _is_number(period_s):
-        raise DataError(f"{where}: sweep_period_s: expected seconds of one turn, found {period_s!r:.60}")
+    entry = _made(SceneEntry, raw | {"root": _root(raw, path, kitti360_root, home, where)}, where)
+    period_s = None if entry.sweep_period_s is None else float(entry.sweep_period_s)
+    return replace(entry, test_frames=tuple(sorted(entry.test_frames)), sweep_period_s=period_s)
+
+
+def _made(kind: type[_Entry], raw: Mapping[str, Any], where: str) -> _Entry:
+    """An entry from values as TOML has them; the entry checks their kinds."""
     values: dict[str, Any] = {
-        "name": _string(raw, "name", where),
-        "root": _root(raw, path, kitti360_root, home, where),
-        "sequence": _string(raw, "sequence", where),
-        "first_frame": _integer(raw, "first_frame", where),
-        "last_frame": _integer(raw, "last_frame", where),
-        "test_frames": tuple(sorted(_list(raw, "test_frames", int, where))),
-        "sweep_period_s": None if period_s is None else float(period_s),
-        "cameras": _list(raw, "cameras", str, where) if "cameras" in raw else None,
-        "recipe": _string(raw, "recipe", where) if "recipe" in raw else None,
-        "compensate": _boolean(raw, "compensate", where) if "compensate" in raw else True,
+        key: tuple(value) if isinstance(value, list) else value for key, value in raw.items()
     }
     try:
-        return SceneEntry(**values)
+        return kind(**values)
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
 
@@ -201,7 +205,11 @@ def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pa
 def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path, where: str) -> Path:
     if "root" not in raw:
         return UNSET_ROOT if kitti360_root is None else kitti360_root.absolute()
-    text = _string(raw, "root", where)
+    text = raw["root"]
+    if not isinstance(text, str) or not text or not text.isprintable() or len(text) > _LONGEST_TEXT:
+        raise DataError(
+            f"{where}: root: expected 1 to {_LONGEST_TEXT} printable characters, found {text!r:.60}"
+        )
     if text.split("/")[0] == _HOME_VARIABLE:
         return home / text.removeprefix(_HOME_VARIABLE).lstrip("/")
     # joinpath keeps an absolute root as it is.
@@ -213,34 +221,17 @@ def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
     _require_keys(raw, _VIEW_KEYS, frozenset({"name"}), where)
     if raw["name"] in RESERVED_VIEWS:
         raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
-    shift_m = raw.get("shift_m", [0.0, 0.0, 0.0])
-    yaw_deg = raw.get("yaw_deg", 0.0)
-    if not (isinstance(shift_m, list) and len(shift_m) == 3 and all(map(_is_number, shift_m))):
-        raise DataError(f"{where}: shift_m: expected [forward, left, up] in metres, found {shift_m!r:.60}")
-    if not _is_number(yaw_deg):
-        raise DataError(f"{where}: yaw_deg: expected degrees, found {yaw_deg!r:.60}")
     frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
-    values: dict[str, Any] = {
-        "name": _string(raw, "name", where),
-        "scenes": _list(raw, "scenes", str, where) if "scenes" in raw else None,
-        "sensor": _string(raw, "sensor", where) if "sensor" in raw else None,
-        "shift_m": tuple(map(float, shift_m)),
-        "yaw_deg": float(yaw_deg),
-        "frames": frames,
-        "times_s": times_s,
-        "exports": _list(raw, "exports", str, where) if "exports" in raw else ("bin", "ply"),
-    }
-    try:
-        return ViewEntry(**values)
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
+    entry = _made(ViewEntry, raw | {"frames": frames, "times_s": times_s}, where)
+    forward_m, left_m, up_m = map(float, entry.shift_m)
+    return replace(entry, shift_m=(forward_m, left_m, up_m), yaw_deg=float(entry.yaw_deg))
 
 
 def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], tuple[float, ...] | None]:
-    """`all`, whole numbers (frames), or numbers with a point (seconds of the drive)."""
+    """Fields `frames` and `times_s` of a view: from "all", whole numbers, or numbers with a decimal point."""
     if value == "all":
         return "all", None
-    if isinstance(value, list) and value and all(_is_number(item) and item >= 0 for item in value):
+    if isinstance(value, list) and value and all(is_number(item) and item >= 0 for item in value):
         if all(isinstance(item, int) for item in value):
             return tuple(value), None
         if all(isinstance(item, float) for item in value):
@@ -250,38 +241,13 @@ def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], t
     )
 
 
-def _require_known_scenes(views: Iterable[tuple[str, ViewEntry]], scenes: Mapping[str, SceneEntry]) -> None:
-    for where, view in views:
-        for name in scenes if view.scenes is None else view.scenes:
-            if name not in scenes:
-                raise DataError(f"{where}: unknown scene {name!r}; the catalogue has {', '.join(scenes)}")
-            first, last = scenes[name].first_frame, scenes[name].last_frame
-            if view.times_s is None and view.frames != "all":
-                outside = [frame for frame in view.frames if not first <= float(frame) <= last]
-                if outside:
-                    remedy = "; say in `scenes` which it is for" if view.scenes is None else ""
-                    raise DataError(
-                        f"{where}: frames {outside!s:.200} are not in {first}..{last} of scene {name}{remedy}"
-                    )
-
-
 def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
-    """Names that differ in case alone are one folder on some disks."""
+    """Refuse names that differ only in case: on some disks they are one folder."""
     known: dict[str, str] = {}
     for name in scenes:
         other = known.setdefault(name.casefold(), name)
         if other != name:
             raise DataError(f"scenes {other!r} and {name!r} differ in case alone; rename one")
-
-
-def _views_of(entry: SceneEntry, views: Iterable[tuple[str, ViewEntry]]) -> tuple[ViewEntry, ...]:
-    chosen: dict[str, ViewEntry] = {}
-    for where, view in views:
-        if view.scenes is None or entry.name in view.scenes:
-            if view.name in chosen:
-                raise DataError(f"{where}: scene {entry.name} has a view of this name already; rename one")
-            chosen[view.name] = view
-    return tuple(chosen.values())
 
 
 def _require_keys(raw: Mapping[str, Any], known: frozenset[str], needed: frozenset[str], where: str) -> None:
@@ -294,60 +260,22 @@ def _require_keys(raw: Mapping[str, Any], known: frozenset[str], needed: frozens
         raise DataError(f"{where}: missing keys {', '.join(missing)}")
 
 
-def _string(raw: Mapping[str, Any], key: str, where: str) -> str:
-    value = raw[key]
-    if not isinstance(value, str) or not value or not value.isprintable() or len(value) > _LONGEST_TEXT:
-        raise DataError(
-            f"{where}: {key}: expected 1 to {_LONGEST_TEXT} printable characters, found {value!r:.60}"
-        )
-    return value
-
-
-def _integer(raw: Mapping[str, Any], key: str, where: str) -> int:
-    value = raw[key]
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise DataError(f"{where}: {key}: expected a whole number, found {value!r:.60}")
-    return value
-
-
-def _boolean(raw: Mapping[str, Any], key: str, where: str) -> bool:
-    value = raw[key]
-    if not isinstance(value, bool):
-        raise DataError(f"{where}: {key}: expected true or false, found {value!r:.60}")
-    return value
-
-
-def _list(raw: Mapping[str, Any], key: str, kind: type, where: str) -> tuple[Any, ...]:
-    value = raw[key]
-    if not isinstance(value, list) or not all(type(item) is kind for item in value):
-        raise DataError(f"{where}: {key}: expected a list of {kind.__name__}, found {value!r:.60}")
-    return tuple(value)
-
-
-def _is_number(value: Any) -> bool:
-    # NaN and infinity compare false, too.
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
-
-
-_SLACK_S = 1e-6
-
-
 def require_times_in_drive(scene: SceneEntry) -> None:
-    """Refuse a view of a time before the drive's first frame or after its last: nothing is known of then.
+    """Refuse a view at a time before the scene's first frame or after its last.
 
     Raises:
-        DataError: Names the view, the times and what the drive has.
+        DataError: There is such a view; the message names it, its times and those of the drive.
     """
-    asked = [view for view in scene.views if view.times_s is not None]
-    if not asked:
+    timed = [view for view in scene.views if view.times_s is not None]
+    if not timed:
         return
     try:
         layout = DriveLayout(scene.root, scene.sequence)
         times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
     except (DataError, OSError):
-        return  # the stage `frames` says what is wrong with the drive
+        return  # the stage `frames` reports what is wrong with the drive
     end_s = float(times.time_s[-1])
-    for view in asked:
+    for view in timed:
         outside = [time_s for time_s in view.times_s or () if not -_SLACK_S <= time_s <= end_s + _SLACK_S]
         if outside:
             raise DataError(

@@ -1,10 +1,10 @@
-"""What a catalogue asks for: scenes and views, each whole and possible, or refused as it is made."""
+"""Entries of the catalogue, scenes and views; impossible values are refused when an entry is made."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.drives.kitti360.layout import CAMERAS
+from nvsf_core.drives.kitti360.layout import CAMERAS, LAST_FRAME
 from nvsf_core.drives.kitti360.timestamps import LONGEST_STEP_S, SHORTEST_STEP_S
 from nvsf_core.errors import DataError, RecipeError
 from nvsf_core.names import RESERVED_SCENES, name_fault
@@ -13,40 +13,39 @@ from nvsf_core.sensors.tables import SENSOR_TABLES
 
 EXPORTS = ("bin", "ply", "pcd")
 """File formats that the stage `dataset` can write."""
-LAST_FRAME = 9_999_999_999
-"""File names have ten digits."""
 MOST_FRAMES = 20_000
-"""Of one scene: half an hour. KITTI-360's longest drive has 15,000."""
+"""Most frames of one scene: half an hour. KITTI-360's longest drive has 15,000."""
 FARTHEST_SHIFT_M = 1000.0
-"""Nothing of a street is seen from farther away."""
+"""From farther away nothing of a street is visible."""
 _MOST_YAW_DEG = 360.0
 _LARGEST = 1e15
+"""Largest number in a catalogue."""
 _LONGEST_PATH = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewEntry:
-    """A synthetic data set that is asked for: `[[view]]` of a catalogue."""
+    """A synthetic view to render: `[[view]]` of a catalogue."""
 
     name: str
     """Name of the view; its folder and its `split` in metric tables."""
     scenes: tuple[str, ...] | None = None
-    """Scenes that it is asked of; None = all."""
+    """Scenes that it is rendered of; None = all."""
     sensor: str | None = None
     """Name of a sensor table (`HDL-64E`, `VLP-16`, `OS1-128`); None = the recorded one."""
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Forward, left, up, in the vehicle's (LiDAR's) frame."""
+    """Shift of the LiDAR in its own frame: forward, left, up."""
     yaw_deg: float = 0.0
     """Turn to the left about the LiDAR's z axis."""
     frames: str | tuple[float, ...] = "all"
-    """`all`, frame numbers, or (with `times_s`) nothing."""
+    """`all`, frame numbers, or nothing if `times_s` are given."""
     times_s: tuple[float, ...] | None = None
-    """Times in seconds of the drive, between frames; None = use `frames`."""
+    """Times since the drive's first frame, also between frames; None = use `frames`."""
     exports: tuple[str, ...] = ("bin", "ply")
-    """File formats that `dataset` writes: some of `EXPORTS`."""
+    """File formats that the stage `dataset` writes: some of `EXPORTS`."""
 
     def __post_init__(self) -> None:
-        """Refuse what could only fail after training."""
+        """Refuse values that would otherwise fail only after training."""
         _require_name("name", self.name)
         _require_kinds(self, _VIEW_KINDS)
         if self.times_s is None and self.frames == ():
@@ -73,40 +72,41 @@ class ViewEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneEntry:
-    """One drive section: `[[scene]]` of a catalogue."""
+    """A section of a drive: `[[scene]]` of a catalogue."""
 
     name: str
-    """Partition key."""
+    """Name of the scene; Dagster's partition key."""
     root: Path
     """KITTI-360 root that holds `data_3d_raw`, `data_2d_raw`, `data_poses`, `calibration`."""
     sequence: str
-    """For example `2013_05_28_drive_0000_sync`."""
+    """Name of the drive, for example `2013_05_28_drive_0000_sync`."""
     first_frame: int
     """First frame number, inclusive."""
     last_frame: int
     """Last frame number, inclusive."""
     test_frames: tuple[int, ...]
-    """Held-out frames: never trained on, never used to choose anything."""
+    """Test frames: never trained on, never used to choose anything."""
     sweep_period_s: float | None = None
-    """Seconds of one LiDAR turn where timestamps are absent; recorded as assumed."""
+    """Duration of a LiDAR sweep if there are no timestamps; stored as assumed."""
     cameras: tuple[str, ...] | None = None
     """Cameras to use; None = every camera present and calibrated."""
     recipe: str | None = None
-    """Recipe where none is asked for."""
+    """Recipe if a run names none."""
     compensate: bool = True
-    """Whether each return is put at its own time; False puts a whole turn at its pose's, as papers do."""
+    """Ego-motion compensation: each return is placed by the sensor's pose at its own time. False = one pose
+    for a whole sweep, as papers do."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
     def __post_init__(self) -> None:
-        """Refuse what could only fail later, or somewhere else on the disk."""
+        """Refuse values that would otherwise fail only later, or write outside the scene's folder."""
         _require_name("name", self.name, RESERVED_SCENES)
         _require_name("sequence", self.sequence)
         _require_kinds(self, _SCENE_KINDS)
         self._require_frames()
         if self.sweep_period_s is not None and not SHORTEST_STEP_S <= self.sweep_period_s <= LONGEST_STEP_S:
             raise DataError(
-                f"sweep_period_s: expected {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} seconds of one turn, "
+                f"sweep_period_s: expected {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} seconds of one sweep, "
                 f"found {self.sweep_period_s}"
             )
         unknown = [name for name in self.cameras or () if name not in CAMERAS]
@@ -127,7 +127,8 @@ class SceneEntry:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise DataError(
-                f"views: expected each name once, found {twice[0]!r} again, if in other letters' case"
+                f"scene {self.name}: views: expected each name once, upper or lower case, found {twice[0]!r} "
+                "again; rename one"
             )
         for view in self.views:
             if view.times_s is not None or view.frames == "all":
@@ -138,7 +139,7 @@ class SceneEntry:
             if outside:
                 raise DataError(
                     f"view {view.name}: frames {outside!s:.200} are not in {self.first_frame}.."
-                    f"{self.last_frame}"
+                    f"{self.last_frame} of scene {self.name}; correct them, or name the view's `scenes`"
                 )
 
     def _require_frames(self) -> None:
@@ -162,7 +163,8 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Whether a value is a finite number of possible size; a bool is none."""
     # NaN and infinity compare false, too.
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
@@ -178,7 +180,7 @@ def _is_path(value: object) -> bool:
 def _all(
     is_one: Callable[[object], bool], fewest: int = 1, most: int = MOST_FRAMES
 ) -> Callable[[object], bool]:
-    """Whether a value is a tuple of so many of one kind."""
+    """A test whether a value is a tuple of `fewest` to `most` items that pass `is_one`."""
     return lambda value: isinstance(value, tuple) and fewest <= len(value) <= most and all(map(is_one, value))
 
 
@@ -189,13 +191,13 @@ def _or_none(is_one: Callable[[object], bool]) -> Callable[[object], bool]:
 _VIEW_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
     "scenes": (_or_none(_all(_is_text)), "names of scenes, or None for all"),
     "sensor": (_or_none(_is_text), "a sensor's name, or None for the recorded one"),
-    "shift_m": (_all(_is_number, 3, 3), "three numbers: forward, left, up"),
-    "yaw_deg": (_is_number, "a number of degrees"),
+    "shift_m": (_all(is_number, 3, 3), "three numbers: forward, left, up"),
+    "yaw_deg": (is_number, "a number of degrees"),
     "frames": (
         lambda value: value == "all" or _all(_is_whole, 0)(value),
         '"all" or a tuple of frame numbers',
     ),
-    "times_s": (_or_none(_all(_is_number)), "a tuple of seconds, or None"),
+    "times_s": (_or_none(_all(is_number)), "a tuple of seconds, or None"),
     "exports": (_all(_is_text), "a tuple of formats"),
 }
 _SCENE_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
@@ -203,16 +205,16 @@ _SCENE_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
     "first_frame": (_is_whole, "a whole number"),
     "last_frame": (_is_whole, "a whole number"),
     "test_frames": (_all(_is_whole, 0), "a tuple of frame numbers"),
-    "sweep_period_s": (_or_none(_is_number), "a number of seconds, or None"),
+    "sweep_period_s": (_or_none(is_number), "seconds of one sweep, or None"),
     "cameras": (_or_none(_all(_is_text, 0)), "a tuple of cameras, or None for all"),
     "recipe": (_or_none(_is_text), "a recipe's name, or None"),
-    "compensate": (lambda value: isinstance(value, bool), "True or False"),
+    "compensate": (lambda value: isinstance(value, bool), "true or false"),
     "views": (_all(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }
 
 
 def _require_kinds(entry: object, kinds: Mapping[str, tuple[Callable[[object], bool], str]]) -> None:
-    """Refuse fields of other kinds: annotations are not asked when a dataclass is made."""
+    """Refuse fields of other kinds: a dataclass does not check its annotations."""
     for name, (is_kind, words) in kinds.items():
         value = getattr(entry, name)
         if not is_kind(value):

@@ -1,4 +1,4 @@
-"""A view before the networks look at it: which images show it, the LiDAR's depth, and what moves."""
+"""Inputs of the camera networks for one view: source images, LiDAR depth, and moving objects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,9 +17,9 @@ from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
 
 _DISTANCE_FLOOR_M = 0.05
 _REACH_PX = 6.0
-"""Distance in the image from a moving object's return up to which a pixel is taken for the object's."""
+"""Pixels within this distance of a moving object's return are labelled as the object."""
 _SHADOW_PX = 10.0
-"""The same where a source image must not be looked at for what stands still."""
+"""The same distance in source images, where such pixels must not be used for static surfaces."""
 
 Window = tuple[slice, slice]
 """Rows and columns of an image."""
@@ -28,68 +28,72 @@ WHOLE: Window = (slice(None), slice(None))
 
 @dataclass(frozen=True, slots=True)
 class ShownImages:
-    """All images of a camera in three sizes, (j, c, ...) float32 with the channels of `Sources.image`."""
+    """All j images of a camera in three sizes, with the channels of `Sources.image`."""
 
     full: Tensor
+    """(j, c, H, W) float32, as recorded."""
     middle: Tensor
+    """(j, c, h, w) float32, shrunk by `middle_factor`: depths are refined on these."""
     small: Tensor
+    """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
 
     def mirrored(self) -> "ShownImages":
-        """With left and right exchanged."""
+        """The images with left and right exchanged."""
         return ShownImages(self.full.flip(-1), self.middle.flip(-1), self.small.flip(-1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingPoints:
-    """A moving object as a view needs it."""
+    """Points of a moving object at a view's instant, and its motion to each image's instant."""
 
     points_m: np.ndarray
-    """(m, 3) float32 scene-local at the view's instant."""
+    """(m, 3) float32, scene-local, metres, at the view's instant."""
     moved: np.ndarray
-    """(j, 4, 4) its motion in the scene from that instant to each image's; zeros where it is not known."""
+    """(j, 4, 4) rigid motion in the scene from that instant to each image's; zeros where it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """Everything that is known about a view before the networks look at it."""
+    """Inputs of the camera networks for one view."""
 
     pinhole: Pinhole
+    """Intrinsics of the view and of all images."""
     factor: int
-    """Pixels of the image a side of a pixel of the shrunk one."""
+    """By how much the small images are shrunk: see `shrinking`."""
     inverse: Tensor
-    """(H, W) inverse depth that the LiDAR gives, 1/m."""
+    """(H, W) inverse depth from the LiDAR, 1/m."""
     gap_px: Tensor
-    """(H, W) distance to the nearest return."""
+    """(H, W) distance to the nearest return in the image."""
     images: ShownImages
-    """All of the camera."""
+    """All images of the camera."""
     chosen: list[int]
-    """Images that are looked at, the nearest first; as many as the recipe wants, the last repeated."""
+    """Indices of the k source images, the nearest first. If there are fewer, the last is repeated."""
     motion: Tensor
-    """(k, 4, 4)."""
+    """(k, 4, 4), see `Sources`."""
     nearness: Tensor
-    """(k,)."""
+    """(k,), see `Sources`."""
     moved: Tensor | None = None
     """(o, k, 4, 4), see `Sources`."""
     label: Tensor | None = None
-    """(H, W) uint8, 1 and more for the moving object that a pixel shows; None = nothing moves."""
+    """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 
     @property
     def small(self) -> Pinhole:
-        """Of the images on which planes are compared."""
+        """Intrinsics of the images on which planes are compared."""
         return shrunk(self.pinhole, self.factor)
 
     @property
     def middle(self) -> Pinhole:
-        """Of the images on which depths are refined."""
+        """Intrinsics of the images on which depths are refined."""
         return shrunk(self.pinhole, middle_factor(self.factor))
 
     def sources(self, images: Tensor) -> Sources:
-        """The view's among all images, of whatever size."""
+        """The chosen ones of all images (j, c, h, w), of any size, as sources of this view."""
         chosen = tuple(images[index] for index in self.chosen)
         return Sources(chosen, self.motion, self.nearness, self.moved)
 
     def mirrored(self) -> "CameraView":
-        """The same scene with x exchanged for -x in every camera's frame, and what is then seen of it."""
+        """The view of the mirrored scene: x becomes -x in every camera's frame."""
         flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0]))
         return replace(
             self,
@@ -103,36 +107,36 @@ class CameraView:
         )
 
     def thinned(self, image: Tensor, factor: int) -> Tensor:
-        """An image's (H, W) middle pixel of each of those that are `factor` times as large."""
+        """The middle pixel of each block of factor x factor pixels of an image (H, W)."""
         half = factor // 2
         rows, columns = self.pinhole.height // factor, self.pinhole.width // factor
         return image[half::factor, half::factor][:rows, :columns]
 
     def label_of(self, factor: int, window: Window) -> Tensor | None:
-        """The labels of a window of the shrunk view; None where nothing moves."""
+        """Labels (h, w) in a window of the view shrunk by `factor`; None = nothing moves."""
         return None if self.label is None else self.thinned(self.label, factor)[window]
 
 
 def shrinking(pinhole: Pinhole, spec: CameraSpec) -> int:
-    """How many times smaller the images are on which planes are compared: even, or 1."""
+    """By how much images are shrunk for the comparison of planes: even, or 1."""
     return max(1, 2 * round(0.5 * (pinhole.width * pinhole.height / spec.plane_px) ** 0.5))
 
 
 def middle_factor(factor: int) -> int:
-    """The shrinking of images on which depths are refined: they have twice the planes' resolution."""
+    """By how much images are shrunk for the refinement of depths: half of `factor`, at least 1."""
     return max(1, factor // 2)
 
 
 def shown_images(
     images: np.ndarray, valid: np.ndarray, factor: int, moving: np.ndarray | None = None
 ) -> ShownImages:
-    """Images as sources.
+    """Convert recorded images to source images of three sizes.
 
     Args:
         images: (j, H, W, 3) uint8.
         valid: (H, W) bool, pixels that show anything.
-        factor: Shrinking of the images on which planes are compared.
-        moving: (j, H, W) bool, pixels that show what moves; None = nothing does.
+        factor: By how much the small images are shrunk.
+        moving: (j, H, W) bool, pixels that show moving objects; None = nothing moves.
     """
     shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
     parts = [to_float(images), shown]
@@ -146,10 +150,21 @@ def shown_images(
 def moving_pixels(
     pose: np.ndarray, pinhole: Pinhole, static_m: np.ndarray, moving_m: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Pixels (H, W) bool of a recorded image that may show what moves, from points at its instant."""
+    """Which pixels of a recorded image may show a moving object.
+
+    Args:
+        pose: (4, 4) camera to scene-local frame.
+        pinhole: Intrinsics of the image.
+        static_m: (m, 3) float32 static points, scene-local, metres.
+        moving_m: (m, 3) float32 points of each moving object at the image's instant.
+
+    Returns:
+        (H, W) bool.
+    """
     return view_label(pose, pinhole, [static_m, *moving_m], _SHADOW_PX) > 0
 
 
+# Wide: the view (pose, pinhole), the points and the source images are independent inputs.
 def camera_view(
     pose: np.ndarray,
     pinhole: Pinhole,
@@ -161,19 +176,19 @@ def camera_view(
     leave_out: int | None = None,
     moving: Sequence[MovingPoints] = (),
 ) -> CameraView:
-    """Choose sources of a view and look at the LiDAR's depth from it.
+    """Choose the source images of a view and render the LiDAR's depth into it.
 
     Args:
-        pose: (4, 4) camera to scene-local.
-        pinhole: Of the view and of all images.
-        points_m: (m, 3) float32 scene-local, for depth; without what moves.
-        images: All of the camera, shrunk as `shrinking` says.
-        poses: (j, 4, 4) theirs.
-        spec: Of the networks.
-        leave_out: Image that may not be a source: the one that the view is compared with.
-        moving: What moves and may be seen.
+        pose: (4, 4) camera to scene-local frame.
+        pinhole: Intrinsics of the view and of all images.
+        points_m: (m, 3) float32 static points for depth, scene-local, metres.
+        images: All j images of the camera, shrunk by `shrinking`.
+        poses: (j, 4, 4) camera to scene-local frame of each image.
+        spec: Recipe of the camera networks.
+        leave_out: Index of an image that must not be a source, as the view is compared with it.
+        moving: Moving objects that may be visible.
     """
-    clouds = [points_m, *(thing.points_m for thing in moving)]
+    clouds = [points_m, *(each.points_m for each in moving)]
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
     known = [index for index in range(len(poses)) if index != leave_out]
     chosen = [known[index] for index in nearest_sources(pose, poses[known], spec.sources)]
@@ -191,11 +206,12 @@ def camera_view(
         chosen=chosen,
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
         nearness=nearness,
-        moved=_moved(pose, poses[chosen], [thing.moved[chosen] for thing in moving]) if moving else None,
+        moved=_moved(pose, poses[chosen], [each.moved[chosen] for each in moving]) if moving else None,
         label=None if label is None else torch.from_numpy(label),
     )
 
 
 def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:
+    """(o, k, 4, 4) from the view's frame to each source's, including each object's own motion."""
     motions = [[invert_pose(to) @ by @ pose for to, by in zip(sources, each, strict=True)] for each in moved]
     return torch.from_numpy(np.array(motions, np.float32))

@@ -1,8 +1,8 @@
-"""Poses of a camera's images, corrected until LiDAR returns look alike in neighbouring images.
+"""Correction of a camera's poses: LiDAR returns must look alike in neighbouring images.
 
-A drive's poses are good to some millimetres and tenths of a milliradian, which is a pixel and more of a
-near hedge: enough to blur what several images show. A return of a scan lies where its own image sees it,
-whatever the pose; so what another image shows of it there tells how the two images really lie.
+A drive's poses have errors of some millimetres and tenths of a milliradian. On a near hedge that is a pixel
+and more, which blurs the mean of several images. The place of a scan's return in the image taken with the
+scan does not depend on the pose; its place in another image does, so grey values there measure the error.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,32 +19,32 @@ from nvsf_core.rendering.reproject_camera import nearest_sources
 
 _NEIGHBOURS = 4
 _BLUR_PX = 1.5
-"""Images are smoothed so far: a slope then leads to the right place from about as far away."""
+"""Standard deviation of the smoothing. Slopes then point to the right place from about this far away."""
 _ROUNDS = 8
 _PRIOR = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
-"""Standard deviation of a pose's error before images are looked at, metres and radians."""
+"""Expected standard deviation of a pose's error: three in metres, three in radians."""
 _NOISE = 0.1
-"""Difference of grey values, of 0..1, from which on a return rather shows something else."""
+"""Scale of the robust cost, in grey values 0..1: at larger differences a return is rather hidden."""
 _CELL_PX, _MOST_RETURNS = 4, 12_000
 _NEAREST_M = 0.5
 _RIM_PX = 4
 _SMOOTH_S = 0.75
-"""Corrections of images within about this time are one: the errors of a pose come and go slowly."""
+"""Standard deviation in time over which corrections are averaged: pose errors change slowly."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseCorrection:
-    """What a camera's given poses are off by, told by those of its images that were aligned."""
+    """Corrections of a camera's poses at the instants of its aligned images."""
 
     time_s: np.ndarray
-    """(n,) ascending, of the images that were aligned; others have no say."""
+    """(n,) ascending, seconds: instants of the aligned images."""
     twist: np.ndarray
     """(n, 6) metres and radians in the camera's own frame: corrected = given exp(twist)."""
 
     def of_images(self, pose: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-        """The corrected poses (m, 4, 4) of images from the given ones, by their times (m,).
+        """Corrected poses (m, 4, 4) of images with given poses (m, 4, 4) and times (m,).
 
-        An image that was aligned has its own correction, any other what those around it say.
+        An aligned image has its own correction, any other one the average of those around it.
         """
         own = {instant_s: number for number, instant_s in enumerate(self.time_s.tolist())}
         corrected = [
@@ -54,51 +54,50 @@ class PoseCorrection:
         return np.stack(corrected)
 
     def at(self, pose: np.ndarray, time_s: float, *, leave_out: bool = False) -> np.ndarray:
-        """A camera's pose (4, 4) of any time, corrected as the images around it are.
+        """The corrected pose (4, 4) at any time, from the corrections around it.
 
         Args:
-            pose: As given.
+            pose: (4, 4) given pose.
             time_s: Its time; before the first and after the last image their corrections hold.
-            leave_out: Do as if the image of that very time had not been aligned.
+            leave_out: Ignore the correction of the image of exactly that time.
         """
-        heard = self.time_s != time_s if leave_out and len(self.time_s) > 1 else np.ones(1, np.bool_)
+        used = self.time_s != time_s if leave_out and len(self.time_s) > 1 else np.ones(1, np.bool_)
         time_s = float(np.clip(time_s, self.time_s[0], self.time_s[-1]))
-        weight = heard * (np.exp(-0.5 * ((self.time_s - time_s) / _SMOOTH_S) ** 2) + 1e-12)
+        weight = used * (np.exp(-0.5 * ((self.time_s - time_s) / _SMOOTH_S) ** 2) + 1e-12)
         weight /= weight.sum()
         offset_s = self.time_s - time_s
-        # A line through them: the mean alone would lag at a drive's end, where all others are on one side.
+        # A line is fitted: a mean would lag at a drive's end, where all other images are on one side.
         middle_s = float(weight @ offset_s)
         spread = float(weight @ (offset_s - middle_s) ** 2)
         mean = weight @ self.twist
         slope = (weight * (offset_s - middle_s)) @ self.twist / (spread + 1e-4)
-        corrected: np.ndarray = pose @ exp_se3(mean - slope * middle_s)
-        return corrected
+        return pose @ exp_se3(mean - slope * middle_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Anchors:
-    """Returns of a scan in the frame of the camera whose image was taken with it."""
+    """Returns of a scan, in the frame of the camera whose image was taken with it."""
 
     point_m: np.ndarray
-    """(m, 3)."""
+    """(m, 3) metres."""
     grey: np.ndarray
-    """(m,) what the image shows of them, 0..1."""
+    """(m,) grey values of the image there, 0..1."""
 
 
 def align_images(
     rgb: Iterable[np.ndarray], pinhole: Pinhole, pose: np.ndarray, returns_m: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Corrections (n, 6) of all poses; zeros where it does not make images agree better.
+    """Corrections (n, 6) of all poses, see `PoseCorrection.twist`; zeros if images do not agree better.
 
     Minimises, by Gauss-Newton with Geman-McClure weights, over all images j and their nearest ones k, the
     difference |I_k(project(T_k^-1 T_j p)) - I_j(project(p))| of the returns p of image j's scan, plus the
-    corrections' own squares over those of `_PRIOR`. The same brightness is expected but for an offset.
+    squares of the corrections over those of `_PRIOR`. The median difference of a pair is taken off.
 
     Args:
-        rgb: n of (h, w, 3) uint8.
-        pinhole: Of all images.
-        pose: (n, 4, 4) camera to scene-local, as given.
-        returns_m: n of (m, 3) scene-local: what stands still, by the scan that belongs to an image.
+        rgb: n images (h, w, 3) uint8.
+        pinhole: Intrinsics of all images.
+        pose: (n, 4, 4) camera to scene-local frame, as given.
+        returns_m: n arrays (m, 3), scene-local, metres: static returns of the scan of each image.
     """
     twist = np.zeros((len(pose), 6))
     if len(pose) < 2:
@@ -126,9 +125,9 @@ def _improved(
     seen: Sequence[np.ndarray],
     pinhole: Pinhole,
 ) -> np.ndarray:
-    """One step of Gauss-Newton."""
+    """The twists (n, 6) after one step of Gauss-Newton."""
     right = -twist * _PRIOR**-2.0
-    # Each image meets a few others alone: the blocks of those are all there is of the normal matrix.
+    # Each image is compared with few others: only their blocks of the normal matrix are not zero.
     places = [(image, image) for image in range(len(pose))]
     blocks = [np.diag(_PRIOR**-2.0)] * len(pose)
     for j, k, motion in _motions(pose @ exp_se3(twist), pairs):
@@ -141,12 +140,11 @@ def _improved(
         right[j] -= weighted_j.T @ residual
         right[k] -= weighted_k.T @ residual
     step = spsolve(_of_blocks(places, blocks), right.reshape(-1))
-    improved: np.ndarray = twist + step.reshape(twist.shape)
-    return improved
+    return twist + step.reshape(twist.shape)
 
 
 def _of_blocks(places: Sequence[tuple[int, int]], blocks: Sequence[np.ndarray]) -> csc_array:
-    """A sparse matrix of blocks (6, 6) by their rows and columns of blocks; those of one place add up."""
+    """Sparse matrix of blocks (6, 6), each at (row, column) counted in blocks; blocks at one place add up."""
     within = np.arange(6)
     row, column = 6 * np.array(places).T[:, :, None, None]
     value = np.stack(blocks)
@@ -163,10 +161,10 @@ def _motions(pose: np.ndarray, pairs: Sequence[tuple[int, int]]) -> list[tuple[i
 def _residual(
     anchors: _Anchors, motion: np.ndarray, seen: np.ndarray, pinhole: Pinhole
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What another image shows of anchors, less what their own does, in grey values.
+    """Grey values of anchors in another image, minus those in their own, for anchors that it shows.
 
     Returns:
-        (m,), and its derivatives (m, 6) by the twists of the anchors' own pose and of the other's.
+        (m,), and its derivatives (m, 6) by the twists of the anchors' own pose and of the other one.
     """
     point = anchors.point_m @ motion[:3, :3].T + motion[:3, 3]
     pixels, inside = _projected(point, pinhole)
@@ -186,24 +184,25 @@ def _residual(
 
 
 def _cost(residual: np.ndarray) -> float:
-    """Geman-McClure, less what as many that agree nowhere would cost."""
+    """Geman-McClure cost, minus that of as many returns with infinite differences."""
     return -float((1.0 / (1.0 + (residual / _NOISE) ** 2)).sum())
 
 
 def _near(pose: np.ndarray, image: int) -> list[int]:
+    """Indices of the images whose cameras were nearest to that of one image."""
     others = [index for index in range(len(pose)) if index != image]
     return [others[index] for index in nearest_sources(pose[image], pose[others], _NEIGHBOURS)]
 
 
 def _with_slopes(image: np.ndarray) -> np.ndarray:
-    """(3, h, w) float32: smoothed grey values in 0..1, and their slopes along columns and rows."""
+    """(3, h, w) float32: smoothed grey values 0..1, their slopes along a row and along a column."""
     grey = gaussian_filter(image.mean(axis=-1, dtype=np.float32) / 255.0, _BLUR_PX, mode="nearest")
     down, across = np.gradient(grey)
     return np.stack([grey, across, down]).astype(np.float32)
 
 
 def _anchors(seen: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: np.ndarray) -> _Anchors:
-    """The returns that an image's camera sees: of each small cell the nearest, the others may be hidden."""
+    """Returns (m, 3), scene-local, that an image shows: the nearest in each small cell of the image."""
     inverse = invert_pose(pose)
     point = returns_m @ inverse[:3, :3].T + inverse[:3, 3]
     pixels, inside = _projected(point, pinhole)
@@ -218,7 +217,7 @@ def _anchors(seen: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: np
 
 
 def _projected(point: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (m, 2) of points in the camera's frame, and whether they lie well inside the image."""
+    """Pixels (m, 2) of points (m, 3) in the camera's frame, and whether (m,) they are well in the image."""
     pixels, _ = pinhole.project(point)
     end = np.array([pinhole.width, pinhole.height]) - _RIM_PX - 0.5
     well = ((pixels > _RIM_PX - 0.5) & (pixels < end)).all(axis=1)
@@ -226,6 +225,6 @@ def _projected(point: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, np.ndar
 
 
 def _between(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Values (m, c) of an image (c, h, w) between its pixels."""
+    """Values (m, c) of an image (c, h, w) at places (m, 2) between its pixels, bilinear."""
     places = pixels.T[::-1]
     return np.stack([map_coordinates(one, places, np.float64, order=1) for one in image], axis=1)

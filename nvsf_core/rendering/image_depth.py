@@ -1,7 +1,7 @@
-"""How far a view's pixels look, as far as images alone prove that it is nearer than the sky.
+"""Depth of a camera's upward-looking pixels from two images, where they prove that it is not the sky.
 
-A plane sweep gives every pixel some depth, the sky that of whatever is next to it. Its two images are asked
-once more: only where they would differ more at the sky's distance than they do at the depth is it believed.
+A plane sweep gives every pixel some depth; a pixel of the sky gets that of whatever is next to it. So a depth
+counts as proven only where the two images differ more at the sky's distance than at that depth.
 """
 
 from collections.abc import Sequence
@@ -15,24 +15,19 @@ from nvsf_core.evidence.images.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.reproject_camera import (
     FAR_M,
-    SweepOptions,
+    WINDOW_PX,
     box_mean,
     inverse_depth,
     nearest_sources,
+    sweep_shrinking,
 )
-from nvsf_core.rendering.warping import (
-    plane_rays,
-    relative_motion,
-    sample,
-    shrunk,
-    source_pixels,
-    to_float,
-)
+from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shrunk, source_pixels, to_float
 
 _NOISE = 0.01
-"""Mean difference of colours, of 0..1, by which the sky's distance must do worse."""
+"""By this much, in colours 0..1, the images must differ more at the sky's distance."""
 
 
+# Wide: the view (pose, pinhole), the points, the source images and the limit are independent inputs.
 def image_depth(
     pose: np.ndarray,
     pinhole: Pinhole,
@@ -44,53 +39,52 @@ def image_depth(
     up: np.ndarray,
     elevation_rad: float,
 ) -> DepthRays:
-    """Rays of a view's shrunk pixels that look up steeply and that two images show; none with one image.
+    """Rays of a view's steep pixels that two images show, with a range, or infinity for the sky.
+
+    The pixels are those of the view shrunk for the plane sweep. With one image there are no rays.
 
     Args:
         pose: (4, 4) camera to scene-local frame.
         pinhole: Intrinsics of the view and of all images.
-        points_m: (m, 3) float32 scene-local, which pull the depths.
+        points_m: (m, 3) float32, scene-local, metres: LiDAR points that the depths are pulled to.
         images: (k, H, W, 3) uint8.
-        poses: (k, 4, 4) their cameras to the scene-local frame.
-        valid: (H, W) bool, their pixels that show anything.
+        poses: (k, 4, 4) camera to scene-local frame of each image.
+        valid: (H, W) bool, pixels of the images that show anything.
         up: (3,) unit normal, scene-local, of the plane that elevations are counted from.
-        elevation_rad: What rays exceed.
+        elevation_rad: Only rays above this elevation are returned.
     """
     nowhere = DepthRays(pose[:3, 3].astype(np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-    options = SweepOptions()
-    factor = options.shrinking(pinhole)
+    factor = sweep_shrinking(pinhole)
     small = shrunk(pinhole, factor)
     rays = plane_rays(small).numpy() @ pose[:3, :3].T
     direction = (rays / np.linalg.norm(rays, axis=2, keepdims=True)).astype(np.float32)
-    asked = direction @ up > np.sin(elevation_rad)
+    steep = direction @ up > np.sin(elevation_rad)
     chosen = nearest_sources(pose, poses)
-    if len(chosen) < 2 or not asked.any():
+    if len(chosen) < 2 or not steep.any():
         return nowhere
-    # What is not asked is not swept, but for the windows around the lowest of what is.
-    rows = min(small.height, int(np.flatnonzero(asked.any(axis=1))[-1]) + 1 + options.window_px)
+    # Only the upper rows are swept: down to the lowest steep pixel, and the window around it.
+    rows = min(small.height, int(np.flatnonzero(steep.any(axis=1))[-1]) + 1 + WINDOW_PX)
     colours = to_float(images[chosen])
-    swept = inverse_depth(pose, pinhole, points_m, colours, poses[chosen], sweep=options, rows=rows * factor)
+    swept = inverse_depth(pose, pinhole, points_m, colours, poses[chosen], rows=rows * factor)
     middle = slice(factor // 2, None, factor)
     inverse = swept[middle, middle][:, : small.width]
     shown = torch.from_numpy(valid).float().expand(2, 1, -1, -1)
     sources = functional.avg_pool2d(torch.cat([colours, shown], dim=1), factor)
     motions = [relative_motion(pose, poses[index]) for index in chosen]
     near, sky = (
-        _disagreement(sources, motions, depth, small, options.window_px)
+        _disagreement(sources, motions, depth, small)
         for depth in (inverse, torch.full_like(inverse, 1.0 / FAR_M))
     )
-    is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy() & asked[:rows]
+    is_known = (torch.isfinite(near) & torch.isfinite(sky)).numpy() & steep[:rows]
     range_m = torch.linalg.vector_norm(plane_rays(small)[:rows], dim=-1) / inverse
     proven = torch.where(sky > near + _NOISE, range_m, torch.inf).numpy()
     return DepthRays(nowhere.origin_m, direction[:rows][is_known], proven[is_known])
 
 
-def _disagreement(
-    sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, pinhole: Pinhole, window_px: int
-) -> Tensor:
-    """Mean difference (r, w) of what two sources (2, 4, h, w) show around each pixel; NaN unless both do.
+def _disagreement(sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, pinhole: Pinhole) -> Tensor:
+    """Mean difference (r, w) of the colours of two sources (2, 4, h, w) around each pixel of r upper rows.
 
-    Of the upper r rows, whose inverse depths (r, w) are given.
+    NaN unless both show the pixel at its inverse depth (r, w).
     """
     rays, colours = plane_rays(pinhole)[: len(inverse)], []
     seen = torch.ones(inverse.shape, dtype=torch.bool)
@@ -100,5 +94,5 @@ def _disagreement(
         colours.append(looked_up[:3])
         seen &= inside & (looked_up[3] > 0.999)
     apart = (colours[0] - colours[1]).abs().mean(dim=0)
-    around = box_mean(seen * apart, window_px) / box_mean(seen.float(), window_px)
+    around = box_mean(seen * apart, WINDOW_PX) / box_mean(seen.float(), WINDOW_PX)
     return torch.where(seen, around, torch.nan)

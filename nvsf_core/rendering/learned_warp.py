@@ -1,4 +1,4 @@
-"""The learned camera: neighbouring images at believed depths, blended by a network."""
+"""Learned rendering of camera views: source images, warped by estimated depths and blended by a network."""
 
 from dataclasses import dataclass
 
@@ -16,27 +16,26 @@ from nvsf_core.rendering.plane_volume import (
     volume_features,
 )
 from nvsf_core.rendering.rendered import RenderedImage
-from nvsf_core.rendering.sources import look_up
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
 _TRUST_PX = 12.0
-"""Distance in the image over which a return's depth loses its hold on the blend."""
+"""Distance from a return in the image over which the trust in its depth falls to 1/e."""
 _FINER = 0.25
-"""Step between refined depths, of that between planes."""
+"""Step between refined depths, in steps between planes."""
 _JUMP = 1.0
-"""Planes between believed depths side by side from which on they are two surfaces, with nothing between."""
+"""Neighbouring depths that differ by more, in steps between planes, belong to two surfaces."""
 
 
 def planes_of(
     network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
 ) -> tuple[Tensor, Tensor]:
-    """Probability (d, h, w) and colour (d, 3, h, w) of the planes of shrunk pixels.
+    """Probability (d, h, w) and colour (d, 3, h, w) of a view's d depth planes, at shrunk pixels.
 
     Args:
-        network: Says which planes to believe.
-        view: What is looked at.
-        spec: Of the networks.
-        window: Of the shrunk image.
+        network: Gives the probabilities.
+        view: The view.
+        spec: Recipe of the camera networks.
+        window: Part of the shrunk image.
     """
     inverses, small = plane_inverses(spec), view.small
     label = view.label_of(view.factor, window)
@@ -49,28 +48,28 @@ def planes_of(
 
 @torch.no_grad()
 def believe_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> DepthBelief:
-    """What the whole view's shrunk pixels are believed to show."""
+    """Likeliest depths of all shrunk pixels of a view; without gradients."""
     probability, colour = planes_of(network, view, spec)
     return depth_belief(probability, colour, plane_inverses(spec))
 
 
 @dataclass(frozen=True, slots=True)
 class Hypotheses:
-    """The depths at which a view's pixels are looked up in its sources."""
+    """The three depths at which a pixel is looked up in the sources."""
 
     inverse: Tensor
-    """(3, h, w) 1/m: the two that images agree on best, and the LiDAR's."""
+    """(3, h, w) inverse depths, 1/m: the two on which the images agree best, and the LiDAR's."""
     share: Tensor
-    """(3, h, w) in 0..1, how far each is believed."""
+    """(3, h, w) in 0..1: trust in each."""
 
     def resized(self, places: Tensor, jump: float) -> "Hypotheses":
-        """The same at other places: between pixels of one surface the mean, at an edge the nearest pixel's.
+        """Resample at other places: bilinear on a surface, the nearest pixel at an edge.
 
-        A mean across an edge would be a depth where nothing is, and draw it as a line.
+        A mean across an edge would be a depth where nothing is, visible as a line.
 
         Args:
             places: (h, w, 2) in grid_sample's coordinates.
-            jump: 1/m, from which on depths side by side are two surfaces.
+            jump: 1/m; where both samplings differ by more there is an edge.
         """
         both = torch.cat([self.inverse, self.share])
         mean, near = sample(both, places), sample(both, places, "nearest")
@@ -81,39 +80,39 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """Depths around hypotheses, compared."""
+    """Hypotheses refined by a comparison of c depths around them."""
 
     hypotheses: Hypotheses
-    """Moved to where they are believed."""
+    """Refined."""
     probability: Tensor
-    """(c, h, w) of every depth that was compared."""
+    """(c, h, w) of every compared depth."""
     colour: Tensor
-    """(c, 3, h, w) mean of the sources there."""
+    """(c, 3, h, w) mean colour of the sources at these depths."""
 
 
 @dataclass(frozen=True, slots=True)
 class Blend:
-    """Sources, blended."""
+    """Colours of a window of a view, blended from its sources."""
 
     colour: Tensor
     """(3, h, w), about 0..1."""
     hypotheses: Hypotheses
-    """Where they were looked up."""
+    """Depths at which the sources were looked up."""
     refinement: Refinement | None
-    """What refining depths was like; None for a recipe without."""
+    """None for a recipe that does not refine depths."""
 
 
 def hypotheses(
     view: CameraView, belief: DepthBelief, spec: CameraSpec, factor: int, window: Window
 ) -> Hypotheses:
-    """What is believed of a window of the view shrunk by `factor`; the LiDAR's word first where it reaches.
+    """Depth hypotheses in a window of a view shrunk by `factor`; near returns the LiDAR's has most trust.
 
     Args:
-        view: What is looked at.
-        belief: Of all its shrunk pixels.
-        spec: Of the networks.
-        factor: 1 for the image itself.
-        window: Of the image that is `factor` times smaller.
+        view: The view.
+        belief: Depths of all its shrunk pixels.
+        spec: Recipe of the camera networks.
+        factor: By how much the image is shrunk; 1 = not at all.
+        window: Part of the image shrunk by `factor`.
     """
     places = _places(view, factor, view.factor)[window]
     believed = Hypotheses(belief.inverse, belief.probability).resized(places, _JUMP * _plane_step(spec))
@@ -131,11 +130,11 @@ def refine(
     """Compare depths around each hypothesis on images of the middle size.
 
     Args:
-        network: Says which to believe.
-        view: What is looked at.
-        coarse: Of the window's pixels.
-        spec: Of the networks.
-        window: Of the image of the middle size.
+        network: Gives the probabilities of the depths.
+        view: The view.
+        coarse: Hypotheses of the window's pixels.
+        spec: Recipe of the camera networks.
+        window: Part of the image of the middle size.
     """
     count = spec.refinements
     offsets = (torch.arange(count) - count // 2) * _FINER * _plane_step(spec)
@@ -160,34 +159,32 @@ def blend_sources(
     window: Window = WHOLE,
     around: Window = WHOLE,
 ) -> Blend:
-    """Show a window of the view.
+    """Render a window of a view.
 
     Args:
-        networks: That blend and, where the recipe wants it, refine.
-        view: What is shown.
-        belief: Of all its shrunk pixels.
-        spec: Of the networks.
-        window: Of the view.
-        around: Of the shrunk view, holds the window: where depths are refined.
+        networks: For blending and, if the recipe has it, refinement.
+        view: The view.
+        belief: Depths of all its shrunk pixels.
+        spec: Recipe of the camera networks.
+        window: Part of the view.
+        around: Part of the shrunk view, around the window, where depths are refined.
     """
     refinement = None
     if networks.refine is None:
         found = hypotheses(view, belief, spec, 1, window)
     else:
-        part = scaled(around, view.factor // middle_factor(view.factor))
-        coarse_depths = hypotheses(view, belief, spec, _middle(view), part)
+        middle = middle_factor(view.factor)
+        part = scaled(around, view.factor // middle)
+        coarse_depths = hypotheses(view, belief, spec, middle, part)
         refinement = refine(networks.refine, view, coarse_depths, spec, part)
-        places = _places(view, 1, _middle(view), part)[window]
+        places = _places(view, 1, middle, part)[window]
         found = refinement.hypotheses.resized(places, _JUMP * _plane_step(spec))
     coarse = sample(belief.colour, _places(view, 1, view.factor)[window])
-    label = view.label_of(1, window)
     sources, rays = view.sources(view.images.full), plane_rays(view.pinhole)[window]
-    looked_up = [
-        look_up(sources, k, rays, found.inverse, view.pinhole, label) for k in range(len(view.chosen))
-    ]
+    volume = plane_volume(sources, rays, view.pinhole, found.inverse, view.label_of(1, window))
     colour = networks.blend(
-        torch.stack([colour for colour, _ in looked_up]).permute(2, 0, 1, 3, 4).flatten(0, 1),
-        torch.stack([seen for _, seen in looked_up], dim=1).flatten(0, 1),
+        volume.colour.permute(2, 0, 1, 3, 4).flatten(0, 1),
+        volume.seen.transpose(0, 1).flatten(0, 1),
         found.share,
         coarse,
         view.nearness,
@@ -197,9 +194,9 @@ def blend_sources(
 
 @torch.no_grad()
 def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> RenderedImage:
-    """The whole view, the mean of what the members show.
+    """Render a whole view: the mean image of the ensemble, and the median of the members' depths.
 
-    A pixel is as far away as the depth that a member believes most; of several members', the median.
+    A member's depth of a pixel is its hypothesis of most trust.
     """
     colours, depths = [], []
     for member in networks:
@@ -219,12 +216,8 @@ def _plane_step(spec: CameraSpec) -> float:
     return (1.0 / spec.near_m - 1.0 / spec.far_m) / (spec.planes - 1)
 
 
-def _middle(view: CameraView) -> int:
-    return middle_factor(view.factor)
-
-
 def scaled(window: Window, by: int) -> Window:
-    """The same part of an image `by` times as large."""
+    """The same window in an image `by` times as large."""
     rows, columns = (
         side if side == slice(None) else slice(side.start * by, side.stop * by) for side in window
     )
@@ -232,9 +225,10 @@ def scaled(window: Window, by: int) -> Window:
 
 
 def _places(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:
-    """Where the pixels of the view `factor` times smaller lie in a window of that `shrunk_by` times smaller.
+    """Places of pixels of the view shrunk by `factor`, in a window of the view shrunk by `shrunk_by`.
 
-    grid_sample's coordinates (h, w, 2) in the window.
+    Returns:
+        (h, w, 2) in grid_sample's coordinates of the window.
     """
     sides = []
     for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):

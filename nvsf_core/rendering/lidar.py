@@ -1,4 +1,4 @@
-"""How the field answers a LiDAR ray."""
+"""Rendering of LiDAR rays by a trained field: range, hit probability and intensity."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -12,31 +12,32 @@ from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.numerics import probability_logit, require_finite
 from nvsf_core.rendering.rendered import RenderedRays
 
-_VOTE_LIMIT = 0.02
+_PRIOR_LIMIT = 0.02
+"""The prior of a hit is kept this far away from 0 and 1, so that the field can correct it."""
 
 
 @dataclass(frozen=True, slots=True)
 class LidarRender:
-    """A rendered batch of r rays with k surfaces, differentiable."""
+    """A rendered batch of r rays with up to k surfaces each; differentiable."""
 
     weights: Tensor
-    """(r, k): share of the ray that ends on each surface; rows sum to at most 1."""
+    """(r, k) share of the ray that ends on each surface; rows sum to at most 1."""
     range_m: Tensor
-    """(r, k): where the surfaces lie; 0 where there is none."""
+    """(r, k) range of each surface, metres; 0 where there is none."""
     hit_logit: Tensor
-    """(r,)."""
+    """(r,) logit of the hit probability."""
     intensity_logit: Tensor
-    """(r,)."""
+    """(r,) logit of the intensity."""
 
 
 def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> LidarRender:
-    """Composite a ray's surfaces, then decode hit and intensity once.
+    """Composite each ray's surfaces, then decode its hit probability and intensity once.
 
     Args:
-        field: The scene.
-        batch: Rays and proposed surfaces.
-        hit_prior: (r,) share of the nearest training scans that returned here: the prior of the hit. A ray
-            that ends on a moving object asks the object's surfaces instead.
+        field: Trained or in training.
+        batch: Rays and their candidate surfaces.
+        hit_prior: (r,) share of the nearest training scans that returned here. A ray that ends on a moving
+            object uses the object's own hit prior instead.
     """
     rays = _composite(field, batch, hit_prior)
     both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
@@ -44,22 +45,22 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> L
 
 
 class _Rays(NamedTuple):
-    """A rendered batch whose m surfaces lie one ray after the other."""
+    """A rendered batch of r rays whose m surfaces are stored flat, ray after ray."""
 
     weights: Tensor
-    """(m,)."""
+    """(m,) share of the ray that ends on each surface."""
     range_m: Tensor
-    """(m,)."""
+    """(m,) metres."""
     median: Tensor
-    """(r,): the surface that the ray ends on."""
+    """(r,) index of the surface at which half of the ray's weight is reached."""
     total: Tensor
-    """(r,): sum of a ray's weights."""
+    """(r,) sum of a ray's weights."""
     hit_logit: Tensor
-    """(r,)."""
+    """(r,) logit of the hit probability."""
     intensity_logit: Tensor
-    """(r,)."""
+    """(r,) logit of the intensity."""
     hit_prior: Tensor
-    """(r,): share of the scans that returned, on a moving object those that saw its place."""
+    """(r,) see `RenderedRays`."""
 
 
 def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Rays:
@@ -67,7 +68,7 @@ def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Ra
     weights, summary, median, hit_prior = composite_rays(
         logit, range_m, features, batch.facts, batch.first, batch.hit_prior, hit_prior
     )
-    prior_hit = probability_logit(hit_prior, _VOTE_LIMIT)
+    prior_hit = probability_logit(hit_prior, _PRIOR_LIMIT)
     prior_intensity = probability_logit(summary[:, -1], 0.01)
     hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
     total = summary[:, features.shape[1]]
@@ -76,21 +77,26 @@ def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Ra
 
 @torch.no_grad()
 def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> RenderedRays:
-    """The weighted median surface, the hit probability and the intensity of each ray.
+    """Range (of the weighted median surface), hit probability and intensity of each ray; no gradients.
 
-    Where moving objects have 3 tenths of the weight the median is theirs alone.
+    Where moving objects have 3 tenths of the weight, only their surfaces count for the median.
+
+    Args:
+        field: Trained.
+        batch: r rays and their candidate surfaces.
+        hit_prior: (r,) as of `render_lidar`.
 
     Raises:
         DivergedError: The field's opacities are NaN.
     """
     rays = _composite(field, batch, hit_prior)
     require_finite("render_rays: sum of the weights", rays.total)
-    answered = batch.is_there[:, 0]
+    has_surface = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
-    range_m[answered] = rays.range_m[rays.median[answered]]
+    range_m[has_surface] = rays.range_m[rays.median[has_surface]]
     return RenderedRays(
         range_m=range_m.numpy(),
-        hit=torch.where(answered, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
+        hit=torch.where(has_surface, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),
         hit_prior=rays.hit_prior.numpy(),
     )

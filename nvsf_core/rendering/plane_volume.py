@@ -1,4 +1,4 @@
-"""A view's depth planes as its source images show them: colours, agreement, and the LiDAR's word."""
+"""Plane sweep of the camera networks: colours of the source images on a view's depth planes."""
 
 from dataclasses import dataclass
 
@@ -11,33 +11,34 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.sources import Sources, look_up
 
 _UNSEEN_DIFFERENCE = 0.25
-"""Difference in colour that counts where fewer than two sources show a plane."""
+"""Colour difference that is assumed where fewer than two sources show a plane."""
 _NEAREST = 2
-"""Sources that count fully in a plane's colour; farther ones fill in."""
+"""This many nearest sources have weight 1 in a plane's colour."""
 _FARTHER_WEIGHT = 0.3
+"""Weight of the other sources in a plane's colour."""
 _WINDOW_PX = 5
 _TRUST_PX = 3.0
-"""Distance in the shrunk image over which a return's depth loses its hold."""
+"""Distance from a return in the shrunk image over which the trust in its depth falls to 1/e."""
 _CLAMP_PLANES = 8.0
 _MODE_PLANES = 2
-"""Planes on either side that count as one depth."""
+"""Planes on either side of the likeliest that count as the same depth."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneVolume:
-    """What k sources show on d depth planes of a view."""
+    """Colours of k sources on d depth planes of a view."""
 
     colour: Tensor
     """(k, 3, d, h, w) in 0..1."""
     seen: Tensor
-    """(k, d, h, w) bool."""
+    """(k, d, h, w) bool: the source shows the pixel at this depth."""
 
     def agreement(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """How well the sources agree on each plane.
 
         Returns:
-            The mean distance of all sources to their mean and that of the two nearest to each other, both
-            (d, h, w) in 0..1; the share of sources that show the plane (d, h, w); their mean (d, 3, h, w).
+            Mean difference of all sources to their mean (d, h, w), 0..1; difference of the two nearest ones
+            (d, h, w), 0..1; share of sources that show the plane (d, h, w); mean colour (d, 3, h, w).
         """
         shown = self.seen[:, None].float()
         count = shown.sum(dim=0)
@@ -52,7 +53,7 @@ class PlaneVolume:
         return spread, pair, count / len(shown), mean.transpose(0, 1)
 
     def mean_colour(self) -> Tensor:
-        """(d, 3, h, w), mostly of the two nearest sources; 0 where none shows a plane."""
+        """Mean colour (d, 3, h, w), mostly of the two nearest sources; 0 where none shows the plane."""
         weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT)
         weight[:_NEAREST] = 1.0
         weight = weight * self.seen[:, None]
@@ -62,17 +63,17 @@ class PlaneVolume:
 
 @dataclass(frozen=True, slots=True)
 class DepthBelief:
-    """What a view's shrunk pixels are believed to show, before full resolution is looked at."""
+    """Likeliest depths and mean colours of a view's shrunk pixels."""
 
     inverse: Tensor
-    """(2, h, w) 1/m: the likeliest depth and the likeliest other one."""
+    """(2, h, w) inverse depths, 1/m: the likeliest one, and the likeliest away from it."""
     probability: Tensor
     """(2, h, w) of both."""
     colour: Tensor
-    """(3, h, w) mean over all planes."""
+    """(3, h, w) 0..1, mean over all planes by probability."""
 
     def placed(self, window: tuple[slice, slice], shape: tuple[int, int]) -> "DepthBelief":
-        """The same in an image (rows, columns) of which this is a window; zeros around it."""
+        """This belief, of a window, padded with zeros to the whole image of `shape` (rows, columns)."""
         rows, columns = window
         rim = (columns.start, shape[1] - columns.stop, rows.start, shape[0] - rows.stop)
         padded = (functional.pad(x, rim) for x in (self.inverse, self.probability, self.colour))
@@ -80,37 +81,37 @@ class DepthBelief:
 
 
 def plane_inverses(spec: CameraSpec) -> Tensor:
-    """(d,) inverse depths, 1/m, evenly spaced."""
+    """Inverse depths (d,) of the planes, 1/m, ascending, evenly spaced."""
     return torch.linspace(1.0 / spec.far_m, 1.0 / spec.near_m, spec.planes)
 
 
 def plane_volume(
     sources: Sources, rays: Tensor, pinhole: Pinhole, inverses: Tensor, label: Tensor | None = None
 ) -> PlaneVolume:
-    """Look every plane up in every source.
+    """Look up every plane in every source.
 
     Args:
-        sources: Images of the camera `pinhole`.
-        rays: (h, w, 3) of the view's pixels, a window or all.
-        pinhole: Of these images.
-        inverses: (d, 1, 1) of planes, or (d, h, w) of each pixel's own depths, 1/m.
-        label: (h, w), which moving object a pixel shows; None = nothing moves.
+        sources: Source images of the view.
+        rays: (h, w, 3) directions (x, y, 1) of the view's pixels, all or a window.
+        pinhole: Intrinsics of the source images.
+        inverses: (d, 1, 1) inverse depths of planes, or (d, h, w) of each pixel, 1/m.
+        label: (h, w) number of the moving object that a pixel shows, 0 = static; None = nothing moves.
     """
     found = [look_up(sources, k, rays, inverses, pinhole, label) for k in range(len(sources.image))]
     return PlaneVolume(torch.stack([colour for colour, _ in found]), torch.stack([seen for _, seen in found]))
 
 
 def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
-    """(VOLUME_FEATURES, d, h, w) for the depth network.
+    """Input (VOLUME_FEATURES, d, h, w) of the depth network.
 
     Args:
-        volume: What the sources show.
-        prior: (h, w) inverse depth that the LiDAR gives.
-        gap_px: (h, w) distance to the nearest return in shrunk pixels, inf where there is none at all.
-        inverses: (d,) of the planes.
+        volume: Colours on d planes.
+        prior: (h, w) inverse depth from the LiDAR, 1/m.
+        gap_px: (h, w) distance to the nearest return in shrunk pixels; inf where there is no return.
+        inverses: (d,) inverse depths of the planes, 1/m.
     """
     spread, pair, share, mean = volume.agreement()
-    # Without a single return the prior is a placeholder that says nothing.
+    # Without any return the prior is only a placeholder.
     is_known = torch.isfinite(gap_px).float()
     trust = torch.exp(-gap_px / _TRUST_PX)
     offset = (inverses[:, None, None] - prior) / (inverses[1] - inverses[0]) * is_known
@@ -132,7 +133,13 @@ def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses
 
 
 def depth_belief(probability: Tensor, mean_colour: Tensor, inverses: Tensor) -> DepthBelief:
-    """Two depths of each pixel from the planes' probabilities (d, h, w) and colours (d, 3, h, w)."""
+    """Find the two likeliest depths of each pixel.
+
+    Args:
+        probability: (d, h, w) of the planes.
+        mean_colour: (d, 3, h, w) of the planes, 0..1.
+        inverses: (d,) inverse depths of the planes, 1/m.
+    """
     first = probability.argmax(dim=0)
     apart = (torch.arange(len(inverses))[:, None, None] - first).abs() > _MODE_PLANES + 1
     second = (probability * apart).argmax(dim=0)
@@ -145,7 +152,7 @@ def depth_belief(probability: Tensor, mean_colour: Tensor, inverses: Tensor) -> 
 
 
 def _mode(probability: Tensor, index: Tensor, inverses: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean inverse depth (h, w) of the planes around one, and their probability."""
+    """Mean inverse depth (h, w) of the planes around plane `index` (h, w), and their probability (h, w)."""
     planes = index + torch.arange(-_MODE_PLANES, _MODE_PLANES + 1)[:, None, None]
     inside = (planes >= 0) & (planes < len(inverses))
     planes = planes.clamp(0, len(inverses) - 1)
@@ -155,5 +162,6 @@ def _mode(probability: Tensor, index: Tensor, inverses: Tensor) -> tuple[Tensor,
 
 
 def _window_mean(costs: Tensor) -> Tensor:
+    """Mean of costs (d, h, w) over a square window."""
     half = _WINDOW_PX // 2
     return functional.avg_pool2d(costs[None], _WINDOW_PX, 1, half, count_include_pad=False)[0]

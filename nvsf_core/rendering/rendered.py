@@ -1,4 +1,4 @@
-"""What a LiDAR's rays and a camera's pixels answer."""
+"""Results of rendering: LiDAR rays and camera images."""
 
 from dataclasses import dataclass
 
@@ -7,24 +7,24 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class RenderedRays:
-    """Answers of r rays."""
+    """Range, hit probability and intensity of r LiDAR rays."""
 
     range_m: np.ndarray
-    """(r,) float32 along the ray from its own origin; infinite where nothing answers."""
+    """(r,) float32, metres from the ray's own origin; infinite where the ray meets no surface."""
     hit: np.ndarray
-    """(r,) float32: probability of a return."""
+    """(r,) float32, 0..1: hit probability."""
     intensity: np.ndarray
     """(r,) float32, 0..1."""
     hit_prior: np.ndarray | None = None
-    """(r,) float32: share of the scans that returned there, on a moving object those that saw its place; what
-    `hit` started from. None where that is not told."""
+    """(r,) float32, 0..1: the hit prior that `hit` started from, the share of nearby scans that returned; on
+    moving objects, of scans that saw the same place on them. None where the renderer gives none."""
 
 
 @dataclass(frozen=True, slots=True)
 class RenderedImage:
-    """What a camera shows of a view."""
+    """Colour and range of a camera's pixels."""
 
     rgb: np.ndarray
-    """(H, W, 3) uint8."""
+    """(H, W, 3) uint8, red first."""
     range_m: np.ndarray
-    """(H, W) float32 length of each pixel's ray; infinite where nothing answers."""
+    """(H, W) float32, metres along each pixel's ray; infinite where it meets no surface."""

@@ -1,23 +1,20 @@
-"""The training-free LiDAR: surfels composited along the ray, hits by the vote of the nearest scans."""
+"""LiDAR rendering without training: surfels composited along each ray; hits from the hit prior."""
 
 import numpy as np
 import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on, merge_objects
-from nvsf_core.evidence.static.surfels import (
-    Candidates,
-    Surfels,
-    candidates_of,
-)
+from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.surfel_rendering import render_by_surfels
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.weights import weighted_median_index
 
 NEAR_M = 0.9
-"""Nothing is recorded nearer to the sensor, but for the own vehicle, which is put back by itself."""
+"""Nothing is recorded nearer to the sensor except the own vehicle, which is added separately."""
 
 
+# Wide: four are columns of the rays, the others independent of each other.
 def reproject_rays(
     surfels: Surfels,
     origin_m: np.ndarray,
@@ -29,13 +26,26 @@ def reproject_rays(
     objects: tuple[ObjectSurfels, ...] = (),
     time_s: np.ndarray | None = None,
 ) -> RenderedRays:
-    """Answer rays (r, 3), scene-local, from evidence alone.
+    """Render rays from evidence alone.
 
-    The range is the weighted median candidate's; `hit_prior` (r,) is the prior's share of returns and becomes
-    the hit probability wherever there is a candidate at all. Moving objects are where they are at the
-    rays' times `time_s` (r,), which must be given with them.
+    The range is that of the weighted median candidate. The hit probability is the hit prior where the ray
+    meets any surfel, else 0.
+
+    Args:
+        surfels: Static surfels.
+        origin_m: (r, 3) scene-local, metres.
+        direction: (r, 3) unit, scene-local axes.
+        hit_prior: (r,) 0..1, share of the nearest training scans that returned here. A ray that ends on a
+            moving object uses the object's own hit prior instead.
+        most: Most candidate surfels a ray.
+        far_m: A ray ends here.
+        objects: Moving objects; each is where it is at a ray's time.
+        time_s: (r,) seconds since the first frame, when each ray is fired; needed with objects.
+
+    Raises:
+        ShapeError: There are objects but no times.
     """
-    rendered = _answers_of_what_stands(surfels, origin_m, direction, hit_prior, most=most, far_m=far_m)
+    rendered = _render_static(surfels, origin_m, direction, hit_prior, most=most, far_m=far_m)
     if not objects:
         return rendered
     if time_s is None:
@@ -45,16 +55,20 @@ def reproject_rays(
     if len(rays) > 0:
         found = candidates_of(surfels, origin_m[rays], direction[rays], most=most, near_m=NEAR_M, far_m=far_m)
         found = merge_objects(found, rays, surfels.index.voxel_count, objects, met)
-        own_votes = [
+        own_priors = [
             (np.searchsorted(rays, ray), one.hit_prior(own, origin_m[ray], direction[ray], time_s[ray]))
             for one, (ray, own) in zip(objects, met, strict=True)
         ]
-        for name, value in _answers_with_objects(surfels, found, hit_prior[rays], objects, own_votes).items():
-            getattr(rendered, name)[rays] = value
+        weights = found.weights
+        chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
+        shine = np.concatenate([surfels.intensity, *(one.surfels.intensity for one in objects)])
+        rendered.range_m[rays] = found.range_m[np.arange(len(weights)), chosen]
+        rendered.hit[rays] = _prior_with_objects(surfels, found, hit_prior[rays], objects, own_priors)
+        rendered.intensity[rays] = (weights * shine[found.voxel]).sum(axis=1) / weights.sum(axis=1)
     return rendered
 
 
-def _answers_of_what_stands(
+def _render_static(
     surfels: Surfels,
     origin_m: np.ndarray,
     direction: np.ndarray,
@@ -63,6 +77,7 @@ def _answers_of_what_stands(
     most: int,
     far_m: float,
 ) -> RenderedRays:
+    """Arguments and result as of `reproject_rays`, without moving objects."""
     range_m, intensity = render_by_surfels(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
@@ -74,44 +89,26 @@ def _answers_of_what_stands(
     return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
 
 
-def _answers_with_objects(
+def _prior_with_objects(
     surfels: Surfels,
     found: Candidates,
     hit_prior: np.ndarray,
     objects: tuple[ObjectSurfels, ...],
-    own_votes: list[tuple[np.ndarray, np.ndarray]],
-) -> dict[str, np.ndarray]:
-    """The same three answers of rays (m,) whose candidates are the objects' too; each has at least one.
-
-    `own_votes` are of each object: rays (k,) int64 of the m that met it, and their votes (k,).
-    """
-    shine = np.concatenate([surfels.intensity, *(one.surfels.intensity for one in objects)])
-    weights = found.weights
-    chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
-    return {
-        "range_m": found.range_m[np.arange(len(weights)), chosen],
-        "hit": _votes_with_objects(surfels, found, hit_prior, objects, own_votes),
-        "intensity": (weights * shine[found.voxel]).sum(axis=1) / weights.sum(axis=1),
-    }
-
-
-def _votes_with_objects(
-    surfels: Surfels,
-    found: Candidates,
-    hit_prior: np.ndarray,
-    objects: tuple[ObjectSurfels, ...],
-    own_votes: list[tuple[np.ndarray, np.ndarray]],
+    own_priors: list[tuple[np.ndarray, np.ndarray]],
 ) -> np.ndarray:
-    """Votes (r,) where rays that end on objects, by more than half, ask those; arguments as above."""
+    """Hit prior (m,) of rays that meet objects: the objects' own where they have over half of the weight.
+
+    `own_priors` are, for each object, the indices (k,) of the rays that meet it, and its hit prior (k,).
+    """
     weights, first = found.weights, surfels.index.voxel_count
     on_objects, own = np.zeros(len(hit_prior)), np.zeros(len(hit_prior))
-    for one, (rays, share) in zip(objects, own_votes, strict=True):
+    for one, (rays, share) in zip(objects, own_priors, strict=True):
         is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.index.voxel_count)
         on_it = np.where(is_its, weights[rays], 0.0).sum(axis=1)
         on_objects[rays] += on_it
         own[rays] += on_it * share
         first += one.surfels.index.voxel_count
-    asked: np.ndarray = hit_prior.copy()
+    mixed: np.ndarray = hit_prior.copy()
     rows = np.flatnonzero(on_objects > 0.5 * weights.sum(axis=1))
-    asked[rows] = own[rows] / on_objects[rows]
-    return asked
+    mixed[rows] = own[rows] / on_objects[rows]
+    return mixed

@@ -1,13 +1,13 @@
-"""The training-free camera: recorded images, warped into the wanted view by the LiDAR's depth.
+"""Camera rendering without training: recorded images, warped into the view by the LiDAR's depth.
 
-The depth is that of the aggregated returns, seen through a z-buffer that drops what lies behind a
-nearer surface's neighbourhood. Gaps take the nearest depth; far from any return, where that is a
-guess, a plane sweep between the two source images corrects it.
+Depth comes from aggregated returns through a z-buffer; points behind the neighbourhood of a nearer surface
+are dropped. A pixel without a return has the depth of the nearest return in the image. Far from any return a
+plane sweep between the two source images corrects that guess.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -31,42 +31,28 @@ from nvsf_core.rendering.warping import (
 )
 
 FAR_M = 300.0
-"""Depth of the sky, and of everything where there is no LiDAR at all."""
+"""Depth of the sky, and of all pixels in a drive without LiDAR."""
 _NEAREST_PLANE_M = 3.0
+_PLANES = 48
+"""Depths of the plane sweep, evenly spaced in inverse depth from 3 m to 300 m."""
+_SWEEP_WIDTH_PX = 704
+"""The plane sweep compares images shrunk by a whole number to about this width, for speed."""
+WINDOW_PX = 17
+"""Side of the square over which the two shrunk images are compared."""
+_BEYOND_PX = 3.0
+"""Pixels nearer than this to a return keep the LiDAR's depth."""
+_PULL = 0.15
+"""Cost of a difference to the filled depth: grey values (0..1) for the whole span of inverse depths."""
 _MEDIAN_PX = 7
 _UNSEEN_COST = 0.5
-"""Difference in grey value that counts where one of two images does not show a candidate."""
+"""Difference in grey value that is assumed where one of two images does not show a candidate."""
 _BASELINE_FLOOR_M = 0.05
-"""Below this distance a source image counts as taken at the wanted place."""
+"""Nearer images count as taken at the same place."""
 
 
-@dataclass(frozen=True, slots=True)
-class WarpedView(RenderedImage):
-    """A view made of warped images; black where nothing answers."""
-
-    is_covered: np.ndarray
-    """(H, W) bool, a source shows it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepOptions:
-    """The plane sweep that finds depth where the LiDAR has none."""
-
-    planes: int = 48
-    """Depths that are tried, evenly spaced in inverse depth from 3 m to 300 m."""
-    width_px: int = 704
-    """The comparison is done on images shrunk by a whole number to about this width, for speed."""
-    window_px: int = 17
-    """Side of the square over which the two shrunk images are compared."""
-    beyond_px: float = 3.0
-    """Pixels nearer than this to a return keep the LiDAR's depth."""
-    pull: float = 0.15
-    """Cost of leaving the filled depth, grey values (0..1) for the whole span of inverse depths; where no
-    point is seen at all there is no depth to leave."""
-
-    def shrinking(self, pinhole: Pinhole) -> int:
-        """By how much images are shrunk for the comparison."""
-        return max(1, round(pinhole.width / self.width_px))
+def sweep_shrinking(pinhole: Pinhole) -> int:
+    """By how much images of a camera are shrunk for the plane sweep."""
+    return max(1, round(pinhole.width / _SWEEP_WIDTH_PX))
 
 
 def render_by_warping(
@@ -77,21 +63,21 @@ def render_by_warping(
     source_poses: np.ndarray,
     *,
     source_valid: np.ndarray | None = None,
-    sweep: SweepOptions | None = SweepOptions(),
-) -> WarpedView:
-    """Show a view by warping the two source images nearest to it.
+    sweep: bool = True,
+) -> RenderedImage:
+    """Render a view by warping the two source images nearest to it.
 
-    A pixel is the mean of both, weighted by the inverse of their distance to the wanted place; where
-    only one sees it, that one.
+    A pixel is the mean of both, weighted by the inverse of their cameras' distances to the view; where only
+    one shows it, that one's value; where none does, black.
 
     Args:
-        target_pose: (4, 4) camera to scene-local frame.
-        pinhole: Intrinsics of the wanted view and of all sources.
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view and of all sources.
         depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
         source_images: (k, H, W, 3) uint8, k >= 1.
         source_poses: (k, 4, 4) camera to scene-local frame.
         source_valid: (H, W) bool, pixels of the sources that show anything; None = all.
-        sweep: How depth is found far from returns; None = the nearest return's depth stays.
+        sweep: Find depth far from returns by a plane sweep; False = keep the nearest return's depth.
 
     Raises:
         ShapeError: There is no source, or the arrays do not fit each other.
@@ -115,12 +101,9 @@ def render_by_warping(
         share = seen / (_distance(target_pose, source_poses[index]) + _BASELINE_FLOOR_M)
         total += share * sample(image, grid)
         weight += share
-    is_covered = weight > 0
-    rgb = torch.where(is_covered, total / weight.clamp_min(1e-12), 0.0)
+    rgb = torch.where(weight > 0, total / weight.clamp_min(1e-12), 0.0)
     rgb_u8 = (rgb * 255.0).round().clamp(0, 255).to(torch.uint8)
-    return WarpedView(
-        rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy(), is_covered.numpy()
-    )
+    return RenderedImage(rgb_u8.permute(1, 2, 0).contiguous().numpy(), ray_length(inverse, pinhole).numpy())
 
 
 def inverse_depth(
@@ -130,32 +113,38 @@ def inverse_depth(
     images: Tensor,
     source_poses: np.ndarray,
     *,
-    sweep: SweepOptions | None,
+    sweep: bool = True,
     rows: int | None = None,
 ) -> Tensor:
-    """Inverse depth (rows, W) along z, 1/m, of a view's upper rows: of all (None) or of so many.
+    """Inverse depth (rows, W) along z, 1/m, of a view's upper rows.
 
     Args:
-        target_pose: (4, 4) camera to scene-local frame.
-        pinhole: Intrinsics of the wanted view and of all sources.
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view and of all sources.
         depth_points_local: (M, 3) float32 points in the scene-local frame, metres; M may be 0.
-        images: (k, 3, H, W) float32 in 0..1; two of them are swept.
+        images: (k, 3, H, W) float32 in 0..1; swept if k is 2.
         source_poses: (k, 4, 4) camera to scene-local frame.
-        sweep: How depth is found far from returns; None = the nearest return's depth stays.
-        rows: Of the view. Depth near the lowest of them is told by points below them, too, and is the less
-            exact for it: ask for some more.
+        sweep: Find depth far from returns by a plane sweep; False = keep the nearest return's depth.
+        rows: Number of upper rows; None = all. The lowest of them are less exact, as points below them are
+            ignored: ask for some more.
     """
     seen = pinhole if rows is None else replace(pinhole, height=rows)
     depth_m, gap_px = view_depth(target_pose, seen, depth_points_local)
     inverse = torch.from_numpy(1.0 / depth_m)
-    if sweep is None or len(images) != 2 or _distance(*source_poses) <= _BASELINE_FLOOR_M:
+    if not sweep or len(images) != 2 or _distance(*source_poses) <= _BASELINE_FLOOR_M:
         return inverse
     motions = [relative_motion(target_pose, one) for one in source_poses]
-    return _sweep(images, motions, pinhole, inverse, torch.from_numpy(gap_px), sweep)
+    return _sweep(images, motions, pinhole, inverse, torch.from_numpy(gap_px))
 
 
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
-    """Indices of the (at most) `most` sources nearest in place, the nearest first; ties keep their order."""
+    """Indices of the (at most) `most` cameras nearest to a view, the nearest first; ties keep their order.
+
+    Args:
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        source_poses: (k, 4, 4) camera to scene-local frame.
+        most: Largest number of indices.
+    """
     distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
     return [int(i) for i in np.argsort(distances, kind="stable")[:most]]
 
@@ -165,9 +154,14 @@ def view_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth of every pixel of a view, from points.
 
+    Args:
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view.
+        depth_points_local: (M, 3) float32, scene-local, metres; M may be 0.
+
     Returns:
-        `depth_m` (H, W) float32 along z, positive and finite: the nearest seen point's, by distance in
-        the image, and `gap_px` (H, W) float32 the distance to it, inf where there is no point at all.
+        `depth_m` (H, W) float32 along z, positive and finite: that of the visible point nearest in the image;
+        and `gap_px` (H, W) float32, the distance to it, inf if no point is visible.
     """
     shape = (pinhole.height, pinhole.width)
     sparse = _splat(target_pose, pinhole, depth_points_local)
@@ -184,10 +178,16 @@ def view_depth(
 def view_label(
     target_pose: np.ndarray, pinhole: Pinhole, clouds: Sequence[np.ndarray], reach_px: float
 ) -> np.ndarray:
-    """Which of several clouds (m, 3) each pixel of a view shows: that of the nearest seen point.
+    """Which of several clouds of points each pixel of a view shows: that of the nearest visible point.
+
+    Args:
+        target_pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view.
+        clouds: (m, 3) float32 each, scene-local, metres; the first is the static one.
+        reach_px: Largest distance in the image from a pixel to its point.
 
     Returns:
-        (H, W) uint8 number of the cloud; 0, too, where no point is seen within `reach_px`.
+        (H, W) uint8 number of the cloud; also 0 where no point is visible within `reach_px`.
     """
     label = np.zeros((pinhole.height, pinhole.width), np.uint8)
     each = np.stack([_splat(target_pose, pinhole, cloud) for cloud in clouds])
@@ -208,32 +208,27 @@ def view_label(
 
 
 def _splat(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarray:
+    """Depth (H, W) of the points that a view shows, inf between them."""
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-    sparse: np.ndarray = splat_depth(points_m, invert_pose(pose), intrinsics, (pinhole.height, pinhole.width))
-    return sparse
+    return splat_depth(points_m, invert_pose(pose), intrinsics, (pinhole.height, pinhole.width))
 
 
 def _sweep(
-    images: Tensor,
-    motions: list[Tensor],
-    pinhole: Pinhole,
-    inverse: Tensor,
-    gap_px: Tensor,
-    options: SweepOptions,
+    images: Tensor, motions: list[Tensor], pinhole: Pinhole, inverse: Tensor, gap_px: Tensor
 ) -> Tensor:
-    """Replace inverse depth (h, W) of the upper rows far from returns by that at which both images agree."""
-    factor = options.shrinking(pinhole)
+    """Inverse depth (h, W) of the upper rows, with that on which both images agree best far from returns."""
+    factor = sweep_shrinking(pinhole)
     small = shrunk(pinhole, factor)
     grey = functional.avg_pool2d(images.mean(dim=1, keepdim=True), factor)
     size = (len(inverse) // factor, small.width)
     prior = functional.interpolate(inverse[None, None], size, mode="nearest")[0, 0]
     rays = plane_rays(small)[: size[0]]
-    # Without a single return the fill is a placeholder: pulling towards it cost 0.6 dB on a real street.
-    pull = options.pull if bool(torch.isfinite(gap_px).any()) else 0.0
+    # Without any return the filled depth is a placeholder: a pull towards it cost 0.6 dB on a real street.
+    pull = _PULL if bool(torch.isfinite(gap_px).any()) else 0.0
     span = 1.0 / _NEAREST_PLANE_M - 1.0 / FAR_M
     best_cost = torch.full_like(prior, torch.inf)
     best = prior
-    for plane in torch.linspace(1.0 / FAR_M, 1.0 / _NEAREST_PLANE_M, options.planes):
+    for plane in torch.linspace(1.0 / FAR_M, 1.0 / _NEAREST_PLANE_M, _PLANES):
         candidate = plane.expand(size)
         seen_by_both = torch.ones(size, dtype=torch.bool)
         warped = []
@@ -242,22 +237,23 @@ def _sweep(
             warped.append(sample(image, grid)[0])
             seen_by_both &= seen
         difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), _UNSEEN_COST)
-        cost = box_mean(difference, options.window_px) + pull * (plane - prior).abs() / span
+        cost = box_mean(difference, WINDOW_PX) + pull * (plane - prior).abs() / span
         better = cost < best_cost
         best_cost = torch.where(better, cost, best_cost)
         best = torch.where(better, candidate, best)
     found = functional.interpolate(best[None, None], tuple(inverse.shape), mode="nearest")[0, 0]
-    return torch.where(gap_px > options.beyond_px, found, inverse)
+    return torch.where(gap_px > _BEYOND_PX, found, inverse)
 
 
 def box_mean(image: Tensor, side: int) -> Tensor:
-    """Mean over a square window, one axis after the other."""
+    """Mean of an image (h, w) over a square window of that side in pixels, one axis after the other."""
     half = side // 2
     rows = functional.avg_pool2d(image[None, None], (side, 1), 1, (half, 0), count_include_pad=False)
     return functional.avg_pool2d(rows, (1, side), 1, (0, half), count_include_pad=False)[0, 0]
 
 
 def _distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Distance in metres between two cameras, by their poses (4, 4)."""
     return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
 
 

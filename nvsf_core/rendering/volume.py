@@ -1,4 +1,4 @@
-"""Volume rendering of the paper's field: evenly spaced samples, for LiDAR and camera alike."""
+"""Volume rendering of the paper's field with evenly spaced samples, for LiDAR and camera rays."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from nvsf_core.rendering.weights import weights_from_optical_depth
 from nvsf_core.sampling.along_ray import uniform_samples
 
 ATTRIBUTE_WEIGHT = 1e-4
-"""Samples that are seen less than this are not asked for their attributes."""
+"""Attributes are not computed for samples of less weight."""
 
 Density = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Unit-cube points (m, 3) to density per scaled unit (m,) and geometry features (m, g)."""
@@ -22,18 +22,18 @@ Attributes = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True, slots=True)
 class VolumeRender:
-    """What r rays of s samples saw."""
+    """r rendered rays of s samples each."""
 
     weights: Tensor
-    """(r, s): T_i alpha_i."""
+    """(r, s) w_i = T_i alpha_i."""
     t: Tensor
-    """(r, s) scaled units along the ray."""
+    """(r, s) range of the samples, scaled units."""
     range_scaled: Tensor
-    """(r,): D of eq. 3, not divided by the sum of the weights."""
+    """(r,) D of eq. 3, scaled units; not divided by the sum of the weights."""
     attributes: Tensor
-    """(r, c): sum of w_i a_i."""
+    """(r, c) sum of w_i a_i."""
     passed: Tensor
-    """(r,): what is left behind the last sample."""
+    """(r,) transmittance behind the last sample."""
 
 
 def render_volume(
@@ -46,15 +46,17 @@ def render_volume(
     generator: torch.Generator | None = None,
     optical_factor: float = 1.0,
 ) -> VolumeRender:
-    """Eq. 3: D = sum_i T_i alpha_i t_i, alpha_i = 1 - exp(-sigma_i d_i), T_i = exp(-sum_{j<i} sigma_j d_j).
+    """The paper's eq. 3: D = sum_i T_i alpha_i t_i.
+
+    With alpha_i = 1 - exp(-sigma_i d_i) and T_i = exp(-sum_{j<i} sigma_j d_j).
 
     Args:
-        density: The field's density at points of one sensor and time.
-        attributes: Its heads; asked only where w_i exceeds `ATTRIBUTE_WEIGHT`.
-        rays: In scaled units.
-        samples: N, evenly spaced from near to far.
-        bound: The unit cube spans plus/minus this in scaled units; points beyond are put on its faces.
-        generator: Jitters the samples in training; None = exactly even.
+        density: The field's density, for one sensor and time.
+        attributes: The field's heads; evaluated only where w_i exceeds `ATTRIBUTE_WEIGHT`.
+        rays: r rays in scaled units.
+        samples: Number of samples a ray, evenly spaced from near to far.
+        bound: The unit cube is [-bound, bound]^3 in scaled units; points outside are clamped to its faces.
+        generator: Jitters the samples in training; None = no jitter.
         optical_factor: 2 for light that travels there and back (authors' switch `active_sensor`).
     """
     t, delta = uniform_samples(rays.near, rays.far, samples, generator)
@@ -67,7 +69,7 @@ def render_volume(
 
 
 def _composite(attributes: Attributes, direction: Tensor, geometry: Tensor, weights: Tensor) -> Tensor:
-    """Sum over samples of w a(x, d), (r, c), in memory for the samples that matter only."""
+    """Sum over samples of w a(x, d), (r, c); only samples of enough weight take memory."""
     ray, sample = torch.nonzero(weights.detach() > ATTRIBUTE_WEIGHT, as_tuple=True)
     values = attributes(direction[ray], geometry.reshape(*weights.shape, -1)[ray, sample])
     summed = weights.new_zeros(len(weights), values.shape[1])
@@ -75,5 +77,5 @@ def _composite(attributes: Attributes, direction: Tensor, geometry: Tensor, weig
 
 
 def on_white(render: VolumeRender) -> Tensor:
-    """Colours (r, 3) before the authors' white background: what passes everything is 1."""
+    """Colours (r, 3) on the authors' white background: the transmitted share is added as white."""
     return render.attributes + render.passed[:, None]

@@ -1,4 +1,4 @@
-"""Where a recorded image shows what a wanted view sees at a depth, and its values there."""
+"""Warping between camera images by depth: where a source shows a view's pixel, and its values there."""
 
 import functools
 from typing import Literal
@@ -13,16 +13,25 @@ from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.numerics import require_finite
 
 _NEAREST_Z = 1e-3
-"""Of a point scaled by its inverse depth; what is nearer lies behind the source."""
+"""Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
 
 
 def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
-    """Where a source shows each pixel: grid_sample's coordinates (..., 2), and whether it does (...).
+    """Places of a view's pixels in a source image.
 
     A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
+
+    Args:
+        motion: (4, 4) from the view's camera frame to the source's: R and t.
+        rays: (..., 3) directions (x, y, 1) of the pixels.
+        inverse: (...) inverse depths q, 1/m.
+        pinhole: Intrinsics of the source.
+
+    Returns:
+        grid_sample's coordinates (..., 2), and whether the source shows the pixel (...) bool.
     """
     width, height = pinhole.width, pinhole.height
-    # Pixels and grid_sample's coordinates are linear in each other: both steps are one matrix.
+    # grid_sample's coordinates are linear in pixels: projection and conversion are one matrix.
     to_grid = torch.tensor(
         [
             [2.0 * pinhole.fx / width, 0.0, (2.0 * pinhole.cx + 1.0) / width - 1.0],
@@ -41,12 +50,12 @@ def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhol
 
 
 def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "bilinear") -> Tensor:
-    """Values (c, H, W) of an image (c, h, w): between its pixels, or those of the nearest pixel.
+    """Values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2).
 
-    The one place that calls grid_sample: its backward crashes the process (signal 11) on a NaN coordinate.
+    Only this function calls grid_sample: its backward crashes the process (signal 11) on a NaN coordinate.
 
     Raises:
-        DivergedError: A coordinate of `grid` (H, W, 2) is not finite.
+        DivergedError: A coordinate of `grid` is not finite.
     """
     require_finite("coordinates of warped pixels", grid)
     return functional.grid_sample(
@@ -56,26 +65,23 @@ def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "
 
 @functools.lru_cache(maxsize=16)
 def plane_rays(pinhole: Pinhole) -> Tensor:
-    """(H, W, 3) float32 directions (x, y, 1), so that depth is along z."""
+    """(H, W, 3) float32 directions (x, y, 1) of a camera's pixels: times depth along z they give points."""
     directions = pinhole.rays(pinhole.pixels())
     return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32))
 
 
 def ray_length(inverse: Tensor, pinhole: Pinhole) -> Tensor:
-    """Length (H, W) of each pixel's ray in metres, from inverse depth (H, W) along z: |(x, y, 1)| / q.
-
-    Infinite where q <= 0.
-    """
+    """Range (H, W) in metres from inverse depth q (H, W) along z: |(x, y, 1)| / q; infinite where q <= 0."""
     return torch.linalg.vector_norm(plane_rays(pinhole), dim=-1) / inverse.clamp_min(0.0)
 
 
 def relative_motion(target_pose: np.ndarray, source_pose: np.ndarray) -> Tensor:
-    """(4, 4) float32 from the wanted camera's frame to a source's."""
+    """(4, 4) float32 from the view's camera frame to a source's; poses (4, 4) are camera to scene-local."""
     return torch.from_numpy((invert_pose(source_pose) @ target_pose).astype(np.float32))
 
 
 def shrunk(pinhole: Pinhole, factor: int) -> Pinhole:
-    """The camera of an image whose pixels are means of factor x factor ones."""
+    """Intrinsics of an image whose pixels are means of factor x factor pixels."""
     return Pinhole(
         fx=pinhole.fx / factor,
         fy=pinhole.fy / factor,

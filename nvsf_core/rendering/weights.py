@@ -13,13 +13,13 @@ from nvsf_core.numerics import require_finite
 def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
     """Weights of the samples of each ray from their optical depths tau = density * length.
 
-    ``w_i = exp(-sum of tau_j over j < i) * (1 - exp(-tau_i))`` and what passes all samples,
-    ``exp(-sum of all tau_j)``. The transmittance is a sum of logarithms, never a product of nearly-ones,
-    and 1 - exp is expm1: thin samples keep their weight and their gradient. Weights and the rest sum to 1.
+    ``w_i = exp(-sum of tau_j over j < i) * (1 - exp(-tau_i))``, and the transmittance behind all samples,
+    ``exp(-sum of all tau_j)``; together they sum to 1. Logarithms are summed instead of a product of numbers
+    near 1, and 1 - exp is expm1, so thin samples keep their weight and their gradient.
 
     Args:
-        optical_depth: (rays, samples) floating, at least 0, front to back; infinite is opaque; 0 marks a
-            sample that is not there. NaN comes out as NaN.
+        optical_depth: (rays, samples) floating, at least 0, front to back; infinity = opaque, 0 = no
+            sample. NaN gives NaN.
 
     Returns:
         weights (rays, samples) in [0, 1], transmittance_after (rays,) in [0, 1].
@@ -44,10 +44,10 @@ def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def weighted_median_index(weights: Tensor) -> Tensor:
-    """Where the ray has given half of its weight: the smallest i with ``sum up to i >= half of the total``.
+    """Index of a ray's weighted median sample: the smallest i with ``sum up to i >= half of the total``.
 
-    On a ray that sees an edge the mean lies in the air between both surfaces; the median lies on one.
-    A ray without any weight answers 0: ask its total before believing it.
+    On a ray that meets an edge the mean lies in the air between both surfaces; the median lies on one.
+    A ray of total weight 0 gives index 0.
 
     Args:
         weights: (rays, samples), at least 0, at least one sample.

@@ -1,1 +1,1 @@
-"""Which rays a view asks for, and what comes back."""
+"""Simulation of LiDAR sweeps: which rays are fired, which return, and the scan that they give."""

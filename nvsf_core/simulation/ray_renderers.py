@@ -1,4 +1,4 @@
-"""Renderers of LiDAR rays: by a trained field, by evidence alone, by what images prove."""
+"""Renderers of LiDAR rays: by a trained field, by LiDAR evidence alone, by surfels from images."""
 
 import numpy as np
 import torch
@@ -14,20 +14,20 @@ from nvsf_core.simulation.scene_model import RayRenderer
 
 _CHUNK_RAYS = 262144
 _FIELD_RAYS = 8192
-"""Rays that the field answers at once: what it computes of them stays in the caches."""
+"""Rays that the field renders at once: few enough that its intermediate values fit into the CPU's caches."""
 
 
 def field_renderer(
     field: LidarField, surfels: Surfels, moving: NearObjects | None, *, most: int, far_m: float
 ) -> RayRenderer:
-    """Answers by the trained field: corrections of what stays, and of each object in its own frame.
+    """Renderer by a trained field, which corrects the static surfels and those of each moving object.
 
     Args:
         field: Trained.
-        surfels: Of what stays.
-        moving: The scene's moving objects; None where nothing moves, and nobody is asked about motion.
-        most: Candidates a ray.
-        far_m: How far a ray is followed.
+        surfels: Static surfels.
+        moving: The scene's moving objects; None = nothing moves.
+        most: Most candidate surfels a ray.
+        far_m: A ray ends here.
     """
     places = None if moving is None else field.places(moving.evidence)
 
@@ -53,7 +53,7 @@ def field_renderer(
 def evidence_renderer(
     surfels: Surfels, moving: NearObjects | None, *, most: int, far_m: float
 ) -> RayRenderer:
-    """Answers by evidence alone: what stays, and each moving object where it is at a ray's time.
+    """Renderer by evidence alone: static surfels, and each moving object where it is at a ray's time.
 
     Arguments as of `field_renderer`.
     """
@@ -70,7 +70,7 @@ def evidence_renderer(
 
 
 def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
-    """Answers by what images prove; how far a ray is stopped is its hit probability.
+    """Renderer by surfels from images; a ray's total weight is its hit probability.
 
     Arguments as of `field_renderer`.
     """
@@ -92,7 +92,15 @@ def render_in_chunks(
     hit_prior: np.ndarray,
     time_s: np.ndarray,
 ) -> RenderedRays:
-    """Answer any number of rays in bounded memory."""
+    """Render any number of rays in bounded memory.
+
+    Args:
+        render: Renders up to some hundred thousand rays at once.
+        origin_m: (r, 3) float32 scene-local, metres.
+        direction: (r, 3) float32 unit, scene-local axes.
+        hit_prior: (r,) float32, 0..1, see `RayRenderer`.
+        time_s: (r,) float64 seconds since the first frame.
+    """
     rays = (origin_m, direction, hit_prior, time_s)
     return _joined(
         [render(*(column[part] for column in rays)) for part in _parts(len(hit_prior), _CHUNK_RAYS)]
@@ -100,11 +108,12 @@ def render_in_chunks(
 
 
 def _parts(rays: int, most: int) -> list[slice]:
-    """Consecutive parts of so many rays; one, though empty, of none."""
+    """Slices of at most `most` rays each; at least one, which may be empty."""
     return [slice(i, min(i + most, rays)) for i in range(0, max(1, rays), most)]
 
 
 def _joined(parts: list[RenderedRays]) -> RenderedRays:
+    """Concatenation of parts; without `hit_prior` if any part lacks it."""
     if len(parts) == 1:
         return parts[0]
     hit_priors = [part.hit_prior for part in parts if part.hit_prior is not None]

@@ -1,10 +1,9 @@
-"""Which rays return: probabilities blended, held against a threshold, or sampled.
+"""Ray drop: which rays return, from blended hit probabilities, by a threshold or at random.
 
-A LiDAR's ray comes back or is dropped. The ray head of a field and the network over the sensor's own grid
-each give a probability; both err, and differently, and how much so is another thing in every drive. So their
-logits are blended with the weights, and the offset, under which left-out scans are most likely (Platt's
-scaling of two scores). A rendered scan holds the rays whose probability reaches one half; a data set samples
-them.
+The field's ray head and the raydrop network each give a hit probability. Their errors differ from each other
+and from drive to drive. So their logits are blended by logistic regression (Platt scaling of two scores): the
+weights and the offset maximise the likelihood of left-out scans. A rendered scan holds the rays of
+probability one half or more; in a data set the returns are sampled at random.
 """
 
 from dataclasses import dataclass
@@ -15,53 +14,56 @@ from scipy.special import expit
 
 HIT_THRESHOLD = 0.5
 SAMPLING_SHARPNESS = 3.0
-"""How far hit probabilities are pushed to 0 and 1 before sampling: lasers drop patches, not single rays."""
+"""Factor of hit logits before sampling, as real rays are dropped in patches and not one by one."""
 _PULL = 1e-4
-"""Nats a unit, squared, that it costs to leave the start: decides only where firings leave it open."""
+"""Weight of the squared distance to the start, in nats: matters only where firings leave a weight open."""
 
 
 def rays_return(hit: np.ndarray) -> np.ndarray:
-    """Whether rays return, bool of any shape, by their hit probabilities.
+    """Whether rays return, bool, by their hit probabilities; both of any one shape.
 
-    A tie of the votes is a return: counting ties as drops costs range PSNR.
+    Exactly one half is a return: to count it as a drop costs range PSNR.
     """
-    returns: np.ndarray = hit >= HIT_THRESHOLD
-    return returns
+    return hit >= HIT_THRESHOLD
 
 
 def cells_return(hit: np.ndarray) -> np.ndarray:
-    """Whether cells of a pano show a return, bool of any shape, as the papers' protocol decides it."""
-    returns: np.ndarray = hit > HIT_THRESHOLD
-    return returns
+    """Whether pixels of a pano show a return, bool of any shape, by the threshold of the papers' protocol."""
+    return hit > HIT_THRESHOLD
 
 
 @dataclass(frozen=True, slots=True)
 class HitBlend:
-    """The logit network * l_n + ray_head * l_r + offset."""
+    """Blend of two hit logits: network * network_logit + ray_head * ray_head_logit + offset."""
 
     network: float
+    """Weight of the raydrop network."""
     ray_head: float
+    """Weight of the field's ray head."""
     offset: float
+    """Added to the logit."""
 
     def logit(self, network_logit: np.ndarray, ray_head_logit: np.ndarray) -> np.ndarray:
-        """Of a return, from both answers' logits, all of one shape."""
-        found: np.ndarray = self.network * network_logit + self.ray_head * ray_head_logit + self.offset
-        return found
+        """The blended logit; all arrays of one shape."""
+        return self.network * network_logit + self.ray_head * ray_head_logit + self.offset
 
 
 EVEN = HitBlend(network=0.5, ray_head=0.5, offset=0.0)
-"""Where a fit starts."""
+"""Start of a fit."""
 
 
 def nats(logit: np.ndarray, returned: np.ndarray) -> float:
-    """Mean cross-entropy of logits (n,) of a return with whether there was one (n,) bool; n at least 1."""
+    """Mean cross-entropy, in nats, of hit logits (n,) and whether the rays returned (n,) bool; n >= 1."""
     return float(np.mean(np.logaddexp(0.0, np.where(returned, -logit, logit))))
 
 
 def fit_blend(network_logit: np.ndarray, ray_head_logit: np.ndarray, returned: np.ndarray) -> HitBlend:
-    """The blend of least cross-entropy, from firings (n,) of scans that neither answer has seen; n >= 1.
+    """The blend of least cross-entropy; no weight is negative.
 
-    No weight is negative: an answer that is worse than none is not asked.
+    Args:
+        network_logit: (n,) hit logits of the raydrop network, for firings of scans it was not trained on.
+        ray_head_logit: (n,) hit logits of the field's ray head, for the same firings.
+        returned: (n,) bool, whether they returned; n >= 1.
     """
     columns = np.stack([network_logit, ray_head_logit, np.ones(len(returned))]).astype(np.float64)
     start = np.array([EVEN.network, EVEN.ray_head, EVEN.offset])
@@ -77,14 +79,14 @@ def fit_blend(network_logit: np.ndarray, ray_head_logit: np.ndarray, returned: n
 
 
 def sharpen_hits(probability: np.ndarray, sharpness: float = SAMPLING_SHARPNESS) -> np.ndarray:
-    """Push probabilities towards 0 and 1 while their sum stays: q = sigmoid(sharpness logit(p) + b).
+    """Move probabilities towards 0 and 1 with the same sum: q = sigmoid(sharpness * logit(p) + b).
 
     Args:
         probability: Any shape, 0..1.
-        sharpness: 1 leaves them as they are.
+        sharpness: Factor of the logits; 1 changes nothing.
 
     Returns:
-        The same shape, float64; b is found by bisection so that the expected number of hits is kept.
+        The same shape, float64. b is found by bisection so that the expected number of hits is kept.
     """
     p = np.clip(probability.astype(np.float64), 1e-6, 1.0 - 1e-6)
     if p.size == 0:
@@ -95,11 +97,9 @@ def sharpen_hits(probability: np.ndarray, sharpness: float = SAMPLING_SHARPNESS)
         shift = 0.5 * (low + high)
         expected = np.mean(1.0 / (1.0 + np.exp(-np.clip(logit + shift, -60.0, 60.0))))
         low, high = (shift, high) if expected < p.mean() else (low, shift)
-    sharpened: np.ndarray = 1.0 / (1.0 + np.exp(-np.clip(logit + 0.5 * (low + high), -60.0, 60.0)))
-    return sharpened
+    return 1.0 / (1.0 + np.exp(-np.clip(logit + 0.5 * (low + high), -60.0, 60.0)))
 
 
 def sample_returns(hit: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """Whether rays return, bool of any shape, sampled from their sharpened hit probabilities."""
-    returns: np.ndarray = generator.random(hit.shape) < sharpen_hits(hit)
-    return returns
+    return generator.random(hit.shape) < sharpen_hits(hit)

@@ -1,4 +1,4 @@
-"""The rays of one sweep, and the scan that they become: as a driver records it, or sampled at random."""
+"""The rays of one sweep of a LiDAR, and the scan that they give: as recorded, or sampled at random."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,13 +17,17 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import rays_return, sample_returns
 
+RANGE_NOISE_M = 0.015
+"""Standard deviation of the range noise; an HDL-64E's maker states below 2 cm (one sigma)."""
+GRID_ARRAYS = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
+"""Arrays (lasers, firings) of a rendered sweep that a scan is sampled from: see `sample_scan`."""
 _TYPICAL_OWN_RANGE_M = 2.0
-"""Where a laser's ray is taken to meet the own vehicle when its azimuth is looked up."""
+"""Range assumed for a ray that meets the own vehicle, when the azimuth of that place is computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepRays:
-    """l lasers x f firings, flat, laser by laser from the top."""
+    """The r = l x f rays of a sweep of l lasers and f firings, flat, laser by laser from the top."""
 
     shape: tuple[int, int]
     """(l, f)."""
@@ -32,16 +36,16 @@ class SweepRays:
     azimuth_rad: np.ndarray
     """(r,) encoder's angle in (-pi, pi]."""
     fraction: np.ndarray
-    """(r,) sweeps after the pose's instant."""
+    """(r,) time after the pose's instant, in sweeps, -0.5..0.5."""
     recorded_origin_m: np.ndarray
-    """(r, 3) in the sensor's frame, as a file would have it: from here, the range to the surface along the
-    ray ends where the laser, with its own bias, records the return."""
+    """(r, 3) metres, sensor's frame at firing time, as in files. Moved along the ray by the laser's range
+    bias: origin + true range * direction is the recorded point."""
     recorded_direction: np.ndarray
-    """(r, 3) likewise."""
+    """(r, 3) unit, sensor's frame at firing time, as in files: without the elevation correction."""
     origin_m: np.ndarray
-    """(r, 3) float32 scene-local."""
+    """(r, 3) float32, scene-local, metres."""
     direction: np.ndarray
-    """(r, 3) float32 scene-local, elevation corrected."""
+    """(r, 3) float32, unit, scene-local axes, with the elevation correction."""
 
 
 def measured_when_stationary(
@@ -53,9 +57,15 @@ def measured_when_stationary(
     *,
     leave_out: int | None = None,
 ) -> RenderedRays:
-    """Let rays (laser, fraction: (r,)) of the recording sensor's sweep that were fired before say so.
+    """Use what stationary training scans measured along the same rays; no change if there are no such scans.
 
-    The same `rendered` where the sensor never stood or crawled; the training scan `leave_out` is silent.
+    Args:
+        rendered: Of r rays of a sweep of the recording sensor.
+        laser: (r,) row of the sensor's table.
+        fraction: (r,) time after the sweep's pose, in sweeps.
+        lidar: The recording.
+        instant_s: Time of the sweep's pose.
+        leave_out: Index of a training scan that is not used.
     """
     evidence, sweeps = lidar.evidence, lidar.sweeps
     if evidence.stationary is None:
@@ -72,14 +82,14 @@ def measured_when_stationary(
 def by_lasers(
     rendered: RenderedRays, laser: np.ndarray, table: LaserTable, *, as_recorded: bool
 ) -> RenderedRays:
-    """Answers in the terms of a stored scan: intensities with their laser's gain, ranges without its bias.
+    """Convert to the convention of stored scans: intensities with the laser's gain, ranges without its bias.
 
     Args:
         rendered: Of r rays.
-        laser: (r,) of the table; -1 = unknown, which has neither.
-        table: Gains and biases.
-        as_recorded: Whether the answers hold both already, as `SceneModel` says: then the bias is taken off.
-            Else they hold neither, and the gain is applied.
+        laser: (r,) row of the table; -1 = unknown: neither gain nor bias.
+        table: Gains and biases of the lasers.
+        as_recorded: `rendered` has both gain and bias, see `SceneModel`: the bias is subtracted. Else it has
+            neither: the gain is applied.
     """
     known = laser >= 0
     if as_recorded:
@@ -90,13 +100,19 @@ def by_lasers(
 
 
 def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: SceneEvidence) -> RenderedRays:
-    """Let rays that met the recording car in most training scans meet it again."""
+    """Add returns from the own vehicle for rays that met it in most training scans.
+
+    Args:
+        rendered: Of all r rays of the sweep.
+        rays: Of a sweep of the recording sensor.
+        evidence: Range and intensity of the own vehicle by laser and azimuth.
+    """
     cells = evidence.own_range_m.shape[1]
-    # Most lasers look over the car: theirs are not asked.
-    asked = np.flatnonzero(evidence.own_range_m.max(axis=1)[rays.laser] > 0)
-    laser = rays.laser[asked]
-    origin, direction = rays.recorded_origin_m[asked], rays.recorded_direction[asked]
-    # The car was learned by azimuth and distance seen from the sensor's centre, not from the laser.
+    # Most lasers look over the car: only the rays of the others are computed.
+    low = np.flatnonzero(evidence.own_range_m.max(axis=1)[rays.laser] > 0)
+    laser = rays.laser[low]
+    origin, direction = rays.recorded_origin_m[low], rays.recorded_direction[low]
+    # The car is stored by azimuth and distance from the sensor's centre, not from the laser.
     nearby = origin + direction * _TYPICAL_OWN_RANGE_M
     azimuth = np.arctan2(nearby[:, 1], nearby[:, 0]) % (2 * np.pi)
     cell = np.floor(azimuth / (2 * np.pi) * cells).astype(np.int64) % cells
@@ -104,7 +120,7 @@ def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: Scen
     along = np.einsum("ni,ni->n", origin, direction)
     inside = along**2 - np.einsum("ni,ni->n", origin, origin) + own_m.astype(np.float64) ** 2
     is_own = (own_m > 0) & (inside > 0)
-    met = asked[is_own]
+    met = low[is_own]
     range_m, hit, intensity = (
         column.astype(np.float32) for column in (rendered.range_m, rendered.hit, rendered.intensity)
     )
@@ -116,24 +132,24 @@ def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: Scen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSweep:
-    """r answered rays of a turn, in the sensor's own frame at each firing."""
+    """The r rendered rays of a sweep as points in the sensor's frame at firing time."""
 
     rays: SweepRays
     rendered: RenderedRays
     is_known: np.ndarray
-    """(r,) bool: the ray has an answer at all."""
+    """(r,) bool: the ray meets a surface."""
     point_m: np.ndarray
-    """(r, 3) float64; without an answer where the ray starts."""
+    """(r, 3) float64, metres; the ray's origin where it meets no surface."""
     distance_m: np.ndarray
-    """(r,) float64 of the point from the sensor's centre."""
+    """(r,) float64, of the point from the sensor's centre."""
     azimuth_rad: np.ndarray
-    """(r,) float64 of the point, in (-pi, pi]."""
+    """(r,) float64, of the point, in (-pi, pi]."""
     elevation_rad: np.ndarray
-    """(r,) float64 of the point, from the sensor's centre."""
+    """(r,) float64, of the point, seen from the sensor's centre."""
 
     @staticmethod
     def of(rays: SweepRays, rendered: RenderedRays) -> "RenderedSweep":
-        """Points and angles of all rays, computed once."""
+        """Compute points and angles of all rays."""
         known = np.isfinite(rendered.range_m)
         range_m = np.where(known, rendered.range_m, 0.0)
         point = rays.recorded_origin_m + rays.recorded_direction * range_m[:, None]
@@ -145,9 +161,10 @@ class RenderedSweep:
         )
 
     def scan(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (m, 3) float32, intensity (m,) float32, laser (m,) int16 of what returns.
+        """The recorded scan: points (m, 3) float32, intensity (m,) float32, laser (m,) int16 of the returns.
 
-        Laser by laser from the top, azimuth ascending in [0, 360) degrees within it.
+        Points are in the sensor's frame at firing time, laser by laser from the top, and by azimuth ascending
+        in [0, 360) degrees within each laser.
         """
         returned = np.flatnonzero(rays_return(self.rendered.hit) & self.is_known)
         azimuth = self.azimuth_rad[returned]
@@ -164,7 +181,7 @@ class RenderedSweep:
         )
 
     def grid(self) -> dict[str, np.ndarray]:
-        """By laser and firing (l, f) float32: range and angles from the sensor's centre; 0 = no answer."""
+        """Arrays (l, f) float32 of `GRID_ARRAYS`; range and hit are 0 where a ray meets no surface."""
         known = self.is_known
         columns = {
             "grid_range_m": np.where(known, self.distance_m, 0.0),
@@ -176,7 +193,7 @@ class RenderedSweep:
         return {name: column.reshape(self.rays.shape).astype(np.float32) for name, column in columns.items()}
 
     def pano_hit(self, pano: LinearPano) -> np.ndarray:
-        """(H, W) float32 probability that any ray of a cell returned: 1 - prod(1 - p) over its rays."""
+        """Probability (H, W) float32, 1 - prod(1 - p), that any of the rays of a pano's pixel returns."""
         row, column, kept = pano.cells_towards(self.azimuth_rad, self.elevation_rad)
         kept &= self.is_known & (self.distance_m > 0.0) & (self.distance_m < pano.max_range_m)
         missed = np.log1p(-np.clip(self.rendered.hit[kept].astype(np.float64), 0.0, 1.0 - 1e-7))
@@ -185,28 +202,23 @@ class RenderedSweep:
         return -np.expm1(total).reshape(pano.height, pano.width).astype(np.float32)
 
 
-RANGE_NOISE_M = 0.015
-"""Standard deviation of the range noise; an HDL-64E's maker states below 2 cm (one sigma)."""
-GRID_ARRAYS = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
-"""Arrays of a rendered sweep that a scan is sampled from, each (lasers, firings)."""
-
-
 def sample_scan(
     grid: Mapping[str, np.ndarray], generator: np.random.Generator, range_noise_m: float = RANGE_NOISE_M
 ) -> np.ndarray:
-    """Sample one scan of a rendered sweep.
+    """Sample one scan of a rendered sweep: which rays return, and the noise of their ranges.
 
     Args:
-        grid: `grid_*` of one sweep, each (lasers, firings): range (metres, inf = nothing there), hit
-            probability, intensity 0..1, azimuth and elevation in the sensor's frame at firing time.
-        generator: What is random comes from here.
+        grid: `GRID_ARRAYS` of one sweep, each (lasers, firings): range from the sensor's centre (metres, 0 or
+            inf = no surface), hit probability, intensity 0..1, azimuth and elevation in the sensor's frame at
+            firing time.
+        generator: Source of all randomness.
         range_noise_m: Standard deviation of the range.
 
     Returns:
         (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees.
 
     Raises:
-        DataError: An array of the grid holds NaN; as a hit it would silently be a drop.
+        DataError: An array of the grid holds NaN, which would count as a dropped ray.
     """
     for name in GRID_ARRAYS:
         broken = int(np.count_nonzero(np.isnan(grid[name])))
@@ -232,10 +244,10 @@ def sample_scan(
         axis=-1,
     ).astype(np.float32)
     order = np.argsort(np.mod(azimuth, 2.0 * np.pi), axis=1, kind="stable")
-    sampled: np.ndarray = np.take_along_axis(scan, order[..., None], 1)[np.take_along_axis(kept, order, 1)]
-    return sampled
+    return np.take_along_axis(scan, order[..., None], 1)[np.take_along_axis(kept, order, 1)]
 
 
+# Wide: sensor, path, instant and mounting are independent of each other.
 def sweep_rays(
     table: LaserTable,
     lasers: np.ndarray,
@@ -247,20 +259,20 @@ def sweep_rays(
     mount: np.ndarray | None = None,
     phase: float = 0.5,
 ) -> SweepRays:
-    """Rays of the sweep whose pose belongs to `time_s`.
+    """All rays of one sweep.
 
     Args:
-        table: The sensor that is simulated.
-        lasers: (l,) rows of the table to fire, from the top.
-        firings: Firings of one turn.
-        trajectory: Where the recording sensor was.
-        time_s: The instant of the sweep's pose.
-        period_s: Duration of a turn.
-        mount: (4, 4) pose of the simulated sensor in the recording sensor's frame; None = the same place.
-        phase: Where the turn starts against its firings, 0..1 of one.
+        table: The simulated sensor.
+        lasers: (l,) rows of the table that are fired, from the top.
+        firings: Firings of one sweep.
+        trajectory: Path of the recording sensor.
+        time_s: Instant of the sweep's pose, seconds since the first frame.
+        period_s: Duration of a sweep.
+        mount: (4, 4) pose of the simulated sensor in the recording sensor's frame; None = the same pose.
+        phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
     """
     azimuth, fraction = firing_grid(table, firings, phase)
-    # All lasers fire together: the sensor's pose is looked up once a firing, not once a ray.
+    # All lasers fire together: the sensor's pose is computed once a firing, not once a ray.
     rotation, position = trajectory.at(time_s + fraction * period_s)
     lasers = lasers.astype(np.int64)
     azimuth = azimuth[lasers]

@@ -1,4 +1,4 @@
-"""What a simulation asks of a scene: LiDAR rays and images, whoever answers."""
+"""The interface between simulation and models: what a model of a scene can render."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,19 +10,19 @@ from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.simulation.scan import SweepRays
 
 PRIOR_SCANS = 6
-"""Training scans whose drops vote, for a model that does not say how many it was trained with."""
+"""Number of scans of the hit prior, for models that do not give their own."""
 
 
 class RayRenderer(Protocol):
-    """Answers LiDAR rays."""
+    """Renders LiDAR rays."""
 
     def __call__(
         self, origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray, /
     ) -> RenderedRays:
-        """Answer r rays, as many as fit into memory at once (`render_in_chunks` sees to that).
+        """Render r rays, all at once; `render_in_chunks` keeps r small enough for memory.
 
         Args:
-            origin_m: (r, 3) float32 scene-local.
+            origin_m: (r, 3) float32 scene-local, metres.
             direction: (r, 3) float32 unit, scene-local axes.
             hit_prior: (r,) float32, 0..1: share of the nearest training scans in which this firing returned.
             time_s: (r,) float64 seconds since the first frame: when each ray is fired.
@@ -30,64 +30,64 @@ class RayRenderer(Protocol):
 
 
 class SweepCorrector(Protocol):
-    """Corrects a whole turn of the recording sensor: rays beside each other tell more than each alone."""
+    """Corrects a whole sweep of the recording sensor, using the rays beside each ray."""
 
     def __call__(self, rays: SweepRays, rendered: RenderedRays, near: np.ndarray, /) -> RenderedRays:
-        """Corrected answers.
+        """Correct a rendered sweep.
 
         Args:
-            rays: Of the turn.
-            rendered: Of a `RayRenderer`, intensities with their lasers' gain.
-            near: (k,) the training scans that vote, nearest in time first.
+            rays: All rays of the sweep.
+            rendered: By a `RayRenderer`; intensities with their lasers' gain.
+            near: (k,) indices of the training scans of the hit prior, nearest in time first.
         """
 
 
 class ImageRenderer(Protocol):
-    """Shows what a camera sees."""
+    """Renders camera images."""
 
     def __call__(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, /) -> RenderedImage:
         """Render a whole image.
 
         Args:
-            camera: Name of the drive's camera (`image_00`) that the view is of.
-            pinhole: Its intrinsics and size.
-            pose: (4, 4) float64 camera to scene-local, wherever the view puts it.
+            camera: Name of the drive's camera, as `image_00`.
+            pinhole: Its intrinsics.
+            pose: (4, 4) float64 camera to scene-local frame, of the view.
             time_s: Seconds since the first frame.
         """
 
 
 class PanoRenderer(Protocol):
-    """Shows what the papers' range image sees, along its own rays."""
+    """Renders the papers' pano (66 x 1030) along its own rays."""
 
     def __call__(self, pose: np.ndarray, time_s: float, /) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Range in metres, intensity, hit probability (66, 1030), all rays from one pose at one time.
+        """Range in metres, intensity, hit probability, each (66, 1030); all rays from one pose at one time.
 
         Args:
-            pose: (4, 4) float64 LiDAR to scene-local.
+            pose: (4, 4) float64 LiDAR to scene-local frame.
             time_s: Seconds since the first frame.
         """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneModel:
-    """A scene that can be rendered: a trained field of any family, or a baseline."""
+    """What a trained field of any family, or a baseline, can render of a scene."""
 
     lidar: RayRenderer | None
     """None where the drive has no LiDAR."""
     camera: ImageRenderer | None
     """None where the drive has no camera."""
     correct: SweepCorrector | None = None
-    """None where each ray's answer stands by itself."""
+    """None where rays are rendered one by one."""
     pano: PanoRenderer | None = None
-    """None where a pano is the projection of the simulated scan, and not a view of its own."""
+    """None where a pano is the projection of the simulated scan."""
     above: RayRenderer | None = None
-    """Answers rays of other sensors that look above all recorded lasers and that `lidar` has no answer for.
-    None where nobody knows what is there."""
+    """For rays of other sensors that look above all recorded lasers and for which `lidar` finds no surface.
+    None = such rays do not return."""
     unobserved: RayRenderer | None = None
-    """Answers rays of the recording sensor in its own place that `lidar` has no answer for, though all scans
-    that vote returned there. None where such a ray does not return."""
+    """For rays of the recording sensor at its own pose for which `lidar` finds no surface though their hit
+    prior is 1. None = such rays do not return."""
     prior_scans: int = PRIOR_SCANS
-    """Nearest training scans that vote on whether a firing returns; what `RayRenderer` is given."""
+    """Number of nearest training scans in the hit prior."""
     as_recorded: bool = False
-    """Whether its LiDAR answers what lasers record, their own errors included: then neither those errors nor
-    scans of the sensor at rest are added to it."""
+    """Its LiDAR was trained on recorded values, with each laser's range bias and intensity gain. Then neither
+    these nor stationary scans are added by the simulation."""

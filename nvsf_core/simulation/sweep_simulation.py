@@ -1,4 +1,4 @@
-"""One simulated sweep: every firing answered, the scan as a driver records it, and its range image."""
+"""Simulation of one LiDAR sweep: all rays rendered, the scan as a sensor records it, and its pano."""
 
 from dataclasses import dataclass, replace
 
@@ -24,28 +24,28 @@ from nvsf_core.simulation.view_plan import SweepPlan
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSweep:
-    """What one sweep of a view gave."""
+    """The scan of one simulated sweep, its pano, and its rendered grid."""
 
     points_m: np.ndarray
-    """(m, 3) float32 in the sensor's frame at each firing; laser by laser, azimuth ascending."""
+    """(m, 3) float32, metres, sensor's frame at firing time; laser by laser, azimuth ascending."""
     intensity: np.ndarray
-    """(m,) float32."""
+    """(m,) float32, 0..1."""
     laser: np.ndarray
-    """(m,) int16."""
+    """(m,) int16, row of the sensor's table."""
     pano_range_m: np.ndarray
-    """(66, 1030) float32, 0 = empty: the scan projected with the papers' quirks."""
+    """(66, 1030) float32, metres, 0 = empty: the scan projected as the authors' code does."""
     pano_intensity: np.ndarray
-    """(66, 1030) float32."""
+    """(66, 1030) float32, 0..1."""
     pano_hit: np.ndarray
-    """(66, 1030) float32: probability that any ray of the cell returned."""
+    """(66, 1030) float32, 0..1: probability that any ray of the pixel returns."""
     grid: dict[str, np.ndarray]
-    """Range, hit probability, intensity, azimuth, elevation (l, f) as recorded, before anything is drawn."""
+    """`GRID_ARRAYS` (l, f) of all rays, before returns are decided or sampled."""
 
 
 def simulate_sweep(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float
 ) -> SimulatedSweep:
-    """Fire one sweep of the plan's sensor around `time_s` and record what comes back; as `fire_sweep`."""
+    """Simulate one sweep of the plan's sensor; arguments as of `fire_sweep`."""
     sweep = RenderedSweep.of(*fire_sweep(model, lidar, plan, time_s))
     points, intensity, laser = sweep.scan()
     pano = LinearPano(reference_quirks=True)
@@ -64,50 +64,41 @@ def fire_sweep(
     phase: float = 0.5,
     leave_out_s: float | None = None,
 ) -> tuple[SweepRays, RenderedRays]:
-    """All rays of one sweep of the plan's sensor, answered; the own vehicle is put back.
+    """Render all rays of one sweep of the plan's sensor, in the convention of stored scans (`by_lasers`).
 
     Args:
-        model: With a LiDAR.
-        lidar: What was recorded.
-        plan: Which sensor is fired, and from where.
-        time_s: The instant of the sweep's pose.
-        phase: Where the sweep starts against its firings, 0..1 of one.
-        leave_out_s: Do as if the training scan of that time were held out.
+        model: The scene; its `lidar` is not None.
+        lidar: The recording.
+        plan: The sensor and its mounting.
+        time_s: Instant of the sweep's pose, seconds since the first frame.
+        phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
+        leave_out_s: The training scan of this time is ignored; None = all are used.
     """
     assert model.lidar is not None
     evidence, sweeps = lidar.evidence, lidar.sweeps
     near = evidence.prior.nearest_scans(time_s, model.prior_scans, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
+        similar = lasers
     else:
         lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
+        similar = _similar_lasers(plan.table, sweeps.table, evidence)
     rays = sweep_rays(
         plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s, mount=plan.mount, phase=phase
     )
-    voters = lasers if plan.is_recorded_sensor else _similar_lasers(plan.table, sweeps.table, evidence)
-    hit_prior = evidence.prior.hit_prior_of_sweep(voters, rays.fraction[:firings], near).reshape(-1)
-    fired_s = time_s + rays.fraction * sweeps.period_s
-    rendered = render_in_chunks(model.lidar, rays.origin_m, rays.direction, hit_prior, fired_s)
+    hit_prior = evidence.prior.hit_prior_of_sweep(similar, rays.fraction[:firings], near).reshape(-1)
+    columns = (rays.origin_m, rays.direction, hit_prior, time_s + rays.fraction * sweeps.period_s)
+    rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
-        asked = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
-        seen = model.above(rays.origin_m[asked], rays.direction[asked], hit_prior[asked], fired_s[asked])
-        rendered = _with(rendered, asked, seen)
+        missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
+        rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     is_in_place = plan.is_recorded_sensor and plan.mount is None
     if model.correct is not None and is_in_place:
         rendered = model.correct(rays, rendered, near)
     if model.unobserved is not None and is_in_place:
-        rendered = ask_unobserved(
-            rendered,
-            model.unobserved,
-            rays.origin_m,
-            rays.direction,
-            hit_prior,
-            fired_s,
-            rays.laser,
-            plan.table,
-        )
+        rendered = ask_unobserved(rendered, model.unobserved, *columns, rays.laser, plan.table)
     if is_in_place and not model.as_recorded:
         own = None if leave_out_s is None else int(np.abs(evidence.prior.time_s - leave_out_s).argmin())
         rendered = measured_when_stationary(rendered, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
@@ -125,16 +116,16 @@ def render_along(
     laser: np.ndarray,
     fraction: np.ndarray,
 ) -> RenderedRays:
-    """Any rays of the recording sensor's sweep at `time_s`, as it records them, by a model with a LiDAR.
+    """Render given rays of a sweep of the recording sensor, in the convention of stored scans (`by_lasers`).
 
     Args:
-        model: With a LiDAR.
-        lidar: What was recorded.
-        time_s: The instant of the sweep's pose.
-        origin_m: (r, 3) scene-local.
-        direction: (r, 3) unit, scene-local.
-        laser: (r,) of the recording sensor's table; -1 = unknown.
-        fraction: (r,) sweeps after the pose's instant.
+        model: The scene; its `lidar` is not None.
+        lidar: The recording.
+        time_s: Instant of the sweep's pose, seconds since the first frame.
+        origin_m: (r, 3) scene-local, metres.
+        direction: (r, 3) unit, scene-local axes.
+        laser: (r,) row of the recording sensor's table; -1 = unknown.
+        fraction: (r,) time after the pose's instant, in sweeps.
     """
     assert model.lidar is not None
     sweeps, evidence = lidar.sweeps, lidar.evidence
@@ -142,24 +133,23 @@ def render_along(
     hit_prior = evidence.prior.hit_prior(
         known, fraction, evidence.prior.nearest_scans(time_s, model.prior_scans)
     )
-    fired_s = time_s + fraction.astype(np.float64) * sweeps.period_s
-    rendered = render_in_chunks(model.lidar, origin_m, direction, hit_prior, fired_s)
+    columns = (origin_m, direction, hit_prior, time_s + fraction.astype(np.float64) * sweeps.period_s)
+    rendered = render_in_chunks(model.lidar, *columns)
     rendered = by_lasers(rendered, laser, sweeps.table, as_recorded=model.as_recorded)
     if model.unobserved is not None:
-        rendered = ask_unobserved(
-            rendered, model.unobserved, origin_m, direction, hit_prior, fired_s, laser, sweeps.table
-        )
+        rendered = ask_unobserved(rendered, model.unobserved, *columns, laser, sweeps.table)
     if model.as_recorded:
         return rendered
     return measured_when_stationary(rendered, known, fraction, lidar, time_s)
 
 
 def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
-    """Elevation up to which recorded lasers looked; infinite where none of them is known."""
+    """Elevation of the highest recorded laser in the sensor's table; infinite where no laser is known."""
     looked = table.elevation_rad[evidence.lasers.astype(np.int64)]
     return float(looked.max()) if len(looked) else np.inf
 
 
+# Wide: five of them are columns of the rays.
 def ask_unobserved(
     rendered: RenderedRays,
     unobserved: RayRenderer,
@@ -170,35 +160,35 @@ def ask_unobserved(
     laser: np.ndarray,
     table: LaserTable,
 ) -> RenderedRays:
-    """Render rays (r, 3) by `SceneModel.unobserved` that met nothing though all nearby scans returned there.
+    """Render again, by `unobserved`, the rays that meet no surface though all nearby scans returned there.
 
     Args:
-        rendered: In the terms of a stored scan, as `by_lasers` gives them.
-        unobserved: Of the model.
-        origin_m: (r, 3) scene-local.
-        direction: (r, 3) unit.
-        hit_prior: (r,) share of the nearest scans that returned; what these rays' hits become.
-        time_s: (r,) when each ray is fired.
-        laser: (r,) of the table; -1 = unknown.
-        table: Of the sensor that fires.
+        rendered: In the convention of stored scans, as `by_lasers` gives them.
+        unobserved: See `SceneModel`.
+        origin_m: (r, 3) scene-local, metres.
+        direction: (r, 3) unit, scene-local axes.
+        hit_prior: (r,) share of the nearest training scans that returned; 1 for the rays that are replaced.
+        time_s: (r,) seconds since the first frame, when each ray is fired.
+        laser: (r,) row of the table; -1 = unknown.
+        table: The sensor's.
     """
-    asked = np.flatnonzero(~np.isfinite(rendered.range_m) & (hit_prior >= 1.0))
-    if len(asked) == 0:
+    missing = np.flatnonzero(~np.isfinite(rendered.range_m) & (hit_prior >= 1.0))
+    if len(missing) == 0:
         return rendered
-    found = unobserved(origin_m[asked], direction[asked], hit_prior[asked], time_s[asked])
-    return _with(rendered, asked, by_lasers(found, laser[asked], table, as_recorded=False))
+    found = unobserved(origin_m[missing], direction[missing], hit_prior[missing], time_s[missing])
+    return _with(rendered, missing, by_lasers(found, laser[missing], table, as_recorded=False))
 
 
-def _with(rendered: RenderedRays, asked: np.ndarray, found: RenderedRays) -> RenderedRays:
-    """The same answers, but for rays (k,) `asked`, which another renderer found."""
+def _with(rendered: RenderedRays, rays: np.ndarray, found: RenderedRays) -> RenderedRays:
+    """A copy in which the rays of indices (k,) are replaced by `found`."""
     columns = {name: getattr(rendered, name).copy() for name in ("range_m", "hit", "intensity")}
     for name, column in columns.items():
-        column[asked] = getattr(found, name)
+        column[rays] = getattr(found, name)
     return replace(rendered, **columns)
 
 
 def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:
-    """(l,) the recording sensor's laser that looks most nearly along each simulated one."""
+    """(l,) for each laser of a table, the recorded laser nearest in elevation."""
     seen = evidence.lasers.astype(np.int64)
     apart = np.abs(table.elevation_rad[:, None] - recorded.elevation_rad[seen][None, :])
     return seen[apart.argmin(axis=1)]

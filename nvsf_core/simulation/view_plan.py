@@ -1,4 +1,4 @@
-"""From a view that is asked for to poses, times and sensors."""
+"""Plans of synthetic views: their times, poses and sensors."""
 
 from dataclasses import dataclass
 
@@ -10,29 +10,29 @@ from nvsf_core.sensors.tables import LaserTable, sensor_table
 
 @dataclass(frozen=True, slots=True)
 class ViewPlan:
-    """When and where a view is taken; whatever sensor takes it."""
+    """Instants and mounting of a view, for any sensor."""
 
     name: str
     frame: np.ndarray
-    """(n,) int64: the recorded frame at, or nearest to, each instant."""
+    """(n,) int64: the recorded frame nearest in time to each instant."""
     time_s: np.ndarray
-    """(n,) float64: instants of the poses."""
+    """(n,) float64: instants of the poses, seconds since the first frame."""
     mount: np.ndarray | None
-    """(4, 4) where the LiDAR (with the cameras around it) is put, in its own recorded frame; None = there."""
+    """(4, 4) pose of the LiDAR (cameras move with it) in its own recorded frame; None = the recorded pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepPlan(ViewPlan):
-    """The sweeps that one view consists of."""
+    """Instants, mounting and LiDAR of a view."""
 
     table: LaserTable
-    """The sensor that is simulated."""
+    """The simulated sensor."""
     is_recorded_sensor: bool
-    """Whether that is the one that recorded the drive, with its own vehicle around it."""
+    """Whether it is the recording sensor, with the own vehicle around it."""
 
 
 def mount_pose(shift_m: tuple[float, float, float], yaw_deg: float) -> np.ndarray | None:
-    """Pose (4, 4) of a sensor shifted forward, left, up and turned to the left; None where it is neither."""
+    """Pose (4, 4) of a sensor shifted by (forward, left, up) and turned to the left; None if both are 0."""
     if not any(shift_m) and yaw_deg == 0.0:
         return None
     angle = np.deg2rad(yaw_deg)
@@ -52,16 +52,16 @@ def plan_view(
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     yaw_deg: float = 0.0,
 ) -> ViewPlan:
-    """Decide instants and mounting of a view.
+    """Plan instants and mounting of a view.
 
     Args:
-        name: The view.
+        name: Name of the view.
         recorded_frame: (m,) numbers of the frames with a pose, ascending.
-        recorded_time_s: (m,) their times.
-        frames: Frame numbers asked for; None = all.
-        times_s: Times asked for instead.
-        shift_m: Forward, left, up.
-        yaw_deg: To the left.
+        recorded_time_s: (m,) their times, seconds since the first frame.
+        frames: Frame numbers of the view; None = all.
+        times_s: Times of the view, instead of frames.
+        shift_m: Shift of the sensor: forward, left, up.
+        yaw_deg: Turn of the sensor to the left.
 
     Raises:
         MissingFrameError: A frame that is asked for has no pose.
@@ -89,11 +89,5 @@ def plan_view(
 def plan_sweeps(view: ViewPlan, recorded_table: LaserTable, sensor: str | None) -> SweepPlan:
     """The sweeps of a view, by the sensor of that name; None = the one that recorded the drive."""
     other = None if sensor in (None, recorded_table.name) else sensor
-    return SweepPlan(
-        name=view.name,
-        frame=view.frame,
-        time_s=view.time_s,
-        mount=view.mount,
-        table=recorded_table if other is None else sensor_table(other),
-        is_recorded_sensor=other is None,
-    )
+    table = recorded_table if other is None else sensor_table(other)
+    return SweepPlan(view.name, view.frame, view.time_s, view.mount, table, other is None)

@@ -121,7 +121,7 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),
         (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),
         (SCENE + '[[view]]\nname = "test"\n', "splits of recorded frames"),
-        (SCENE + '[[view]]\nname = "v"\n[[view]]\nname = "v"\n', "a view of this name already"),
+        (SCENE + '[[view]]\nname = "v"\n[[view]]\nname = "v"\n', "views: expected each name once"),
         ("[scene]\nname = 1\n", "double the brackets"),
         ("not toml", "is no TOML"),
     ],

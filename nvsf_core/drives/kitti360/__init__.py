@@ -1,1 +1,1 @@
-"""Reading and writing a drive in KITTI-360's layout, and the scene catalogue."""
+"""Reading and writing of drives in KITTI-360's layout."""

@@ -1,4 +1,4 @@
-"""Annotated 3-D boxes, read from KITTI-360's XML with entities and DTDs refused."""
+"""Reading of annotated 3-D boxes from KITTI-360's XML; entities and DTDs are refused."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,62 +10,57 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
-from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers
+from nvsf_core.drives.kitti360.layout import LAST_FRAME
+from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers, require_regular
 from nvsf_core.errors import DataError
 
 STATIC_FRAME = -1
-"""The `frame` of a box that does not move."""
+"""`frame` of a static box."""
 _MOST_BYTES = 512 * MIB
-"""A box has 3 kB: of far more than KITTI-360's 70,000 in all of its drives."""
+"""Largest file. A box has 3 kB, and all drives of KITTI-360 together have 70,000."""
 _MOST_BOXES, _MOST_PARTS = 200_000, 100
-"""A box has 20 elements."""
+"""Most boxes of a file and most elements of a box, which has 20."""
 _LONGEST_TOKEN_BYTES = 4 * MIB
 _MOST_ROWS = 100_000
-"""Of the vertices of one object."""
+"""Most vertices of one object."""
 _MOST_COLUMNS = 4
 _MOST_ID = 1_000_000
-_MOST_FRAME = 9_999_999_999
 _LONGEST_NUMBER = 20
 _DEEPEST = 8
-"""A box's numbers lie 4 deep; a million nested elements would be kept until the last one closes."""
+"""Deepest nesting; a box's numbers are at 4. The parser keeps nested elements until the last one closes."""
 _LEAST_VOLUME = 0.1
 _SIDES_M = (1e-3, 1e3)
-"""Between these lies a side of anything that stands in a street."""
+"""Shortest and longest side of an object in a street."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box:
-    """One annotated box: for a moving object, its place in one frame."""
+    """One annotated box: of a static object, or of a moving object in one frame."""
 
     frame: int
-    """Frame number, or -1 for a box that stands all the time."""
+    """Frame number, or -1 for a static box."""
     object_id: int
     """semanticId * 1000 + instanceId: the same number is the same object."""
     label: str
     dynamic: bool
     box_to_world: np.ndarray
-    """(4, 4) float64: the unit cube [-0.5, 0.5]^3 to world; the 3x3 part holds the size as scale."""
+    """(4, 4) float64, unit cube [-0.5, 0.5]^3 to world; the 3x3 part includes the size as scale."""
 
 
 def read_boxes(path: Path, first_frame: int, last_frame: int) -> tuple[list[Box], list[str]]:
-    """Boxes of the frames `first_frame..last_frame`, and the static ones annotated around them.
+    """Read the moving boxes of the frames `first_frame..last_frame`, and the static ones around them.
 
     Returns:
-        The boxes, and why others were left out: those that no thing in a street can have.
+        The boxes, and a reason for each box that was left out, as no object in a street can have it.
 
     Raises:
-        DataError: The file is no plain XML, too large, or a box lacks or garbles a field.
+        DataError: The file is not plain XML or too large, or a field of a box is missing or damaged.
     """
-    size = path.stat().st_size if path.is_file() else None
-    if size is None or size > _MOST_BYTES:
-        raise DataError(
-            f"cannot read boxes {path}: expected a regular file of at most {_MOST_BYTES:,} bytes, found "
-            f"{'none' if size is None else f'{size:,}'}; restore the file of the drive, or remove it"
-        )
     boxes: list[Box] = []
     left_out: list[str] = []
-    place = "its first element"
+    place = "before its first element"
     try:
+        require_regular(path, _MOST_BYTES)
         _require_short_tokens(path)
         for element in _children(path):
             place = f"element {element.tag}"
@@ -76,18 +71,18 @@ def read_boxes(path: Path, first_frame: int, last_frame: int) -> tuple[list[Box]
                     boxes.append(box)
                 else:
                     left_out.append(f"{element.tag} {box.object_id} in frame {box.frame}: {fault}")
-    # An encoding that Python does not know, or that is none of text, is a LookupError.
+    # An encoding that Python does not know raises a LookupError.
     except (ParseError, DefusedXmlException, LookupError, OSError) as error:
         raise DataError(
             f"cannot read boxes {path} ({error!r:.300}); restore the file of the drive"
         ) from error
     except ValueError as error:
-        raise DataError(f"{path}, {place}: {error}; restore the file of the drive") from error
+        raise DataError(f"{path}, {place}: {error}; restore the file of the drive, or remove it") from error
     return boxes, left_out
 
 
 def _children(path: Path) -> Iterator[Element]:
-    """The root's children one after the other; none is kept.
+    """The root's children one by one; none is kept in memory.
 
     Raises:
         ValueError: Elements are nested too deep, or there are too many of them.
@@ -109,10 +104,10 @@ def _children(path: Path) -> Iterator[Element]:
 
 
 def _require_short_tokens(path: Path) -> None:
-    """Refuse markup that a parser would hold whole: a comment of a gigabyte, a million attributes.
+    """Refuse tokens that a parser would keep in memory: a comment of a gigabyte, a million attributes.
 
     Raises:
-        ValueError: Between two `>` lies more than any box's numbers need.
+        ValueError: There are too many bytes between two `>`.
     """
     run = 0
     with path.open("rb") as handle:
@@ -124,28 +119,29 @@ def _require_short_tokens(path: Path) -> None:
 
 
 def _is_box(element: Element) -> bool:
-    """Whether an element describes a box, if only in part; other elements may stand beside them."""
+    """Whether an element has any field of a box; a file may also have other elements."""
     return any(
         element.find(name) is not None for name in ("transform", "semanticId", "timestamp", "vertices")
     )
 
 
 def _is_wanted(element: Element, first_frame: int, last_frame: int) -> bool:
+    """Whether a box is of the section, or static and annotated in a part of it."""
     frame = _frame_of(element)
     if frame != STATIC_FRAME:
         return first_frame <= frame <= last_frame
     if element.find("start_frame") is None or element.find("end_frame") is None:
         return True
-    start, end = (_integer(element, name, -1, _MOST_FRAME) for name in ("start_frame", "end_frame"))
+    start, end = (_integer(element, name, -1, LAST_FRAME) for name in ("start_frame", "end_frame"))
     return start <= last_frame and first_frame <= end
 
 
 def _frame_of(element: Element) -> int:
-    return _integer(element, "timestamp", STATIC_FRAME, _MOST_FRAME)
+    return _integer(element, "timestamp", STATIC_FRAME, LAST_FRAME)
 
 
 def _integer(element: Element, name: str, least: int, most: int) -> int:
-    """A field's whole number within bounds."""
+    """A field's whole number, from `least` to `most`."""
     text = _text(element, name).strip()
     # Python reads `1_0` and digits of any script; no drive writes them.
     is_plain = text.isascii() and text.removeprefix("-").isdecimal() and len(text) <= _LONGEST_NUMBER
@@ -170,7 +166,7 @@ def _box(element: Element) -> Box:
 
 
 def _fault(box_to_world: np.ndarray) -> str | None:
-    """What is no box in the world: flat, sheared to nothing, of absurd size, or nowhere on Earth."""
+    """Why a transform (4, 4) is impossible: flat, sheared, of wrong size or place; None if it is possible."""
     least_m, most_m = _SIDES_M
     sides_m = np.linalg.norm(box_to_world[:3, :3], axis=0)
     if not ((sides_m >= least_m) & (sides_m <= most_m)).all():
@@ -187,7 +183,7 @@ def _fault(box_to_world: np.ndarray) -> str | None:
 
 
 def _unit_cube_to_vertices(element: Element) -> np.ndarray:
-    """The bounding box of `vertices` as a transform of the unit cube: the identity for ordinary boxes."""
+    """(4, 4) unit cube to the bounding box of `vertices`: the identity for ordinary boxes."""
     matrix = np.eye(4)
     if element.find("vertices") is None:
         return matrix
@@ -199,6 +195,7 @@ def _unit_cube_to_vertices(element: Element) -> np.ndarray:
 
 
 def _opencv_matrix(element: Element, name: str, shape: tuple[int, int] | None) -> np.ndarray:
+    """A field's matrix of that shape; None = n x 3."""
     node: Any = element.find(name)
     if node is None:
         raise ValueError(f"field {name!r} is missing")

@@ -1,11 +1,11 @@
 """Intrinsics and mounting of the cameras and the LiDAR, read from KITTI-360's calibration files.
 
-Frames: the pose frame (x forward, y right, z down) is the one that `poses.txt` places in the world;
-the LiDAR has x forward, y left, z up; a camera x right, y down, z forward. The files speak of
-unrectified cameras; a perspective image is rectified: `x_rectified = R_rect x_camera`.
+Frames: `poses.txt` has the poses of the pose frame (x forward, y right, z down) in the world; the LiDAR has
+x forward, y left, z up; a camera x right, y down, z forward. The files give mountings of unrectified
+cameras; a perspective image is rectified: `x_rectified = R_rect x_camera`.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -14,90 +14,61 @@ from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, Drive
 from nvsf_core.drives.kitti360.text import KeyedText, read_mounting, require_folder, rotation
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
-from nvsf_core.geometry.pinhole import intrinsics_fault
+from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
 
 _SKEW_TOLERANCE = 1e-9
-"""A rectified camera has neither skew nor turn in its projection."""
+"""Largest skew or rotation in the projection of a rectified camera."""
 
 _LONGEST_BASELINE_M = 10.0
-"""Between two cameras of one car."""
+"""Longest distance between two cameras of one car."""
 
 _POSE_FRAME_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""LiDAR axes placed at the pose frame's origin: what stands in for a LiDAR in a camera-only drive."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PinholeIntrinsics:
-    """A rectified perspective camera, in pixels; pixel centres lie at integers (KITTI's P_rect)."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeiIntrinsics:
-    """A fisheye camera after Mei: unit sphere shifted by xi, radial and tangential distortion."""
-
-    width: int
-    height: int
-    xi: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    gamma1: float
-    gamma2: float
-    u0: float
-    v0: float
+"""LiDAR to pose frame in a camera-only drive: a LiDAR is assumed at the pose frame's origin."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCalibration:
-    """One camera: how it maps rays to pixels and where it is mounted."""
+    """Intrinsics and mounting of one camera."""
 
     name: str
-    intrinsics: PinholeIntrinsics | MeiIntrinsics
+    intrinsics: Pinhole | MeiFisheye
     to_pose: np.ndarray
-    """(4, 4) float64: the camera that took the stored image (rectified if perspective) to pose frame."""
+    """(4, 4) float64, camera to pose frame, of the stored image (rectified if perspective)."""
 
     @property
     def kind(self) -> str:
         """`perspective` or `fisheye`."""
-        return "perspective" if isinstance(self.intrinsics, PinholeIntrinsics) else "fisheye"
+        return "perspective" if isinstance(self.intrinsics, Pinhole) else "fisheye"
 
     def facts(self) -> dict[str, float | int | str]:
-        """Kind and intrinsics as plain JSON values."""
-        values = {field.name: getattr(self.intrinsics, field.name) for field in fields(self.intrinsics)}
-        return {"kind": self.kind, **values}
+        """Kind, size and intrinsics as plain JSON values, in the stored order."""
+        size = {"width": self.intrinsics.width, "height": self.intrinsics.height}
+        return {"kind": self.kind, **size, **asdict(self.intrinsics)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """Everything that is mounted on the car."""
+    """Mounting of the LiDAR, and calibration of the cameras."""
 
     lidar_to_pose: np.ndarray
-    """(4, 4) float64: LiDAR to pose frame."""
+    """(4, 4) float64, LiDAR to pose frame."""
     lidar_is_assumed: bool
-    """True where no file places a LiDAR: it then stands at the pose frame's origin."""
+    """True if no file has the LiDAR's mounting: it is then assumed at the pose frame's origin."""
     cameras: dict[str, CameraCalibration]
     notes: tuple[str, ...]
-    """What was left out, and why."""
+    """Cameras that were left out, and why."""
 
 
 def read_calibration(layout: DriveLayout, cameras: tuple[str, ...] | None, *, has_scans: bool) -> Calibration:
-    """Read what the drive's sensors need: LiDAR mounting if there are scans, and its cameras.
+    """Read the LiDAR's mounting, if there are scans, and the calibration of the cameras.
 
     Args:
         layout: The drive's paths.
-        cameras: Cameras that were asked for; None = every one with an image folder and a calibration file.
+        cameras: Cameras to read; None = every one with an image folder and a calibration file.
         has_scans: Whether a LiDAR mounting is required.
 
     Raises:
-        CalibrationError: A needed file is absent, lacks a key, or garbles a value.
+        CalibrationError: A required file is absent, or a key is missing or damaged.
     """
     wanted, notes = _wanted_cameras(layout, cameras)
     lidar_to_pose = _POSE_FRAME_TO_Z_UP
@@ -117,18 +88,18 @@ def read_calibration(layout: DriveLayout, cameras: tuple[str, ...] | None, *, ha
 
 
 def read_rectified_camera0_to_pose(layout: DriveLayout) -> np.ndarray | None:
-    """Rectified camera 0 to pose frame (4, 4), or None in a drive without `perspective.txt`."""
+    """(4, 4) rectified camera 0 to pose frame, or None in a drive without `perspective.txt`."""
     if not layout.perspective_path.is_file():
         return None
     perspective = KeyedText.read(layout.perspective_path)
     return _rectified_to_pose(perspective, KeyedText.read(layout.cam_to_pose_path), "image_00")
 
 
-def read_mei(path: Path) -> MeiIntrinsics:
-    """Read a fisheye calibration (`%YAML:1.0`, as OpenCV writes it: no YAML parser takes that header).
+def read_mei(path: Path) -> MeiFisheye:
+    """Read a fisheye calibration (`%YAML:1.0`, as OpenCV writes it; YAML parsers refuse that header).
 
     Raises:
-        CalibrationError: The file is absent, of another camera model, lacks a key, or garbles a value.
+        CalibrationError: The file is absent or of another camera model, or a key is missing or damaged.
     """
     table = KeyedText.read(path)
     model = table.word("model_type").strip("\"'")
@@ -136,7 +107,7 @@ def read_mei(path: Path) -> MeiIntrinsics:
         raise table.fault(
             "model_type", f"expected the camera model MEI, found {model!r}, whose numbers mean something else"
         )
-    names = [field.name for field in fields(MeiIntrinsics) if field.name not in ("width", "height")]
+    names = [field.name for field in fields(MeiFisheye) if field.name not in ("width", "height")]
     values = {name: table.value(name) for name in names}
     width, height = table.value("image_width"), table.value("image_height")
     focal_px, axis_px = (values["gamma1"], values["gamma2"]), (values["u0"], values["v0"])
@@ -144,20 +115,19 @@ def read_mei(path: Path) -> MeiIntrinsics:
     if fault is not None:
         raise CalibrationError(f"{path}: {fault} (gamma1 and gamma2, u0 and v0); restore the drive's file")
     try:
-        MeiFisheye(**values, width=int(width), height=int(height))
+        return MeiFisheye(**values, width=int(width), height=int(height))
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from error
-    return MeiIntrinsics(width=int(width), height=int(height), **values)
 
 
-def read_pinhole(table: KeyedText, camera: str) -> PinholeIntrinsics:
-    """The rectified intrinsics of a perspective camera, of the lines of `perspective.txt`.
+def read_pinhole(table: KeyedText, camera: str) -> Pinhole:
+    """The rectified intrinsics of a perspective camera, from the lines of `perspective.txt`.
 
     Raises:
-        CalibrationError: A key is missing, or its value garbled or unphysical.
+        CalibrationError: A key is missing, or its value is damaged or unphysical.
     """
     number = camera[-2:]
-    # P_rect of camera 1 also holds the baseline to camera 0; the pose chain has it already.
+    # P_rect of camera 1 also has the baseline to camera 0, which the mounting has already.
     projection = table.matrix(f"P_rect_{number}", (3, 4))
     skew = [projection[0, 1], projection[1, 0], *projection[2, :2], projection[2, 2] - 1.0]
     if np.abs(skew).max() > _SKEW_TOLERANCE:
@@ -176,11 +146,11 @@ def read_pinhole(table: KeyedText, camera: str) -> PinholeIntrinsics:
     fault = intrinsics_fault((fx, fy), (cx, cy), (width, height))
     if fault is not None:
         raise table.fault(f"P_rect_{number}", f"{camera}: {fault} (size: S_rect_{number})")
-    return PinholeIntrinsics(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy)
+    return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=int(width), height=int(height))
 
 
 def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple[list[str], list[str]]:
-    notes: list[str] = []
+    """Names of the cameras to read, and a note on each that was left out."""
     present = [name for name in CAMERAS if require_folder(layout.camera_dir(name))]
     if asked is not None:
         for name in asked:
@@ -189,8 +159,8 @@ def _wanted_cameras(layout: DriveLayout, asked: tuple[str, ...] | None) -> tuple
                     f"camera {name} was asked for, but there is no folder {layout.camera_dir(name)}; "
                     "take it out of `cameras` in the catalogue or put its images there"
                 )
-        return list(asked), notes
-    wanted = []
+        return list(asked), []
+    wanted, notes = [], []
     for name in present:
         path = layout.perspective_path if name in PERSPECTIVE_CAMERAS else layout.fisheye_path(name)
         if path.is_file():
@@ -215,6 +185,7 @@ def _read_camera(
 
 
 def _rectified_to_pose(perspective: KeyedText, mountings: KeyedText, camera: str) -> np.ndarray:
+    """(4, 4) rectified camera to pose frame."""
     key = f"R_rect_{camera[-2:]}"
     rectification = np.eye(4)
     try:

@@ -1,4 +1,4 @@
-"""Camera images: PNG files, read as RGB."""
+"""Reading and validation of camera images: PNG files, as RGB."""
 
 import zlib
 from collections.abc import Iterator
@@ -13,23 +13,23 @@ from nvsf_core.errors import DataError
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _MOST_PIXEL_BYTES = 4
-"""Of a PNG: noise in four channels of 8 bits does not shrink."""
+"""Most bytes of a pixel in a PNG: noise in four channels of 8 bits cannot be compressed."""
 _HEADROOM_BYTES = 1 << 20
-"""For headers, and what else a camera's maker writes into an image."""
+"""For headers and other data in the file."""
 _ORIENTATION_TAG = 0x0112
 _UPRIGHT = 1
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""Numbers a pixel by a PNG's colour type: grey, colour, palette, grey and opacity, colour and opacity."""
+"""Values a pixel by a PNG's colour type: grey, colour, palette, grey and opacity, colour and opacity."""
 
 
 def read_image(path: Path, width: int, height: int, checksum: str = "") -> np.ndarray:
     """Read an image as (height, width, 3) uint8 RGB.
 
     Args:
-        path: Of a PNG file with 8 bits a channel.
+        path: A PNG file with 8 bits a channel.
         width: Expected columns, pixels.
         height: Expected rows, pixels.
-        checksum: Of the file when it was validated (`checksum_of`); empty = not held against any.
+        checksum: The file's `checksum_of` when it was validated; empty = not compared.
 
     Raises:
         DataError: See `decode_image`; or the file is absent, too large, or has changed since.
@@ -40,32 +40,32 @@ def read_image(path: Path, width: int, height: int, checksum: str = "") -> np.nd
 
 
 def read_image_bytes(path: Path, width: int, height: int) -> bytes:
-    """An image's file, whatever is in it.
+    """The bytes of an image's file, not validated.
 
     Raises:
-        DataError: It is absent, no regular file, or larger than an image of that size can be.
+        DataError: It is absent, not a regular file, or too large for an image of that size.
     """
     return read_bytes(path, _HEADROOM_BYTES + _MOST_PIXEL_BYTES * width * height, "image")
 
 
 def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray:
-    """Take an image's file apart and validate it: (height, width, 3) uint8 RGB.
+    """Validate and decode an image: (height, width, 3) uint8 RGB.
 
     Args:
-        path: Where it is from, for messages.
-        data: Its content.
+        path: The file, for messages.
+        data: Its bytes.
         width: Expected columns, pixels.
         height: Expected rows, pixels.
 
     Raises:
         DataError: It is damaged, or of another size, depth or orientation.
     """
-    # What the header claims, before the decoder makes room for it.
+    # The header is checked before the decoder allocates memory for it.
     fault = _png_fault(data) or _header_fault(data, width, height)
     if fault:
         raise DataError(f"{path}: {fault}")
     try:
-        # The pixels as they are stored: a turned image would not be the calibrated camera's.
+        # Pixels in the stored orientation, which is the calibrated camera's.
         decoded = cv2.imdecode(
             np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         )
@@ -79,7 +79,7 @@ def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray
 
 
 def _png_fault(data: bytes) -> str | None:
-    """What is wrong with a PNG's chunks: the decoder fills a truncated picture with grey and says nothing."""
+    """What is wrong with a PNG's chunks, or None. The decoder fills a truncated image with grey, silently."""
     if not data.startswith(_PNG_SIGNATURE):
         return f"unreadable image, {'no PNG signature' if data else 'empty file'}; copy it again"
     for name, body, checksum in _chunks(data):
@@ -93,7 +93,7 @@ def _png_fault(data: bytes) -> str | None:
 
 
 def _header_fault(data: bytes, width: int, height: int) -> str | None:
-    """What of an image's header does not fit the calibration, or how images are read here."""
+    """What is wrong with an image's size, depth, pixels or orientation, or None."""
     name, header, _ = next(_chunks(data))
     if name != b"IHDR" or len(header) != 13:
         return "unreadable image, its first chunk is no header; copy it again"
@@ -120,9 +120,9 @@ def _header_fault(data: bytes, width: int, height: int) -> str | None:
 
 
 def _is_whole(data: bytes, header: bytes) -> bool:
-    """Whether the compressed pixels are as many as the header says; the decoder would fill up with grey."""
+    """Whether there are as many pixels as the header says; the decoder would fill missing ones with grey."""
     width, height = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
-    if header[12]:  # interlaced: seven small pictures, whose rows are rounded up each by itself
+    if header[12]:  # interlaced: seven small images with rows of other lengths, not checked
         return True
     row_bits = width * header[8] * _CHANNELS.get(header[9], 0)
     expected = height * (1 + (row_bits + 7) // 8)
@@ -134,7 +134,7 @@ def _is_whole(data: bytes, header: bytes) -> bool:
 
 
 def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes, bytes]]:
-    """Name, content and checksum of each chunk; the last may be cut."""
+    """Name, content and checksum of each chunk; the last may be incomplete."""
     position = len(_PNG_SIGNATURE)
     while position + 12 <= len(data):
         length = int.from_bytes(data[position : position + 4], "big")
@@ -144,7 +144,7 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes, bytes]]:
 
 
 def _orientation(exif: bytes) -> int:
-    """How an image is to be turned, 1 to 8 as in EXIF 2.32; upright where nothing is said."""
+    """Orientation tag of EXIF data, 1 to 8 (EXIF 2.32); upright if there is none."""
     order: Literal["little", "big"] = "little" if exif[:2] == b"II" else "big"
     start = int.from_bytes(exif[4:8], order)
     for entry in range(int.from_bytes(exif[start : start + 2], order)):

@@ -1,4 +1,4 @@
-"""Where the files of a drive lie in KITTI-360's layout: for the reader and for the writer alike."""
+"""Paths of a drive's files in KITTI-360's layout, for reading and writing."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +8,13 @@ PERSPECTIVE_CAMERAS = ("image_00", "image_01")
 FISHEYE_CAMERAS = ("image_02", "image_03")
 """Recorded through a fisheye lens; their files are raw."""
 CAMERAS = PERSPECTIVE_CAMERAS + FISHEYE_CAMERAS
+LAST_FRAME = 9_999_999_999
+"""Largest frame number: file names have ten digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveLayout:
-    """Paths of one sequence below a KITTI-360 root. No path is promised to exist."""
+    """Paths of one sequence below a KITTI-360 root, whether they exist or not."""
 
     root: Path
     """Folder that holds `calibration`, `data_poses`, `data_3d_raw`, `data_2d_raw`, `data_3d_bboxes`."""
@@ -50,7 +52,7 @@ class DriveLayout:
 
     @property
     def cam0_to_world_path(self) -> Path:
-        """Rectified camera 0 to world, one line a frame: a second opinion on the poses."""
+        """Rectified camera 0 to world, one line a frame; used to check the poses."""
         return self.root / "data_poses" / self.sequence / "cam0_to_world.txt"
 
     @property
@@ -59,11 +61,11 @@ class DriveLayout:
         return self.root / "data_3d_raw" / self.sequence / "velodyne_points"
 
     def scan_path(self, frame: int) -> Path:
-        """One LiDAR turn: float32 x, y, z, reflectance."""
+        """One LiDAR scan: float32 x, y, z, reflectance."""
         return self.velodyne_dir / "data" / f"{frame:010d}.bin"
 
     def timestamps_path(self, kind: str = "") -> Path:
-        """Times of the scans' pose instants; `kind` = `start` or `end` for the turn's begin and end."""
+        """Times of the scans' poses; with `kind` = `start` or `end`, of the sweeps' begin or end."""
         return self.velodyne_dir / (f"timestamps_{kind}.txt" if kind else "timestamps.txt")
 
     def camera_dir(self, camera: str) -> Path:
@@ -90,5 +92,5 @@ class DriveLayout:
 
     @property
     def boxes_paths(self) -> tuple[Path, ...]:
-        """Box files that exist, by name, so that which one is read never depends on the disk's order."""
+        """Box files that exist, sorted by name, so that the choice does not depend on the disk's order."""
         return tuple(sorted(self.boxes_dir.glob(f"*/{self.sequence}.xml")))

@@ -1,23 +1,22 @@
-"""Where the car was: `poses.txt`, and `cam0_to_world.txt` as a second opinion."""
+"""Reading of the car's poses: `poses.txt`, and `cam0_to_world.txt` to check them."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.kitti360.layout import LAST_FRAME
 from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers, read_text, rigid
 from nvsf_core.errors import DataError
 
 _MOST_LINES, _MOST_BYTES = 100_000, 32 * MIB
 """The longest drive of KITTI-360 has 15,000 frames, in 4 MB."""
-_MOST_FRAME = 9_999_999_999
-"""File names have ten digits."""
 
 
 def read_poses(path: Path) -> dict[int, np.ndarray]:
-    """Read `poses.txt`: frame number to (4, 4) float64 pose frame to world.
+    """Read `poses.txt`: for each frame number (4, 4) float64, pose frame to world.
 
-    Frames without a line (KITTI-360 drops them where the car hardly moved) are simply not there.
+    Frames without a line are not in the result (KITTI-360 has none where the car hardly moved).
 
     Raises:
         DataError: The file is absent, or a line cannot be read; file, line and remedy are named.
@@ -26,7 +25,7 @@ def read_poses(path: Path) -> dict[int, np.ndarray]:
 
 
 def read_cam0_to_world(path: Path) -> dict[int, np.ndarray]:
-    """Read `cam0_to_world.txt`: frame number to (4, 4) float64 rectified camera 0 to world.
+    """Read `cam0_to_world.txt`: for each frame number (4, 4) float64, rectified camera 0 to world.
 
     Raises:
         DataError: The file is absent, or a line cannot be read; file, line and remedy are named.
@@ -36,16 +35,16 @@ def read_cam0_to_world(path: Path) -> dict[int, np.ndarray]:
 
 @dataclass(frozen=True, slots=True)
 class PoseDisagreement:
-    """How far two sources of the same poses are apart, at most."""
+    """Largest difference between two sources of the same poses."""
 
     frames: int
-    """Frames that both know."""
+    """Number of frames with a pose in both."""
     translation_m: float
     rotation_deg: float
 
 
 def compare_poses(left: dict[int, np.ndarray], right: dict[int, np.ndarray]) -> PoseDisagreement:
-    """Largest distance and largest angle between two tables of poses, over the frames of both."""
+    """Largest distance and largest angle between two tables of poses (4, 4), over their common frames."""
     common = sorted(left.keys() & right.keys())
     if not common:
         return PoseDisagreement(0, float("nan"), float("nan"))
@@ -59,6 +58,7 @@ def compare_poses(left: dict[int, np.ndarray], right: dict[int, np.ndarray]) -> 
 
 
 def _read_lines(path: Path, count: int) -> dict[int, np.ndarray]:
+    """Poses (4, 4) by frame number, from lines of a frame number and `count` matrix entries."""
     try:
         text = read_text(path, _MOST_BYTES)
     except (OSError, ValueError) as error:
@@ -97,6 +97,6 @@ def _pose(frame: int, values: np.ndarray) -> np.ndarray:
 
 
 def _frame_number(value: float) -> int:
-    if not 0 <= value <= _MOST_FRAME or value != int(value):
+    if not 0 <= value <= LAST_FRAME or value != int(value):
         raise ValueError(f"expected a frame number, found {value}")
     return int(value)

@@ -1,4 +1,4 @@
-"""LiDAR scans: `.bin` files of float32 x, y, z in metres and reflectance 0..1."""
+"""Reading and validation of LiDAR scans: `.bin` files of float32 x, y, z in metres and reflectance 0..1."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,34 +10,32 @@ from nvsf_core.errors import DataError
 from nvsf_core.sensors.tables import HDL_64E
 
 MAX_RANGE_M = 200.0
-"""No return of a spinning car LiDAR is farther: beyond it, the numbers are garbage."""
+"""Longest range of a rotating car LiDAR; points beyond it are absurd."""
 MAX_ABSURD_SHARE = 0.01
-"""With more garbage than this, the scan is not trusted at all."""
+"""Scans with a larger share of absurd points are refused."""
 
 MOST_RETURNS = 2 * HDL_64E.laser_count * HDL_64E.lattice_steps
-"""Two returns of each laser at each step of the encoder: no turn of the sensor has more."""
+"""Most returns of a sweep: two of each laser at each step of the encoder."""
 
 _BYTES_PER_RETURN = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The usable returns of a scan, in file order, and what was left out."""
+    """The usable returns of a scan, in file order."""
 
     points: np.ndarray
     """(N, 4) float32: x, y, z (sensor frame, metres), reflectance 0..1."""
     n_absurd: int
-    """Returns dropped as NaN, infinite, beyond 200 m, or with a reflectance outside 0..1."""
-    n_empty: int
-    """Rows at the sensor's origin: how some drivers write a ray without an answer; dropped too."""
+    """Points left out as NaN, infinite, beyond 200 m, or with a reflectance outside 0..1."""
 
 
 def read_scan(path: Path, checksum: str = "") -> np.ndarray:
     """Read a scan's usable returns, (N, 4) float32, in file order.
 
     Args:
-        path: Of the scan.
-        checksum: Of the file when it was validated (`checksum_of`); empty = not held against any.
+        path: The scan's file.
+        checksum: The file's `checksum_of` when it was validated; empty = not compared.
 
     Raises:
         DataError: See `parse_scan`; or the file is absent, too large, or has changed since.
@@ -48,23 +46,23 @@ def read_scan(path: Path, checksum: str = "") -> np.ndarray:
 
 
 def read_scan_bytes(path: Path) -> bytes:
-    """A scan's file, whatever is in it.
+    """The bytes of a scan's file, not validated.
 
     Raises:
-        DataError: It is absent, no regular file, or larger than a scan of the sensor can be.
+        DataError: It is absent, not a regular file, or too large for a scan.
     """
     return read_bytes(path, _BYTES_PER_RETURN * MOST_RETURNS, "scan")
 
 
 def parse_scan(path: Path, data: bytes) -> Scan:
-    """Take a scan's file apart and validate it.
+    """Validate and decode a scan.
 
     Args:
-        path: Where it is from, for messages.
-        data: Its content.
+        path: The file, for messages.
+        data: Its bytes.
 
     Raises:
-        DataError: It is truncated, without returns, or more than 1 % of it is absurd.
+        DataError: It is truncated, has no returns, or more than 1 % of its points are absurd.
     """
     if len(data) % _BYTES_PER_RETURN:
         raise DataError(
@@ -76,6 +74,7 @@ def parse_scan(path: Path, data: bytes) -> Scan:
         range_m = np.linalg.norm(points[:, :3].astype(np.float64), axis=1)
         in_reach = range_m <= MAX_RANGE_M
         plausible = (points[:, 3] >= 0.0) & (points[:, 3] <= 1.0)
+    # Some drivers write dropped rays as points at the sensor's origin: these are left out, too.
     empty = finite & (range_m == 0.0)
     absurd = ~(finite & in_reach & plausible) & ~empty
     n_absurd, n_rows = int(absurd.sum()), len(points)
@@ -89,4 +88,4 @@ def parse_scan(path: Path, data: bytes) -> Scan:
     usable = points[~(absurd | empty)]
     if not len(usable):
         raise DataError(f"{path}: the scan has no returns; copy it again")
-    return Scan(usable.astype(np.float32), n_absurd, int(empty.sum()))
+    return Scan(usable.astype(np.float32), n_absurd)

@@ -1,8 +1,8 @@
-"""Files of a drive, read within bounds: bytes, and text taken apart into numbers, motions, or keyed lines."""
+"""Reading of a drive's files up to a size limit, and parsing of numbers, rigid transforms and keyed lines."""
 
 import hashlib
-import os
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 from typing import Self
 
@@ -12,45 +12,50 @@ from nvsf_core.errors import CalibrationError, DataError
 
 MIB = 1 << 20
 FARTHEST_M = 3e7
-"""No map has a larger coordinate for a place on Earth: Mercator's end at 2e7."""
+"""Largest coordinate of a place on Earth in any map; Mercator's end at 2e7."""
 _LONGEST_ARM_M = 100.0
-"""No sensor is mounted farther from the pose frame."""
+"""Largest distance of a sensor from the pose frame's origin."""
 _MOST_CALIBRATION_BYTES = MIB
-"""KITTI-360's largest calibration file has 3 kB."""
+"""Largest calibration file; KITTI-360's have up to 3 kB."""
 _ORTHONORMAL_TOLERANCE = 1e-3
-"""Largest entry of `R R^T - 1` that still passes as a rotation printed with few digits."""
+"""Largest entry of `R R^T - 1` of a rotation that was printed with few digits."""
 _PRINTED_TOLERANCE = 1e-6
-"""Up to here a rotation is used as it is printed; beyond, the nearest true rotation is."""
+"""Up to this entry of `R R^T - 1` the printed rotation is used, beyond it the nearest true rotation."""
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """The text of a regular file of at most so many bytes.
+    """The text of a regular file of at most `most_bytes`.
 
     Raises:
         OSError: It is absent or cannot be read.
-        ValueError: It is a folder, a pipe or a device, too large, or no UTF-8; the message says what.
+        ValueError: It is a folder, a pipe or a device, too large, or not UTF-8; the message says which.
     """
-    if is_there(path) and not path.is_file():
-        raise ValueError("expected a regular file, found a folder, a pipe, a device or a link to nowhere")
-    size = path.stat().st_size
-    if size > most_bytes:
-        raise ValueError(f"expected at most {most_bytes:,} bytes, found {size:,}")
+    require_regular(path, most_bytes)
     # With or without a byte order mark.
     return path.read_text(encoding="utf-8-sig")
 
 
-def is_there(path: Path) -> bool:
-    """Whether anything has that name, if only a link that leads nowhere or in a circle."""
-    return os.path.lexists(path)
+def require_regular(path: Path, most_bytes: int) -> None:
+    """Refuse what is not a regular file of at most `most_bytes`.
+
+    Raises:
+        OSError: It is absent.
+        ValueError: It is a folder, a pipe or a device, or too large; the message says which.
+    """
+    if lexists(path) and not path.is_file():
+        raise ValueError("expected a regular file, found a folder, a pipe or a device, or a link to nowhere")
+    size = path.stat().st_size
+    if size > most_bytes:
+        raise ValueError(f"expected at most {most_bytes:,} bytes, found {size:,}")
 
 
 def require_folder(path: Path) -> bool:
-    """Whether a folder is there; what has its name and is none would else be passed over as if nothing was.
+    """Whether there is a folder of that name.
 
     Raises:
-        DataError: It is something else.
+        DataError: There is something else of that name.
     """
-    if is_there(path) and not path.is_dir():
+    if lexists(path) and not path.is_dir():
         raise DataError(
             f"{path}: expected a folder, found a file, a pipe or a broken link; unpack the drive again"
         )
@@ -61,12 +66,12 @@ def parse_numbers(text: str, count: int) -> np.ndarray:
     """Exactly `count` finite numbers separated by blanks, as float64.
 
     Raises:
-        ValueError: Another count, no number, or not finite; the message says which.
+        ValueError: There are more or fewer, or one is not a finite number; the message says which.
     """
     words = text.split(maxsplit=count)
     if len(words) != count:
         raise ValueError(f"expected {count} numbers, found {len(words) if len(words) < count else 'more'}")
-    # Python reads `1_000` and digits of any script; no drive writes them.
+    # Python also reads `1_000` and digits of other scripts; no drive has them.
     if "_" in text or not text.isascii():
         raise ValueError("expected numbers in plain digits")
     values = np.array([float(word) for word in words])
@@ -76,14 +81,14 @@ def parse_numbers(text: str, count: int) -> np.ndarray:
 
 
 def rigid(values: np.ndarray, farthest_m: float) -> np.ndarray:
-    """A (3, 4) block as a (4, 4) rigid transform; its 3x3 part is a rotation to 1e-6 afterwards.
+    """A rigid transform (4, 4) from its upper three rows; its 3x3 part is a rotation to 1e-6.
 
     Args:
-        values: 12 numbers, row by row.
-        farthest_m: Largest coordinate of a translation that is believed.
+        values: (12,) numbers, row by row.
+        farthest_m: Largest allowed coordinate of the translation.
 
     Raises:
-        ValueError: Its 3x3 part is no rotation, or its translation is too far.
+        ValueError: The 3x3 part is not a rotation, or the translation is too far.
     """
     matrix = np.eye(4)
     matrix[:3] = values.reshape(3, 4)
@@ -96,13 +101,13 @@ def rigid(values: np.ndarray, farthest_m: float) -> np.ndarray:
 
 
 def rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that is printed as `matrix`: itself, or the nearest one where few digits were kept.
+    """The rotation (3, 3) nearest to a printed `matrix` (3, 3), or the matrix itself if it is exact enough.
 
     Raises:
-        ValueError: `matrix` is no rotation.
+        ValueError: `matrix` is not a rotation.
     """
     deviation = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    # Not finite: entries of 1e200 overflow.
+    # The deviation is not finite if entries of 1e200 overflow.
     if deviation <= _ORTHONORMAL_TOLERANCE and np.linalg.det(matrix) < 0:
         raise ValueError("expected a rotation, found one with a mirror in it (determinant -1)")
     if not deviation <= _ORTHONORMAL_TOLERANCE:
@@ -115,7 +120,7 @@ def rotation(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class KeyedText:
-    """A calibration file's lines `key: value`, read once."""
+    """The lines `key: value` of a calibration file."""
 
     path: Path
     lines: dict[str, tuple[int, str]]
@@ -126,7 +131,7 @@ class KeyedText:
         """Read a file; nesting and a leading % directive are ignored.
 
         Raises:
-            CalibrationError: The file is absent, no regular file, too large, or has a key twice.
+            CalibrationError: The file is absent, not a regular file, too large, or has a key twice.
         """
         lines: dict[str, tuple[int, str]] = {}
         for number, line in enumerate(read_calibration_text(path).splitlines(), start=1):
@@ -143,7 +148,7 @@ class KeyedText:
         return cls(path, lines)
 
     def word(self, key: str) -> str:
-        """The value of a key as it stands there.
+        """The value of a key, as text.
 
         Raises:
             CalibrationError: There is no such key.
@@ -157,10 +162,10 @@ class KeyedText:
         return self.lines[key][1]
 
     def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
-        """The numbers of a key, float64 of a shape.
+        """The numbers of a key, float64 of that shape.
 
         Raises:
-            CalibrationError: There is no such key, or not so many finite numbers.
+            CalibrationError: There is no such key, or another number of finite numbers.
         """
         text = self.word(key)
         try:
@@ -172,7 +177,7 @@ class KeyedText:
         """The number of a key.
 
         Raises:
-            CalibrationError: There is no such key, or no finite number.
+            CalibrationError: There is no such key, or its value is not a finite number.
         """
         return float(self.matrix(key, (1,))[0])
 
@@ -186,7 +191,7 @@ class KeyedText:
         """A key's twelve numbers as a rigid transform (4, 4) between two sensors' frames.
 
         Raises:
-            CalibrationError: There is no such key, or it holds no rigid transform.
+            CalibrationError: There is no such key, or its value is not a rigid transform.
         """
         values = self.matrix(key, (3, 4))
         try:
@@ -199,7 +204,7 @@ def read_mounting(path: Path) -> np.ndarray:
     """A file's twelve numbers as a rigid transform (4, 4) between two sensors' frames.
 
     Raises:
-        CalibrationError: The file is absent or holds no rigid transform.
+        CalibrationError: The file is absent or does not hold a rigid transform.
     """
     try:
         return rigid(parse_numbers(read_calibration_text(path), 12), _LONGEST_ARM_M)
@@ -211,7 +216,7 @@ def read_calibration_text(path: Path) -> str:
     """The text of a calibration file.
 
     Raises:
-        CalibrationError: It is absent, no regular file, too large, or no text.
+        CalibrationError: It is absent, not a regular file, too large, or not text.
     """
     try:
         return read_text(path, _MOST_CALIBRATION_BYTES)
@@ -222,44 +227,37 @@ def read_calibration_text(path: Path) -> str:
 
 
 def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
-    """The content of a regular file of at most so many bytes; its size is asked before it is read.
+    """The bytes of a regular file; its size is checked before it is read.
 
     Args:
-        path: Of the file.
-        most_bytes: Largest size that such a file can have.
+        path: The file.
+        most_bytes: Largest possible size of such a file.
         what: `scan` or `image`, for the message.
 
     Raises:
         DataError: It is absent, a folder, a pipe or a device, or too large.
     """
     try:
-        if is_there(path) and not path.is_file():
-            raise DataError(
-                f"{path}: expected a {what}, found a folder, a pipe or a device, or a link to nowhere; "
-                "copy it again"
-            )
-        size = path.stat().st_size
-        if size > most_bytes:
-            raise DataError(
-                f"{path}: expected a {what} of at most {most_bytes:,} bytes, found {size:,}; copy it again"
-            )
+        require_regular(path, most_bytes)
         return path.read_bytes()
+    except ValueError as error:
+        raise DataError(f"{path}: no {what}, {error}; copy it again") from error
     except OSError as error:
         raise DataError(f"no {what} file {path} ({error.strerror}); unpack the drive's {what}s") from error
 
 
 def checksum_of(data: bytes) -> str:
-    """First 16 hex digits of the SHA-256 of a file's content."""
+    """First 16 hex digits of the SHA-256 of a file's bytes."""
     return hashlib.sha256(data).hexdigest()[:16]
 
 
 def require_unchanged(path: Path, data: bytes, validated: str) -> None:
-    """Refuse a file that is not the one that was validated.
+    """Refuse a file that was changed after its validation.
 
     Args:
-        path: Where it is from, for the message.
-        data: Its content.
-        validated: Its checksum then; empty = none is known.
+        path: The file, for the message.
+        data: Its bytes now.
+        validated: Its checksum when it was validated; empty = not compared.
 
     Raises:
         DataError: The checksums differ.

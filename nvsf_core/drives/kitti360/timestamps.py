@@ -1,26 +1,27 @@
-"""When each frame was taken, from the drive's timestamp files or, without them, a nominal period."""
+"""Times of a drive's frames, from its timestamp files or, without them, from a nominal period."""
 
 import re
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 
 import numpy as np
 
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
-from nvsf_core.drives.kitti360.text import MIB, is_there, read_text
+from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.errors import DataError
 
 NOMINAL_PERIOD_S = 0.1
-"""A spinning car LiDAR at 10 Hz, where neither the drive nor the catalogue says anything."""
+"""Time from frame to frame if neither the drive nor the catalogue gives it: a rotating LiDAR at 10 Hz."""
 SHORTEST_STEP_S, LONGEST_STEP_S = 0.01, 2.0
-"""Between two frames, in the median: LiDARs turn 5 to 20 times a second, cameras record 1 to 100 images."""
+"""Limits of the median step from frame to frame: LiDARs rotate at 5 to 20 Hz, cameras have 1 to 100 Hz."""
 LEAST_OF_MEDIAN = 0.05
-"""Of the median step: frames that are nearer in time than that were not recorded so."""
+"""Smallest step in median steps; smaller ones are errors of the file."""
 LONGEST_PAUSE_S = 10.0
-"""Between any two frames of one section: a longer one is another recording, or another unit."""
+"""Longest step within a section; after a longer one it is another recording, or the unit is wrong."""
 _MOST_BYTES = 64 * MIB
 _LONGEST_SHOWN = 60
-# datetime64[ns] wraps around silently outside of 1678 to 2262.
+# datetime64[ns] overflows silently outside of 1678 to 2262.
 _TIME = re.compile(r"(?:1[7-9]|2[01])\d\d-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?", re.ASCII)
 
 
@@ -29,15 +30,15 @@ class FrameTimes:
     """Times of a section's frames."""
 
     time_s: np.ndarray
-    """(n,) float64, seconds since the first frame, one per frame number of the section."""
+    """(n,) float64, seconds since the first frame, for each frame number of the section."""
     sweep_period_s: float
-    """Seconds of one turn."""
+    """Duration of a sweep."""
     is_assumed: bool
-    """True where times and period are nominal, not recorded."""
+    """True if times and period are nominal, not recorded."""
     source: str
-    """The file, or why there is none that serves."""
+    """The file, or why none was used."""
     is_refused: bool = False
-    """True where times were recorded and could not be used."""
+    """True if there are recorded times that cannot be used."""
 
 
 def frame_times(
@@ -45,12 +46,18 @@ def frame_times(
 ) -> FrameTimes:
     """Times of the frames `first_frame..last_frame`, inclusive.
 
-    A drive's timestamp file has one line a frame, numbered from 0; a cut-out drive may have lines for
-    its own frames only. Which of the two it is follows from the number of lines and of scans. Where
-    neither fits, the nominal period is taken and the reason is kept.
+    A drive's timestamp file has one line a frame, from frame 0; if the drive was cut out of a longer one, it
+    may have lines for its own frames only. The numbers of lines and of scans decide which. If neither fits,
+    the nominal period is used, and `source` gives the reason.
+
+    Args:
+        layout: The drive's paths.
+        first_frame: First frame number.
+        last_frame: Last frame number.
+        nominal_period_s: Time from frame to frame if there are no usable times; None = `NOMINAL_PERIOD_S`.
 
     Raises:
-        DataError: A line is no time.
+        DataError: A line is not a time.
     """
     path = _timestamp_file(layout)
     count = last_frame - first_frame + 1
@@ -85,7 +92,7 @@ def read_timestamps(path: Path) -> np.ndarray:
     """Read `YYYY-MM-DD hh:mm:ss.nnnnnnnnn` lines as (n,) datetime64[ns]; an empty line is NaT.
 
     Raises:
-        DataError: The file is too large or no text, or a line is no time; file, line and remedy are named.
+        DataError: The file is too large or not text, or a line is not a time; file, line, remedy are named.
     """
     try:
         lines = read_text(path, _MOST_BYTES).rstrip().splitlines()
@@ -110,10 +117,10 @@ def read_timestamps(path: Path) -> np.ndarray:
 
 
 def _instant(text: str) -> np.datetime64:
-    """A time of day, to the nanosecond.
+    """Date and time, to the nanosecond.
 
     Raises:
-        ValueError: It is none: numpy also reads `2013`, `2013-05`, `NaT` and `now`, which are not.
+        ValueError: Date or time is incomplete: numpy would also read `2013`, `2013-05`, `NaT` and `now`.
     """
     if not _TIME.fullmatch(text):
         raise ValueError(text[:_LONGEST_SHOWN])
@@ -126,15 +133,15 @@ def _nominal(count: int, period_s: float, reason: str, *, is_refused: bool) -> F
 
 
 def _timestamp_file(layout: DriveLayout) -> Path | None:
-    """The scans' times, else (camera-only) those of the first camera that has any."""
+    """The file of the scans' times; in a camera-only drive, of the first camera that has one."""
     candidates = [layout.timestamps_path()]
     candidates += [layout.camera_timestamps_path(name) for name in CAMERAS]
-    # What stands there and is no file is refused when it is read, not passed over.
-    return next((path for path in candidates if is_there(path)), None)
+    # If it is not a regular file it is refused when it is read.
+    return next((path for path in candidates if lexists(path)), None)
 
 
 def _recorded_frames(layout: DriveLayout) -> list[int]:
-    """Frame numbers of the scans on disk, ascending; of the first camera in a camera-only drive."""
+    """Frame numbers of the scans on disk, ascending; in a camera-only drive, of the first camera's images."""
     folders = [layout.scan_path(0).parent] + [layout.camera_dir(name) for name in CAMERAS]
     for folder in folders:
         if folder.is_dir():
@@ -144,7 +151,7 @@ def _recorded_frames(layout: DriveLayout) -> list[int]:
 
 
 def _line_of_first_frame(n_lines: int, first: int, last: int, recorded: list[int]) -> int | None:
-    """Index of the line that belongs to frame `first`, or None where no reading of the file fits."""
+    """Index of the line of frame `first`, or None if the number of lines does not fit."""
     is_cut_out = bool(recorded) and recorded[0] > 0 and recorded[-1] - recorded[0] + 1 == n_lines
     if is_cut_out and recorded[0] <= first and last <= recorded[-1]:
         return first - recorded[0]

@@ -1,7 +1,8 @@
-"""Which frames and images of a drive can be used, where they were taken, and why the others cannot."""
+"""Reading and validation of a section of a drive: its frames and images, their poses, and their faults."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from os.path import lexists
 
 import numpy as np
 
@@ -16,18 +17,18 @@ from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.drives.kitti360.scans import parse_scan, read_scan_bytes
-from nvsf_core.drives.kitti360.text import checksum_of, is_there, require_folder
+from nvsf_core.drives.kitti360.text import checksum_of, require_folder
 from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times
 from nvsf_core.errors import DataError
 
 _FARTHEST_BOX_M = 20_000.0
-"""From the section's middle: a sequence is some kilometres long, and all its static boxes are read."""
+"""Largest distance of a box from the section's middle. All static boxes of a sequence are read: some km."""
 _NO_POSE = "no pose in poses.txt"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameRow:
-    """One frame number of the section."""
+    """One frame of the section."""
 
     frame: int
     time_s: float
@@ -35,17 +36,17 @@ class FrameRow:
     split: str
     """`train` or `test`."""
     lidar_to_world: np.ndarray | None
-    """(4, 4) float64, or None where the frame has no pose."""
+    """(4, 4) float64, or None if the frame has no pose."""
     scan_valid: bool
-    """The scan is readable, plausible, and the frame has a pose."""
+    """The scan is readable and plausible, and the frame has a pose."""
     reason: str
-    """Why something of the frame cannot be used; empty if all can."""
+    """Why scan or pose cannot be used; empty if both can."""
     checksum: str
-    """First 16 hex digits of the scan file's SHA-256; empty without one of a possible size."""
+    """`checksum_of` the scan's file; empty if there is none of a possible size."""
     n_returns: int
-    """Usable returns."""
+    """Number of usable returns."""
     n_dropped: int
-    """Absurd returns that were left out."""
+    """Number of absurd points that were left out."""
 
     @property
     def pose_valid(self) -> bool:
@@ -60,18 +61,18 @@ class CameraRow:
     frame: int
     camera: str
     camera_to_world: np.ndarray | None
-    """(4, 4) float64 of the camera that took the stored image, or None where the frame has no pose."""
+    """(4, 4) float64 of the stored image (rectified if perspective), or None if the frame has no pose."""
     image_valid: bool
-    """The image is readable, of the calibrated size, and its frame has a pose."""
+    """The image is readable and of the calibrated size, and its frame has a pose."""
     reason: str
     """Why it cannot be used; empty if it can."""
     checksum: str
-    """First 16 hex digits of the file's SHA-256; empty without one of a possible size."""
+    """`checksum_of` the image's file; empty if there is none of a possible size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """A validated section of a drive: everything but the returns and the pixels."""
+    """A validated section of a drive, without the returns and the pixels."""
 
     frames: tuple[FrameRow, ...]
     images: tuple[CameraRow, ...]
@@ -79,25 +80,29 @@ class Drive:
     calibration: Calibration
     times: FrameTimes
     scene_origin_m: np.ndarray
-    """(3,) float64: the LiDAR's position in the middle frame, rounded to 1 m."""
+    """(3,) float64, world: the LiDAR's position in the middle frame, rounded to 1 m."""
     boxes_left_out: tuple[str, ...]
-    """Boxes that nothing can have, and why."""
+    """Boxes that were left out, and why."""
     has_scans: bool
-    """Whether there is a folder of scans: without, the drive was recorded by cameras alone."""
+    """Whether there is a folder of scans; else the drive is camera-only."""
     disagreement: PoseDisagreement | None
-    """`poses.txt` against `cam0_to_world.txt`, where the drive has both."""
+    """Of `poses.txt` and `cam0_to_world.txt`; None if the drive does not have both."""
     notes: tuple[str, ...]
     """What was assumed or left out, and why."""
 
 
 def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
-    """Read and validate the section that a catalogue entry names.
+    """Read and validate the section of a catalogue entry.
 
-    A frame that cannot be used is kept in the table with the reason; it never gets its neighbour's pose.
+    A frame that cannot be used is kept, with the reason; it never gets its neighbour's pose.
+
+    Args:
+        entry: The scene.
+        progress: Called with a line of text before each frame is read.
 
     Raises:
-        CalibrationError: A calibration file is absent, lacks a key, or garbles a value.
-        DataError: A pose or time line cannot be read, or nothing of the section can be used.
+        CalibrationError: A calibration file is absent, or a key is missing or damaged.
+        DataError: A line of poses or times cannot be read, or no scan or image of the section can be used.
     """
     layout = DriveLayout(entry.root, entry.sequence)
     has_scans = require_folder(layout.velodyne_dir) and require_folder(layout.scan_path(0).parent)
@@ -146,7 +151,7 @@ def _frame_row(
     path = layout.scan_path(frame)
     if not has_scans:
         reasons.append("camera-only drive")
-    elif not is_there(path):
+    elif not lexists(path):
         reasons.append(f"no scan file {path.name}")
     else:
         try:
@@ -176,7 +181,7 @@ def _camera_row(
     checksum = ""
     path = layout.image_path(camera, frame)
     mounted = calibration.cameras[camera]
-    if not is_there(path):
+    if not lexists(path):
         reasons.append(f"no image file {path.name}")
     else:
         try:
@@ -221,18 +226,20 @@ def _scene_origin_m(frames: list[FrameRow]) -> np.ndarray:
 def _read_boxes(
     layout: DriveLayout, entry: SceneEntry, origin_m: np.ndarray
 ) -> tuple[list[Box], list[str], list[str]]:
-    """Boxes, those left out, and notes."""
+    """Boxes of the section, reasons for those left out, and notes."""
     require_folder(layout.boxes_dir)
     paths = layout.boxes_paths
     if not paths:
         return [], [], []
-    # By name `train_full` is the last: it holds whole objects where `train` cuts them at its windows.
-    boxes, left_out = read_boxes(paths[-1], entry.first_frame, entry.last_frame)
-    far = [box for box in boxes if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) > _FARTHEST_BOX_M]
-    left_out += [
-        f"object {box.object_id} in frame {box.frame}: more than {_FARTHEST_BOX_M:g} m away" for box in far
-    ]
-    boxes = [box for box in boxes if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) <= _FARTHEST_BOX_M]
+    # `train_full`, the last by name, has whole objects; `train` cuts them at its windows.
+    found, left_out = read_boxes(paths[-1], entry.first_frame, entry.last_frame)
+    boxes = []
+    for box in found:
+        if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) <= _FARTHEST_BOX_M:
+            boxes.append(box)
+        else:
+            place = f"object {box.object_id} in frame {box.frame}"
+            left_out.append(f"{place}: more than {_FARTHEST_BOX_M:g} m away")
     notes = [f"boxes read from {paths[-1].relative_to(layout.root)}"] if len(paths) > 1 else []
     return boxes, left_out, notes
 
@@ -242,7 +249,7 @@ def _disagreement(
 ) -> PoseDisagreement | None:
     camera0 = calibration.cameras.get("image_00")
     camera0_to_pose = read_rectified_camera0_to_pose(layout) if camera0 is None else camera0.to_pose
-    if camera0_to_pose is None or not is_there(layout.cam0_to_world_path):
+    if camera0_to_pose is None or not lexists(layout.cam0_to_world_path):
         return None
     section = range(entry.first_frame, entry.last_frame + 1)
     ours = {frame: poses[frame] @ camera0_to_pose for frame in section if frame in poses}

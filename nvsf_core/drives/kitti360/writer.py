@@ -1,4 +1,4 @@
-"""Write a drive in KITTI-360's layout, file by file, so that whatever reads KITTI-360 reads it."""
+"""Writing of a drive's files in KITTI-360's formats."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,45 +11,31 @@ import numpy as np
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
 
-__all__ = [
-    "RectifiedCamera",
-    "WrittenBox",
-    "write_boxes",
-    "write_cam_to_pose",
-    "write_fisheye",
-    "write_frame_poses",
-    "write_image",
-    "write_perspective",
-    "write_pose",
-    "write_scan",
-    "write_timestamps",
-]
-
 _CUBE = (
     "0.5 0.5 0.5 0.5 0.5 -0.5 0.5 -0.5 0.5 0.5 -0.5 -0.5 "
     "-0.5 0.5 -0.5 -0.5 0.5 0.5 -0.5 -0.5 -0.5 -0.5 -0.5 0.5"
 )
 _CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6 1 6 3"
 _SEMANTIC_IDS = {"car": 26, "rider": 25, "person": 24, "bicycle": 33}
-"""Of the Cityscapes labels that KITTI-360 uses."""
+"""Semantic numbers of Cityscapes' labels, which KITTI-360 uses."""
 
 
 @dataclass(frozen=True, slots=True)
 class RectifiedCamera:
-    """A perspective camera as `perspective.txt` describes it."""
+    """A perspective camera, with the values of `perspective.txt`."""
 
     width: int
     """Columns of the rectified image."""
     height: int
     """Rows of the rectified image."""
     focal_px: float
-    """Of the rectified image, both ways."""
+    """Focal length of the rectified image, horizontal and vertical."""
     cx: float
     """Column of the principal point; pixel centres lie at integers."""
     cy: float
     """Row of the principal point."""
     baseline_m: float
-    """To the right of camera 0, along the rectified x axis."""
+    """Distance to the right of camera 0, along the rectified x axis."""
     rectification: np.ndarray
     """R_rect (3, 3): unrectified to rectified camera."""
 
@@ -59,23 +45,23 @@ class WrittenBox:
     """One 3-D box of `data_3d_bboxes`."""
 
     object_id: int
-    """Which object; an object that moves has one box a frame."""
+    """Number of the object; a moving object has one box a frame."""
     label: str
     """`car`, `rider`, `person` or `bicycle`."""
     dynamic: bool
     """Whether it moves."""
     frame: int
-    """Frame of the box; -1 for what stands still."""
+    """Frame of the box; -1 for a static object."""
     first_frame: int
-    """First frame that the object is seen in."""
+    """First frame in which the object is visible."""
     last_frame: int
-    """Last frame that the object is seen in."""
+    """Last frame in which the object is visible."""
     box_to_world: np.ndarray
-    """(4, 4); the 3x3 holds the size as scale of a unit cube, +-0.5."""
+    """(4, 4), unit cube [-0.5, 0.5]^3 to world; the 3x3 part includes the size as scale."""
 
 
 def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
-    """One LiDAR turn as float32 x, y, z, reflectance, in the order given.
+    """Write a LiDAR scan as float32 x, y, z, reflectance, in the given order.
 
     Args:
         path: File to write; its folder is made.
@@ -83,7 +69,7 @@ def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
         intensity: (N,) in 0..1.
 
     Raises:
-        ShapeError: The shapes differ from these.
+        ShapeError: The arrays have other shapes.
         DataError: A value is not finite.
     """
     if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != (len(points_m),):
@@ -99,42 +85,42 @@ def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
 
 
 def write_image(path: Path, rgb: np.ndarray) -> None:
-    """One image (H, W, 3) uint8, red first, as PNG.
+    """Write an image (H, W, 3) uint8, red first, as PNG.
 
     Raises:
-        ShapeError: It is no such image.
-        DataError: The disk refused it.
+        ShapeError: The array has another shape or type.
+        DataError: The file cannot be written.
     """
     if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
         raise ShapeError(
             f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype} for {path}; convert it"
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Level 1: images are written once and read often, and smooth ones hardly shrink further.
+    # Level 1: images are written once and read often, and higher levels hardly compress smooth ones more.
     if not cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1]):
         raise DataError(f"expected to write {path}, found that the disk refuses it; check space and rights")
 
 
 def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows: int) -> None:
-    """`poses.txt` (rows = 3) or `cam0_to_world.txt` (rows = 4): a frame number and a matrix a line."""
+    """Write `poses.txt` (rows = 3) or `cam0_to_world.txt` (rows = 4): a frame number and a matrix a line."""
     lines = [f"{frame} {_numbers(pose[:rows])}" for frame, pose in zip(frames, poses, strict=True)]
     _write_text(path, "\n".join(lines) + "\n")
 
 
 def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None:
-    """`calib_cam_to_pose.txt`: camera name and 3x4 mounting of the unrectified camera a line."""
+    """Write `calib_cam_to_pose.txt`: in each line a name and the unrectified camera's mounting (3 x 4)."""
     _write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in cam_to_pose.items()))
 
 
 def write_pose(path: Path, pose: np.ndarray) -> None:
-    """`calib_cam_to_velo.txt`: one 3x4 matrix in one line."""
+    """Write `calib_cam_to_velo.txt`: one 3 x 4 matrix in one line."""
     _write_text(path, _numbers(pose[:3]) + "\n")
 
 
 def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> None:
-    """`perspective.txt`: rectified and (nominal) raw intrinsics of `image_00` and `image_01`.
+    """Write `perspective.txt`: rectified and (nominal) raw intrinsics of `image_00` and `image_01`.
 
-    The raw images are not part of a drive, so K, D and S are those of the rectified ones.
+    A drive has no raw images, so K, D and S are those of the rectified ones.
     """
     lines = ["calib_time: 28-May-2013 08:00:00", "corner_dist: 0.100000"]
     for name, camera in cameras.items():
@@ -156,7 +142,7 @@ def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> Non
 
 
 def write_fisheye(path: Path, name: str, camera: MeiFisheye) -> None:
-    """`image_02.yaml`: the MEI model of a fisheye camera, as OpenCV's storage reads it."""
+    """Write `image_02.yaml`: the MEI model of a fisheye camera, in the format of OpenCV's file storage."""
     groups = {
         "mirror_parameters": ("xi",),
         "distortion_parameters": ("k1", "k2", "p1", "p2"),
@@ -176,13 +162,13 @@ def write_fisheye(path: Path, name: str, camera: MeiFisheye) -> None:
 
 
 def write_timestamps(path: Path, start: datetime, offsets_s: Iterable[float]) -> None:
-    """Timestamps, one line a frame, line index = frame number, nine digits of a second as KITTI's."""
+    """Write timestamps: one line a frame from frame 0, seconds with nine digits as in KITTI."""
     times = [start + timedelta(seconds=offset) for offset in offsets_s]
     _write_text(path, "".join(f"{time.isoformat(' ', 'microseconds')}000\n" for time in times))
 
 
 def write_boxes(path: Path, boxes: Sequence[WrittenBox]) -> None:
-    """`data_3d_bboxes/*/<sequence>.xml`: OpenCV storage, one element a box (and a frame, if it moves)."""
+    """Write `data_3d_bboxes/*/<sequence>.xml`: one element a box, in the format of OpenCV's file storage."""
     objects = "".join(_box_xml(index, box) for index, box in enumerate(boxes))
     _write_text(path, f'<?xml version="1.0"?>\n<opencv_storage>\n{objects}</opencv_storage>\n')
 

@@ -59,7 +59,7 @@ def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:
         met = np.isfinite(range_m)
         points_m = origin_m[met] + direction[met] * range_m[met, None]
         view = render_by_warping(
-            pose, pinhole, points_m, images.rgb, images.pose, source_valid=images.valid, sweep=None
+            pose, pinhole, points_m, images.rgb, images.pose, source_valid=images.valid, sweep=False
         )
         return replace(view, range_m=range_m.reshape(pinhole.height, pinhole.width))
 

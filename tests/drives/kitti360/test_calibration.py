@@ -3,16 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.drives.kitti360.calibration import (
-    MeiIntrinsics,
-    PinholeIntrinsics,
-    read_calibration,
-    read_mei,
-    read_pinhole,
-)
+from nvsf_core.drives.kitti360.calibration import read_calibration, read_mei, read_pinhole
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.text import KeyedText, parse_numbers
 from nvsf_core.errors import CalibrationError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
 from tests.conftest import SHARED
 
 SEQUENCE = "2013_05_28_drive_9900_sync"
@@ -53,7 +49,7 @@ def test_a_point_goes_through_lidar_camera_and_pose_frame_alike(tmp_path: Path) 
 
 def test_intrinsics_come_from_the_rectified_projection(tmp_path: Path) -> None:
     layout = calibrated(tmp_path)
-    expected = PinholeIntrinsics(width=64, height=48, fx=50.0, fy=51.0, cx=31.5, cy=23.5)
+    expected = Pinhole(width=64, height=48, fx=50.0, fy=51.0, cx=31.5, cy=23.5)
     assert read_pinhole(KeyedText.read(layout.perspective_path), "image_00") == expected
 
 
@@ -116,7 +112,7 @@ def test_the_real_fisheye_calibration_is_read_as_it_is_printed() -> None:
     if not path.is_file():
         pytest.skip(f"no real data at {REAL}")
     found = read_mei(path)
-    assert isinstance(found, MeiIntrinsics)
+    assert isinstance(found, MeiFisheye)
     assert (found.width, found.height) == (1400, 1400)
     assert found.xi == 2.2134047507854890e00 and found.k2 == 1.6548773243373522e00
     assert found.p1 == 4.2223943394772046e-04 and found.gamma2 == 1.3357883350012958e03
