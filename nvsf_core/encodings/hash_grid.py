@@ -8,8 +8,6 @@ from torch import Tensor, nn
 
 from nvsf_core.kernels import Backend, GridLayout, hash_grid_encode
 
-__all__ = ["INITIAL_BOUND", "HashGrid", "start_alike"]
-
 INITIAL_BOUND = 1e-4
 """Initial entries are uniform within plus/minus this (as in tiny-cuda-nn)."""
 

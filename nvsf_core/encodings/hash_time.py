@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import prod
 
 import torch
 from torch import Tensor, nn
@@ -114,11 +115,5 @@ def cubic_basis(t: float) -> Tensor:
     """
     if not 0.0 <= t <= 1.0:
         raise ValueError(f"cubic_basis: expected a time in [0, 1], found {t}; frames are 0 to n - 1")
-    values = []
-    for j, node in enumerate(NODES):
-        value = 1.0
-        for k, other in enumerate(NODES):
-            if k != j:
-                value *= (t - other) / (node - other)
-        values.append(value)
+    values = [prod((t - other) / (node - other) for other in NODES if other != node) for node in NODES]
     return torch.tensor(values, dtype=torch.float64)

@@ -11,8 +11,6 @@ from nvsf_core.encodings.planes import Planes4D
 from nvsf_core.kernels import GridLayout
 from nvsf_core.recipe import EncoderSpec, GridSpec
 
-__all__ = ["HybridEncoding", "grid_of"]
-
 
 def grid_of(spec: GridSpec) -> GridLayout:
     """The layout of a recipe's 3-D grid."""

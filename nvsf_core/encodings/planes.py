@@ -9,8 +9,6 @@ from nvsf_core.encodings.hash_time import SPACE_PLANES, two_slices
 from nvsf_core.kernels import planes_sample
 from nvsf_core.recipe import PlanesSpec
 
-__all__ = ["Planes4D"]
-
 _SPACE_START = (0.1, 0.5)
 """Initial values of space planes are uniform in this interval; those of time planes are 1."""
 

@@ -47,12 +47,9 @@ def hit_cell_metrics(
         truth_laser: (M,) their lasers.
         n_lasers: Number of the sensor's lasers.
     """
-    bad = _no_cells(predicted_m, predicted_laser, truth_m, truth_laser, n_lasers)
-    if bad is not None:
-        return dict.fromkeys(_NAMES, bad)
-    return _agreement(
-        hit_cells(predicted_m, predicted_laser, n_lasers), hit_cells(truth_m, truth_laser, n_lasers)
-    )
+    nowhere = (np.zeros(len(predicted_m), dtype=bool), np.zeros(len(truth_m), dtype=bool))
+    sides = (predicted_m, predicted_laser, truth_m, truth_laser)
+    return hit_region_metrics(*sides, n_lasers, *nowhere, complement=True)
 
 
 # Wide: the columns of two scans, and which of their rows belong to the region.

@@ -41,13 +41,8 @@ def ssim(
     inside = _windows_inside(truth.shape[:2], valid)
     if not inside.any():
         return undefined(f"no {WINDOW}x{WINDOW} window of valid pixels")
-    channels = truth.reshape(*truth.shape[:2], -1).shape[2]
-    pairs = zip(
-        np.moveaxis(predicted.reshape(*truth.shape[:2], channels), 2, 0),
-        np.moveaxis(truth.reshape(*truth.shape[:2], channels), 2, 0),
-        strict=True,
-    )
-    values = [float(_ssim_map(p, t, data_range)[inside].mean()) for p, t in pairs]
+    channels = (np.moveaxis(image.reshape(*truth.shape[:2], -1), 2, 0) for image in (predicted, truth))
+    values = [float(_ssim_map(p, t, data_range)[inside].mean()) for p, t in zip(*channels, strict=True)]
     return Measure(float(np.mean(values)), int(inside.sum()))
 
 

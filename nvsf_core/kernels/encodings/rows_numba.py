@@ -116,8 +116,8 @@ def gather(  # type: ignore[no-untyped-def]
         point: Index of the point in its block.
         out: Flat float32, written.
         start: Index.
-        corners: Number of corners; this and the following are constants of the calling kernel.
-        block: BLOCK.
+        corners: Number of corners, like the following a constant of the calling kernel.
+        block: Points a block.
         stride: Length of a row.
         width: Features that are read from a row.
     """
@@ -163,8 +163,8 @@ def scatter(  # type: ignore[no-untyped-def]
         point: Index of the point in its block.
         grad: Flat float32.
         start: Index.
-        corners: Number of corners; this and the following are constants of the calling kernel.
-        block: BLOCK.
+        corners: Number of corners, like the following a constant of the calling kernel.
+        block: Points a block.
         stride: Length of a row.
         width: Features that are written to a row.
     """
