@@ -31,7 +31,7 @@ def absent(reason: str) -> Measure:
 
 
 def fault(predicted: np.ndarray, truth: np.ndarray) -> Measure | None:
-    """The undefined measure of a pair that is empty or holds a non-finite number; None for others."""
+    """The undefined measure of a pair with an empty truth or a non-finite number; None for others."""
     if truth.size == 0:
         return undefined("nothing to compare with: the truth is empty")
     for side, values in (("predicted", predicted), ("true", truth)):

@@ -128,7 +128,7 @@ def raw(
 
 
 def near_returns(scan: Scan) -> Scan:
-    """The returns within `MAX_RANGE_M` of the sensor; NaN points are kept, so that metrics report them."""
+    """Returns above 0 and up to `MAX_RANGE_M` from the sensor; NaN points are kept, for metrics to report."""
     range_m = np.linalg.norm(scan.points_m.astype(np.float64), axis=1)
     keep = ~((range_m > MAX_RANGE_M) | (range_m == 0.0))
     return Scan(points_m=scan.points_m[keep], intensity=scan.intensity[keep], laser=scan.laser[keep])
