@@ -1,8 +1,7 @@
-"""The guarded operations, each in the one form that the project uses.
+"""Numerically safe versions of operations that could overflow or divide by 0.
 
-Each function states its saturation: for every finite input the value is finite and the factor it
-multiplies the incoming gradient with is at most e^15, 3e6. NaN goes in and comes out as NaN;
-`require_finite` is where it becomes an error with a name.
+For every finite input the value is finite, and the derivative is at most e^15, 3e6. NaN stays NaN;
+`require_finite` turns it into an error with a name.
 """
 
 from __future__ import annotations
@@ -14,19 +13,11 @@ from torch import Tensor
 
 from nvsf_core.errors import DivergedError
 
-__all__ = [
-    "EXP_GRADIENT_LIMIT",
-    "EXP_SATURATION",
-    "probability_logit",
-    "require_finite",
-    "safe_exp",
-]
-
 EXP_SATURATION = 40.0
-"""`safe_exp` is exp up to here and constant above: e^40 = 2.4e17, whose square still fits float32."""
+"""`safe_exp` is exp up to here and constant above: e^40 = 2.4e17, whose square still fits into float32."""
 
 EXP_GRADIENT_LIMIT = 15.0
-"""The gradient of `safe_exp` is exp of the input clamped to plus/minus this (as NVSF's trunc_exp)."""
+"""The gradient of `safe_exp` is exp of the input clamped to plus/minus this (as trunc_exp of NVSF's code)."""
 
 
 class _SafeExp(torch.autograd.Function):
@@ -42,13 +33,12 @@ class _SafeExp(torch.autograd.Function):
 
 
 def safe_exp(x: Tensor) -> Tensor:
-    """Exponential that neither overflows nor goes deaf.
+    """Exponential without overflow, whose gradient neither vanishes nor explodes.
 
-    Value ``exp(min(x, 40))``; gradient ``exp(clamp(x, -15, 15))``, so an input far below still learns
-    (3e-7) and one far above does not tear the weights apart (3e6).
+    Value ``exp(min(x, 40))``; gradient ``exp(clamp(x, -15, 15))``, that is 3e-7 to 3e6.
 
     Args:
-        x: any shape, floating.
+        x: Any shape, floating.
 
     Returns:
         Same shape, in [0, 2.4e17].
@@ -60,14 +50,14 @@ def probability_logit(probability: Tensor, margin: float) -> Tensor:
     """``log(p / (1 - p))`` of p clamped to [margin, 1 - margin]; gradient 0 where it was clamped.
 
     Args:
-        probability: any shape, floating.
-        margin: in [1e-3, 0.5); smaller ones lose digits beside 1 in float32.
+        probability: Any shape, floating.
+        margin: In [1e-3, 0.5); near 1 a smaller one would be imprecise in float32.
 
     Returns:
-        Same shape, within plus/minus ``log((1 - margin)/margin)``.
+        Same shape, within plus/minus ``log((1 - margin) / margin)``.
 
     Raises:
-        ValueError: the margin is outside its interval.
+        ValueError: The margin is outside its interval.
     """
     if not 1e-3 <= margin < 0.5:
         raise ValueError(f"probability_logit: expected a margin in [1e-3, 0.5), found {margin}")
@@ -75,17 +65,14 @@ def probability_logit(probability: Tensor, margin: float) -> Tensor:
 
 
 def require_finite(name: str, tensor: Tensor) -> Tensor:
-    """Hand the tensor back if all of it is finite.
+    """Return the tensor itself if all of it is finite.
 
     Args:
-        name: what the tensor is, for the message (loss term, step).
-        tensor: any shape.
-
-    Returns:
-        The same tensor.
+        name: What the tensor is (loss term, step), for the message.
+        tensor: Any shape.
 
     Raises:
-        DivergedError: it holds NaN or infinity; names the tensor, how many, and where the first is.
+        DivergedError: It holds NaN or infinity; the message says how many, and where the first is.
     """
     finite = torch.isfinite(tensor)
     if bool(finite.all()):

@@ -24,7 +24,7 @@ from benchmarks.common.places import ROOT
 from benchmarks.hostile.limits import GIGABYTES, SECONDS, run_limited
 from benchmarks.hostile.subjects import Templates
 from benchmarks.hostile.table import FAULTS, counts, silent
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 
 RESULTS = "benchmarks/results/hostile.json"
 _SHARES = {"drive": 0.45, "home": 0.2, "catalogue": 0.2, "choice": 0.15}

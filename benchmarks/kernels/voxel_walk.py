@@ -24,7 +24,7 @@ from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 _REPEATS = 5

@@ -36,7 +36,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, run_named_stage, say_on_stderr
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stores.scene_store import SceneStore

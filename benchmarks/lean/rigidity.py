@@ -32,7 +32,7 @@ from nvsf_core.evidence.static.voxels import PLANE_POINTS
 from nvsf_core.recording.sweeps import training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 RESULTS = places.RESULTS / "rigidity.json"

@@ -13,7 +13,7 @@ from importlib import import_module
 from benchmarks.common import places
 from benchmarks.common.commit import commit
 from benchmarks.numerics.cases.case import NOT_APPLICABLE, Case, Reading
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 
 RESULTS = places.RESULTS / "stability.json"
 DOCUMENT = places.DOCS / "numerical_stability.md"

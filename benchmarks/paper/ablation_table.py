@@ -7,7 +7,7 @@ from typing import TypedDict
 from benchmarks.common import places
 from benchmarks.common.commit import commit
 from nvsf_core.metrics.table import BASELINES
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 
 RESULTS = places.RESULTS / "ablation.json"
 DOCUMENT = places.DOCS / "ablation.md"

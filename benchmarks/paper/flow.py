@@ -29,7 +29,7 @@ from nvsf_core.models.paper.training.flow import train_flow
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import GridSpec, ReferenceQuirks
 from nvsf_core.stages.inputs import read_sweeps
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import (
     find_scene,
     plan_run,

@@ -18,7 +18,7 @@ from benchmarks.paper.ablation import prepared_recording
 from nvsf_core.models.paper.scene import device, training_frames
 from nvsf_core.models.paper.training.frames import PaperTrainee, paper_step
 from nvsf_core.recipe import PaperRecipe
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 
 RESULTS = places.RESULTS / "paper_step.json"
 DOCUMENT = places.DOCS / "paper_fidelity.md"

@@ -19,7 +19,7 @@ from benchmarks.tables.results_document import Row, as_document, by_method, cell
 from benchmarks.tables.targets import OTHER
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.tables import read_rows
 
 RECIPES = Path("benchmarks", "results", "recipes")

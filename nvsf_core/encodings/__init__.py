@@ -1,4 +1,4 @@
-"""Positions and directions as features: hash grids and planes in space and time, harmonics, frequencies."""
+"""Encodings of positions (hash grids and planes, in space and time) and of directions, as features."""
 
 from nvsf_core.encodings.directions import (
     SPHERICAL_HARMONICS_OUTPUTS,

@@ -1,4 +1,4 @@
-"""Encodings of directions: sines and cosines, and real spherical harmonics up to degree 4 (bands 0 to 3)."""
+"""Encodings of directions: real spherical harmonics of bands 0 to 3, and sines and cosines of octaves."""
 
 from __future__ import annotations
 
@@ -65,22 +65,22 @@ def spherical_harmonics(directions: Tensor) -> Tensor:
 
 
 def frequency_outputs(dimensions: int, frequencies: int) -> int:
-    """Numbers in the frequency encoding: sine and cosine of each octave of each coordinate."""
+    """Length of the frequency encoding: sine and cosine of each octave of each coordinate."""
     return 2 * dimensions * frequencies
 
 
 def frequency_encode(x: Tensor, frequencies: int) -> Tensor:
     """``sin(2^k pi x), cos(2^k pi x)`` for k = 0 .. frequencies - 1.
 
-    Whole turns are taken off before the sine (exactly: a power of two times x rounds nothing), so that high
-    octaves are as precise as low ones in float32.
+    Multiples of 2 pi are subtracted before the sine, without rounding (a power of two times x is exact), so
+    that high octaves are as precise as low ones.
 
     Args:
         x: (..., d) floating, any finite number.
         frequencies: number of octaves, at least 1.
 
     Returns:
-        (..., 2 * d * frequencies): for each coordinate, for each octave, sine then cosine (tiny-cuda-nn).
+        (..., 2 * d * frequencies): by coordinate, by octave, sine then cosine (as in tiny-cuda-nn).
     """
     octaves = torch.tensor([2.0**k for k in range(frequencies)], dtype=x.dtype, device=x.device)
     # Before the octaves too, or a large x times a high octave is infinite.
@@ -90,5 +90,5 @@ def frequency_encode(x: Tensor, frequencies: int) -> Tensor:
 
 
 def _within_a_turn(half_turns: Tensor) -> Tensor:
-    """The same angle, in [-1, 1] half turns."""
+    """The same angle within [-1, 1] half turns (units of pi)."""
     return half_turns - 2.0 * torch.round(half_turns.detach() / 2.0)

@@ -1,4 +1,4 @@
-"""A trainable multiresolution hash grid."""
+"""A trainable multiresolution hash grid (Müller et al. 2022)."""
 
 from __future__ import annotations
 
@@ -8,32 +8,30 @@ from torch import Tensor, nn
 
 from nvsf_core.kernels import Backend, GridLayout, hash_grid_encode
 
-__all__ = ["INITIAL_BOUND", "HashGrid", "start_alike"]
-
 INITIAL_BOUND = 1e-4
-"""Entries start uniform in plus/minus this (tiny-cuda-nn)."""
+"""Initial entries are uniform within plus/minus this (as in tiny-cuda-nn)."""
 
 
 class HashGrid(nn.Module):
-    """Hash-grid features of positions in the unit box (or square), with a table that trains.
+    """Hash-grid features of positions in the unit box (or square), from a trainable table.
 
-    Two grids of the same layout start differently when they are given the same generator one after the
-    other (the authors seed every module with 1337, so theirs start identical).
+    Two grids of one layout, made one after the other from one generator, start with different numbers
+    (the authors seed every module with 1337, so theirs start equal).
 
     Attributes:
-        layout: the grid.
+        layout: Sizes of the grid.
         table: (layout.entries, layout.features) float32, initially U(-1e-4, 1e-4).
     """
 
     def __init__(
         self, layout: GridLayout, generator: torch.Generator, backend: Backend | None = None
     ) -> None:
-        """Draw the table.
+        """Sample the table's initial numbers.
 
         Args:
-            layout: the grid.
-            generator: a CPU generator; the only source of randomness.
-            backend: overrides the kernel's choice, for tests.
+            layout: Sizes of the grid.
+            generator: On the CPU; the only source of randomness.
+            backend: Overrides the choice of the kernel, for tests.
         """
         super().__init__()
         self.layout = layout
@@ -42,24 +40,24 @@ class HashGrid(nn.Module):
         if torch.get_default_device().type == "meta":  # shapes without memory, to count parameters
             table = torch.empty(shape)
         else:
-            # numpy, unlike torch, asks for huge pages: look-ups in a large table are up to 1.5 times faster
+            # numpy, unlike torch, requests huge pages: look-ups in a large table are up to 1.5 times faster
             table = torch.from_numpy(np.empty(shape, dtype=np.float32))
         self.table = nn.Parameter(table.uniform_(-INITIAL_BOUND, INITIAL_BOUND, generator=generator))
 
     @property
     def outputs(self) -> int:
-        """Numbers in the encoding of a position."""
+        """Length of a position's encoding."""
         return self.layout.outputs
 
     def forward(self, positions: Tensor) -> Tensor:
-        """Encode (..., layout.dimensions) positions in [0, 1] (clamped) as (..., levels * features)."""
+        """Encode positions (..., layout.dimensions), clamped to [0, 1], as (..., levels * features)."""
         flat = positions.reshape(-1, self.layout.dimensions)
         encoded = hash_grid_encode(flat, self.table, self.layout, backend=self.backend)
         return encoded.reshape(*positions.shape[:-1], self.outputs)
 
 
 def start_alike(module: nn.Module) -> None:
-    """Give all grids of one layout in a module the same numbers (the authors seed every module with 1337)."""
+    """Give all grids of one layout in a module equal numbers, as in the authors' code (one seed for all)."""
     first: dict[GridLayout, Tensor] = {}
     for grid in module.modules():
         if isinstance(grid, HashGrid):

@@ -1,4 +1,4 @@
-"""K-planes: space and time factored into six planes a scale (paper, Fig. 2, 4D hybrid encoding)."""
+"""K-planes: features of space and time, factored into six planes a scale (paper, Fig. 2)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ from nvsf_core.encodings.hash_time import SPACE_PLANES, two_slices
 from nvsf_core.kernels import planes_sample
 from nvsf_core.recipe import PlanesSpec
 
-__all__ = ["Planes4D"]
-
 _SPACE_START = (0.1, 0.5)
-"""Cells of space start uniform in this interval, cells of time at 1: a product that at first is static."""
+"""Initial values of space planes are uniform in this interval; those of time planes are 1."""
 
 
 class Planes4D(nn.Module):
-    """Features of space ``xy * xz * yz`` and of time ``xt * yt * zt``, sampled bilinearly at every scale.
+    """Features of space ``xy * xz * yz`` and of time ``xt * yt * zt``, interpolated bilinearly at each scale.
 
-    Source: Fridovich-Keil et al. 2023 (K-planes): Hadamard products, several resolutions of space.
+    Source: Fridovich-Keil et al. 2023 (K-Planes): elementwise products, several resolutions of space.
     """
 
     def __init__(self, spec: PlanesSpec, generator: torch.Generator) -> None:
-        """Draw the planes of space, scale by scale; those of time are all 1."""
+        """Sample the planes of space, scale by scale; those of time are all 1."""
         super().__init__()
         self.spec = spec
         widths = [scale * spec.space_resolution for scale in spec.scales]
@@ -37,17 +35,17 @@ class Planes4D(nn.Module):
 
     @property
     def outputs(self) -> int:
-        """Numbers in either encoding of a position."""
+        """Length of a position's static, and of its dynamic, encoding."""
         return len(self.spec.scales) * self.spec.features
 
     def static(self, x01: Tensor) -> Tensor:
-        """(n, 3) positions in the unit cube (clamped) to (n, scales * features), of space alone."""
+        """Encode positions (n, 3) in the unit cube (clamped) by space only: (n, scales * features)."""
         return self._products([x01[:, axes] for axes in SPACE_PLANES], list(self.space))
 
     def dynamic(self, x01: Tensor, t: float) -> Tensor:
-        """(n, 3) positions in the unit cube at a time in [0, 1] to (n, scales * features).
+        """Encode positions (n, 3) in the unit cube at a time in [0, 1] as (n, scales * features).
 
-        The batch has one time, so each plane is blended over time first, to a line of height 1.
+        A batch has one time, so each plane is interpolated over time first, to a line of height 1.
         """
         start = torch.zeros_like(x01[:, :1])
         along = [torch.cat([x01[:, axis : axis + 1], start], dim=1) for axis in range(3)]
@@ -64,6 +62,6 @@ class Planes4D(nn.Module):
 
 
 def _line(plane: Tensor, rows: list[tuple[int, float]]) -> Tensor:
-    """A plane of time (f, times, w) at one time, (f, 1, w): the weighted sum of one or two of its rows."""
+    """A time plane (f, times, w) at one time, (f, 1, w): the weighted sum of one or two of its rows."""
     parts = [weight * plane[:, row : row + 1] for row, weight in rows]
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]

@@ -1,1 +1,1 @@
-"""The neural scene field: residual density and its heads."""
+"""Networks: scene fields of the LiDAR and the cameras, scene flow, and corrections of range images."""

@@ -1,4 +1,4 @@
-"""What the cameras learn: which depths to believe, and how to blend what recorded images show there."""
+"""The camera networks: they choose a pixel's depths and blend the recorded images' colours there."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -14,39 +14,42 @@ from nvsf_core.recipe import CameraSpec
 _Layer = TypeVar("_Layer", nn.Conv2d, nn.Conv3d)
 
 HYPOTHESES = 3
-"""Depths that a pixel's colour is looked up at: the two that images agree on best, and the LiDAR's."""
+"""Depths a pixel at which colours are looked up: the two where the images agree best, and the LiDAR's."""
 VOLUME_FEATURES = 12
 """Channels that describe a depth plane of a pixel."""
 _RESIDUAL_MOST = 0.25
-"""Most that a colour may differ from a blend of what was seen, of 0..1."""
+"""Largest difference of a colour from the blend of recorded colours; colours are 0..1."""
 _UNSEEN_LOGIT = -30.0
+"""Logit of the weight of a source that does not show the pixel."""
 _COARSE_PRIOR = 0.05
-"""Share of the coarse colour in the blend before anything is learned."""
+"""Weight of the coarse colour in the blend before training, beside the hypotheses' probabilities."""
 _SHRINKS_BY = 8
+"""Sides of the blend network's input are padded to multiples of this."""
 _OFFSET = torch.tensor([0.02, 0.01, 0.01])
-"""What each hypothesis is believed at least before anything is learned."""
+"""Added to each hypothesis' probability, so that none is 0."""
 
 
 class DepthNetwork(nn.Module):
-    """Logits of a pixel's depth planes from how well the sources agree there; 3-D, two strides deep."""
+    """Logits of each pixel's depth planes, from how well the source images agree there.
+
+    A 3-D encoder and decoder with skip connections, at three resolutions.
+    """
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`."""
+        """Sample all weights from `generator`."""
         super().__init__()
         a, b = spec.depth_channels
-        self.near = _drawn(undrawn(nn.Conv3d, VOLUME_FEATURES, 8, 1), generator)
-        self.down = _drawn(
-            undrawn(nn.Conv3d, VOLUME_FEATURES, a, 3, stride=cast(int, (1, 2, 2)), padding=1), generator
-        )
-        self.deep = _drawn(undrawn(nn.Conv3d, a, b, 3, stride=2, padding=1), generator)
-        self.deepest = _drawn(undrawn(nn.Conv3d, b, b, 3, padding=1), generator)
-        self.raise_deep = _drawn(undrawn(nn.Conv3d, b, a, 1), generator)
-        self.join = _drawn(undrawn(nn.Conv3d, a, a, 3, padding=1), generator)
-        self.raise_join = _drawn(undrawn(nn.Conv3d, a, 8, 1), generator)
-        self.logit = _drawn(undrawn(nn.Conv3d, 8, 1, 1), generator)
+        self.near = _layer(generator, nn.Conv3d, VOLUME_FEATURES, 8, 1)
+        self.down = _layer(generator, nn.Conv3d, VOLUME_FEATURES, a, 3, stride=(1, 2, 2), padding=1)
+        self.deep = _layer(generator, nn.Conv3d, a, b, 3, stride=2, padding=1)
+        self.deepest = _layer(generator, nn.Conv3d, b, b, 3, padding=1)
+        self.raise_deep = _layer(generator, nn.Conv3d, b, a, 1)
+        self.join = _layer(generator, nn.Conv3d, a, a, 3, padding=1)
+        self.raise_join = _layer(generator, nn.Conv3d, a, 8, 1)
+        self.logit = _layer(generator, nn.Conv3d, 8, 1, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(d, h, w) logits from `features` (VOLUME_FEATURES, d, h, w)."""
+        """Logits (d, h, w) of d planes from their `features` (VOLUME_FEATURES, d, h, w)."""
         volume = features.transpose(0, 1).contiguous(memory_format=torch.channels_last)
         wide = functional.relu(_by_plane(self.down, volume))
         deep = functional.relu(_by_plane(self.deepest, functional.relu(_by_plane(self.deep, wide))))
@@ -58,29 +61,29 @@ class DepthNetwork(nn.Module):
 
 
 class RefineNetwork(nn.Module):
-    """Probabilities of depths around each hypothesis, from how well the sources agree there.
+    """Probabilities of the depths around each hypothesis, from how well the source images agree there.
 
-    Before training, each hypothesis keeps the share it came with, spread evenly over its depths.
+    Before training each hypothesis keeps its probability, spread evenly over its depths.
     """
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`."""
+        """Sample all weights from `generator`."""
         super().__init__()
         count, w = spec.refinements, spec.refined_channels
-        self.first = _drawn(undrawn(nn.Conv2d, 2 * count + 3, w, 3, padding=1), generator)
-        self.wide = _drawn(undrawn(nn.Conv2d, w, w, 3, padding=2, dilation=2), generator)
-        self.out = _drawn(undrawn(nn.Conv2d, w, count, 3, padding=1), generator)
+        self.first = _layer(generator, nn.Conv2d, 2 * count + 3, w, 3, padding=1)
+        self.wide = _layer(generator, nn.Conv2d, w, w, 3, padding=2, dilation=2)
+        self.out = _layer(generator, nn.Conv2d, w, count, 3, padding=1)
         with torch.no_grad():
             self.out.weight.zero_()
 
     def forward(self, spread: Tensor, pair: Tensor, shown: Tensor, share: Tensor) -> Tensor:
-        """Probability (c, h, w) of each hypothesis' depths, c = hypotheses x refinements; they add up to 1.
+        """Probabilities (c, h, w) of all hypotheses' depths, c = hypotheses x refinements; their sum is 1.
 
         Args:
-            spread: (c, h, w) mean distance of the sources to their mean.
-            pair: (c, h, w) distance of the two nearest.
-            shown: (c, h, w) share of sources that show it.
-            share: (3, h, w) in 0..1, how far each hypothesis is believed.
+            spread: (c, h, w) mean distance of the sources' colours to their mean.
+            pair: (c, h, w) distance of the two colours that are most alike.
+            shown: (c, h, w) share of the sources that show the point.
+            share: (3, h, w) probability of each hypothesis, 0..1.
         """
         believed = (share + _OFFSET[:, None, None])[:, None]
         is_lidar = torch.zeros_like(believed)
@@ -94,30 +97,28 @@ class RefineNetwork(nn.Module):
 
 
 class BlendNetwork(nn.Module):
-    """A pixel's colour: a weighted mean of what the sources show at its hypotheses, plus a small residual.
+    """A pixel's colour: a weighted mean of the sources' colours at its hypotheses, plus a small residual.
 
-    Silent before training: the mean then follows what the depth network believes and how near a
-    source is, and the residual is 0.
+    Before training the weights are the hypotheses' probabilities times the sources' nearness, and the
+    residual is 0.
     """
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`."""
+        """Sample all weights from `generator`."""
         super().__init__()
         self.seen = HYPOTHESES * spec.sources
         w, deep = spec.blend_channels
-        self.first = _drawn(
-            undrawn(nn.Conv2d, 4 * self.seen + HYPOTHESES + 3, w, 4, stride=2, padding=1), generator
-        )
-        self.second = _drawn(undrawn(nn.Conv2d, w, w, 3, padding=1), generator)
-        self.down = _drawn(undrawn(nn.Conv2d, w, deep, 3, stride=2, padding=1), generator)
-        self.mixed = _drawn(undrawn(nn.Conv2d, deep, deep, 3, padding=1), generator)
-        self.deep = _drawn(undrawn(nn.Conv2d, deep, deep, 3, stride=2, padding=1), generator)
-        self.deepest = _drawn(undrawn(nn.Conv2d, deep, deep, 3, padding=1), generator)
-        self.raise_deep = _drawn(undrawn(nn.Conv2d, deep, deep, 1), generator)
-        self.join = _drawn(undrawn(nn.Conv2d, deep, deep, 3, padding=1), generator)
-        self.raise_join = _drawn(undrawn(nn.Conv2d, deep, w, 1), generator)
-        self.last = _drawn(undrawn(nn.Conv2d, w, w, 3, padding=1), generator)
-        self.out = _drawn(undrawn(nn.Conv2d, w, 4 * (self.seen + 1 + 3), 3, padding=1), generator)
+        self.first = _layer(generator, nn.Conv2d, 4 * self.seen + HYPOTHESES + 3, w, 4, stride=2, padding=1)
+        self.second = _layer(generator, nn.Conv2d, w, w, 3, padding=1)
+        self.down = _layer(generator, nn.Conv2d, w, deep, 3, stride=2, padding=1)
+        self.mixed = _layer(generator, nn.Conv2d, deep, deep, 3, padding=1)
+        self.deep = _layer(generator, nn.Conv2d, deep, deep, 3, stride=2, padding=1)
+        self.deepest = _layer(generator, nn.Conv2d, deep, deep, 3, padding=1)
+        self.raise_deep = _layer(generator, nn.Conv2d, deep, deep, 1)
+        self.join = _layer(generator, nn.Conv2d, deep, deep, 3, padding=1)
+        self.raise_join = _layer(generator, nn.Conv2d, deep, w, 1)
+        self.last = _layer(generator, nn.Conv2d, w, w, 3, padding=1)
+        self.out = _layer(generator, nn.Conv2d, w, 4 * (self.seen + 1 + 3), 3, padding=1)
         with torch.no_grad():
             self.out.weight.zero_()
 
@@ -127,10 +128,10 @@ class BlendNetwork(nn.Module):
         """Colour (3, h, w), about 0..1.
 
         Args:
-            colour: (s, 3, h, w) of s = hypotheses x sources, a hypothesis' sources side by side.
-            seen: (s, h, w) bool, the source shows it.
-            share: (3, h, w) in 0..1, how far each hypothesis is believed.
-            coarse: (3, h, w), the mean over all depth planes, blurred and without holes.
+            colour: (s, 3, h, w) in 0..1, s = hypotheses x sources, hypothesis by hypothesis.
+            seen: (s, h, w) bool, whether the source shows the point.
+            share: (3, h, w) probability of each hypothesis, 0..1.
+            coarse: (3, h, w) mean colour over all depth planes, blurred and without holes.
             nearness: (k,) of the sources, 1 for the nearest.
         """
         height, width = coarse.shape[-2:]
@@ -140,7 +141,7 @@ class BlendNetwork(nn.Module):
         believed = share + _OFFSET[:, None, None]
         prior = (believed[:, None] * nearness[None, :, None, None]).flatten(0, 1)
         prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)])
-        # A place holder's nearness is 0, whose logarithm has no gradient.
+        # A placeholder source has nearness 0, whose logarithm has no finite gradient.
         prior = prior.clamp_min(1e-6).log()
         logits = out[: self.seen + 1] + prior
         shown = torch.cat([seen, torch.ones_like(seen[:1])])
@@ -157,15 +158,15 @@ class BlendNetwork(nn.Module):
         deep = functional.relu(self.deepest(functional.relu(self.deep(mixed))))
         mixed = functional.relu(self.join(mixed + _resized(self.raise_deep(deep), mixed)))
         wide = functional.relu(self.last(wide + _resized(self.raise_join(mixed), wide)))
-        # Two by two outputs of a pixel of half resolution are its four pixels.
+        # Each pixel of half resolution has outputs for its 2 x 2 pixels.
         return functional.pixel_shuffle(self.out(wide), 2)[0]
 
 
 class CameraNetworks(nn.Module):
-    """One member of a drive's networks, all that shows a view; shared by the drive's cameras."""
+    """One member of the ensemble: the networks that render a view; all cameras of a drive share them."""
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`."""
+        """Sample all weights from `generator`."""
         super().__init__()
         self.depth = DepthNetwork(spec, generator)
         self.blend = BlendNetwork(spec, generator)
@@ -173,18 +174,18 @@ class CameraNetworks(nn.Module):
 
 
 class CameraEnsemble(nn.Module):
-    """Members that learn the same, each from weights and windows of its own; a view shows their mean.
+    """Networks trained independently, each from its own initial weights and crops; a view is their mean.
 
-    What each makes of the few images by chance is another thing for another, and the mean has less of it.
+    With few images each member has random errors of its own, which the mean reduces.
     """
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`, a member's after the other's."""
+        """Sample all weights from `generator`, member by member."""
         super().__init__()
         self.members = nn.ModuleList(CameraNetworks(spec, generator) for _ in range(spec.members))
 
     def __iter__(self) -> Iterator[CameraNetworks]:
-        """The members, as ModuleList does not type them."""
+        """The members, typed (ModuleList's iterator is not)."""
         return iter(cast(Iterable[CameraNetworks], self.members))
 
 
@@ -193,9 +194,9 @@ def _resized(x: Tensor, like: Tensor) -> Tensor:
 
 
 def _by_plane(layer: nn.Conv3d, x: Tensor) -> Tensor:
-    """A 3-D convolution of planes (d, c, h, w): 2-D ones of each and its neighbours, added.
+    """A 3-D convolution of planes (d, c, h, w), as a sum of 2-D ones of each plane and its neighbours.
 
-    They are two to three times as fast on a CPU.
+    On a CPU this is two to three times as fast.
     """
     weight, step = layer.weight, layer.stride[0]
     if weight.shape[2] == 1:
@@ -205,19 +206,22 @@ def _by_plane(layer: nn.Conv3d, x: Tensor) -> Tensor:
     before, after = x[step - 1 :: step][: len(own) - 1], x[1::step]
     nearer = functional.conv2d(before, weight[:, :, 0], None, sideways, padding=1)
     farther = functional.conv2d(after, weight[:, :, 2], None, sideways, padding=1)
-    # Beyond the first and the last plane there is nothing, which adds 0.
+    # Neighbours beyond the first and the last plane are 0.
     nearer = functional.pad(nearer, (0, 0, 0, 0, 0, 0, 1, 0))
     return own + nearer + functional.pad(farther, (0, 0, 0, 0, 0, 0, 0, len(own) - len(after)))
 
 
 def _resized_planes(x: Tensor, like: Tensor) -> Tensor:
-    """Planes (d, c, h, w) repeated to the number and size of others'."""
+    """Planes (d, c, h, w), repeated to the number and size of those of `like`."""
     volume = x.transpose(0, 1)[None]
     return functional.interpolate(volume, (len(like), *like.shape[2:]), mode="nearest")[0].transpose(0, 1)
 
 
-def _drawn(layer: _Layer, generator: torch.Generator) -> _Layer:
-    """Weights uniform with a variance of 1 over the number of inputs; biases 0."""
+def _layer(
+    generator: torch.Generator, kind: type[_Layer], *sizes: int, **options: int | tuple[int, ...]
+) -> _Layer:
+    """A convolution with uniform weights of variance 1 / (number of inputs), and biases of 0."""
+    layer = undrawn(kind, *sizes, **options)
     bound = math.sqrt(3.0 / layer.weight[0].numel())
     with torch.no_grad():
         layer.weight.uniform_(-bound, bound, generator=generator)

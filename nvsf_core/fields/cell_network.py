@@ -1,4 +1,4 @@
-"""A small network over the cells of a turn, whose columns go round: corrections of what each cell answers."""
+"""A small convolutional network that corrects the values of a 360-degree range image, cell by cell."""
 
 import itertools
 import math
@@ -12,23 +12,23 @@ from nvsf_core.fields.layers import undrawn
 
 
 class CellNetwork(nn.Module):
-    """Convolutions of 3 x 3 with ReLU between them; columns go round, rows end in copies of themselves.
+    """3 x 3 convolutions with ReLU between them; columns wrap around, border rows are repeated.
 
-    Silent before training: the corrections are 0. To choose another range than the median of what a pano's
-    cell shows was tried too: the network never did, as no other errs less.
+    Before training the corrections are 0. Letting it also choose another range than the median of a pano's
+    cell was tried: it never did, because no other range has a smaller mean error.
     """
 
     def __init__(
         self, features: int, outputs: int, generator: torch.Generator, *, channels: int, layers: int
     ) -> None:
-        """Draw all weights from `generator`.
+        """Sample all weights from `generator`.
 
         Args:
-            features: Channels that describe a cell.
-            outputs: Corrections of a cell.
+            features: Input channels of a cell.
+            outputs: Corrections a cell.
             generator: The only source of randomness.
-            channels: Width.
-            layers: Layers of that width.
+            channels: Width of the hidden layers.
+            layers: Number of hidden layers.
         """
         super().__init__()
         sizes = (features, *[channels] * layers, outputs)
@@ -44,7 +44,7 @@ class CellNetwork(nn.Module):
             cast(nn.Conv2d, self.layers[-1]).weight.zero_()
 
     def forward(self, features: Tensor) -> Tensor:
-        """Corrections (b, outputs, h, w), added to logits, of turns with `features` (b, features, h, w)."""
+        """Corrections (b, outputs, h, w), to be added to logits, from `features` (b, features, h, w)."""
         x = features
         for number, layer in enumerate(self.layers):
             x = functional.pad(x, (1, 1, 0, 0), mode="circular")

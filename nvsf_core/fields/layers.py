@@ -1,4 +1,4 @@
-"""Small networks with weights from an explicit random generator, and the heads that end in them."""
+"""Small fully connected networks with weights from an explicit random generator, and the paper's heads."""
 
 import itertools
 import math
@@ -17,9 +17,10 @@ _Layer = TypeVar("_Layer", bound=nn.Module)
 
 
 def network(sizes: tuple[int, ...], generator: torch.Generator, *, zero_outputs: int = 0) -> nn.Sequential:
-    """Linear layers with ReLU between them; the first `zero_outputs` outputs are exactly 0 before training.
+    """Linear layers of the given `sizes`, inputs first, with ReLU between them.
 
-    A silent output is a correction: before anything is learned, the evidence stands as it is.
+    The first `zero_outputs` outputs are exactly 0 before training: as corrections they leave the evidence
+    unchanged.
     """
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(sizes):
@@ -36,45 +37,45 @@ def network(sizes: tuple[int, ...], generator: torch.Generator, *, zero_outputs:
     return nn.Sequential(*layers[:-1])
 
 
-def undrawn(kind: type[_Layer], *sizes: int, **options: int | bool) -> _Layer:
-    """A layer whose weights are still to be drawn; torch's global generator is left alone."""
+def undrawn(kind: type[_Layer], *sizes: int, **options: int | tuple[int, ...]) -> _Layer:
+    """A layer with uninitialised weights; torch's global generator is not used."""
     return cast(_Layer, nn.utils.skip_init(kind, *sizes, **options))  # type: ignore[no-untyped-call]
 
 
 def bias_free(
     sizes: tuple[int, ...], generator: torch.Generator, start: Literal["xavier", "kaiming"] = "xavier"
 ) -> nn.Sequential:
-    """Linear layers without biases, with ReLU between them: the form of all the paper's networks.
+    """Linear layers without biases, with ReLU between them, as in all of the paper's networks.
 
     Args:
-        sizes: Inputs, widths of the hidden layers, outputs.
+        sizes: Number of inputs, widths of the hidden layers, number of outputs.
         generator: The only source of randomness.
-        start: Weights uniform within ``sqrt(6 / (in + out))`` (xavier) or ``1 / sqrt(in)`` (torch's own).
+        start: Weights uniform within ``sqrt(6 / (in + out))`` (xavier) or ``1 / sqrt(in)`` (torch's default).
     """
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(sizes):
         layer = undrawn(nn.Linear, fan_in, fan_out, bias=False)
         bound = math.sqrt(6.0 / (fan_in + fan_out)) if start == "xavier" else 1.0 / math.sqrt(fan_in)
         nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
-        # In place: a product needs its inputs for the gradient, never its result.
+        # In place saves memory: the gradient of the layer before needs its inputs only, not its result.
         layers += [layer, nn.ReLU(inplace=True)]
     return nn.Sequential(*layers[:-1])
 
 
 class Head(nn.Module):
-    """One radiance network: encoded direction and geometry features to values in 0..1; two hidden layers."""
+    """Network from encoded direction and geometry features to values in 0..1; two hidden layers."""
 
     def __init__(self, directions: int, outputs: int, spec: HeadsSpec, generator: torch.Generator) -> None:
-        """Draw all weights; `directions` is the length of the encoded direction."""
+        """Sample all weights from `generator`; `directions` is the length of the encoded direction."""
         super().__init__()
         self.directions = directions
         sizes = (directions + spec.geometry_features, spec.hidden, spec.hidden, outputs)
         self.network = bias_free(sizes, generator)
 
     def forward(self, direction: Tensor, geometry: Tensor) -> Tensor:
-        """Encoded directions (..., d) and geometry features (..., g) to (..., outputs).
+        """Values (..., outputs) of encoded directions (..., d) and geometry features (..., g).
 
-        Leading axes broadcast: a direction (r, 1, d) is worked on once for all samples (r, s, g) of its ray.
+        Leading axes broadcast: directions (r, 1, d) are multiplied once for all samples (r, s, g) of a ray.
         """
         first = cast(nn.Linear, self.network[0]).weight
         of_direction = linear(direction, first[:, : self.directions])
@@ -83,12 +84,12 @@ class Head(nn.Module):
 
 
 def lidar_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
-    """Intensity or hit probability, from frequencies of the direction."""
+    """Head for intensity or hit probability, from the frequency encoding of the direction."""
     return Head(frequency_outputs(3, spec.lidar_frequencies), 1, spec, generator)
 
 
 def colour_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
-    """Red, green, blue, from spherical harmonics of the direction.
+    """Head for red, green and blue, from spherical harmonics of the direction.
 
     Raises:
         RecipeError: The harmonics' degree is not 4, the only one there is.
@@ -99,19 +100,19 @@ def colour_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
 
 
 def lidar_direction(direction: Tensor, spec: HeadsSpec) -> Tensor:
-    """Unit vectors (..., 3), moved into 0..1, as (..., 72) sines and cosines of octaves."""
+    """Frequency encoding (..., 6 * frequencies) of unit vectors (..., 3), mapped to 0..1 before."""
     return frequency_encode(0.5 * (direction + 1.0), spec.lidar_frequencies)
 
 
 class Density(nn.Module):
-    """sigma of eq. 3, and geometry features for the heads: one hidden layer, no biases."""
+    """Network for sigma of eq. 3 and geometry features for the heads: one hidden layer, no biases."""
 
     def __init__(self, inputs: int, spec: HeadsSpec, generator: torch.Generator) -> None:
-        """Draw all weights."""
+        """Sample all weights from `generator`."""
         super().__init__()
         self.network = bias_free((inputs, spec.hidden, 1 + spec.geometry_features), generator)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Features (n, inputs) to sigma = exp(h_0), (n,) per scaled unit, and geometry features (n, g)."""
+        """Density sigma = exp(h_0), (n,) per scaled unit, and geometry features (n, g) of (n, inputs)."""
         h = self.network(features)
         return safe_exp(h[:, 0]), h[:, 1:]

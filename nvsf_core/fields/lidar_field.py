@@ -1,4 +1,4 @@
-"""The LiDAR's residual field: corrections of proven surfaces, and features decoded once a ray."""
+"""The residual LiDAR field: corrections of the evidence's surfaces, and features decoded once a ray."""
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from nvsf_core.recipe import FieldSpec
 
 
 def grid_layout(spec: FieldSpec, edge_m: float) -> GridLayout:
-    """The hash grid whose cells have the recipe's sizes in a cube of that edge."""
+    """The hash grid whose cells have the recipe's sizes in a cube of edge `edge_m`."""
     return GridLayout(
         levels=spec.levels,
         features=spec.features,
@@ -26,10 +26,10 @@ def grid_layout(spec: FieldSpec, edge_m: float) -> GridLayout:
 
 
 class LidarField(nn.Module):
-    """Density as a residual: a correction of each surface's opacity and place, right from iteration 0."""
+    """Corrections of each surface's opacity and range, 0 before training: it starts from the evidence."""
 
     def __init__(self, spec: FieldSpec, bounds: Bounds, generator: torch.Generator) -> None:
-        """Draw all weights from `generator`."""
+        """Sample all weights from `generator`."""
         super().__init__()
         self.spec = spec
         self.bounds = bounds
@@ -42,17 +42,17 @@ class LidarField(nn.Module):
         self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, zero_outputs=1)
 
     def places(self, objects: tuple[ObjectEvidence, ...]) -> np.ndarray:
-        """(n, 3) where in the table's cube the corrections of a scene's moving objects lie."""
+        """`object_places` (n, 3) in this field's cube, metres, of a scene's moving objects."""
         paths = tuple(one.path for one in objects)
         return object_places(paths, self.bounds, self.spec.coarsest_cell_m)
 
     def surfaces(self, batch: SurfaceBatch) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected opacity logit (m,), range_m (m,), features (m, d) of a batch's m surfaces."""
+        """Corrected opacity logit (m,), range_m (m,), and features (m, d) of a batch's m surfaces."""
         encoded = self.grid(self.bounds.to_unit(batch.point_m).clamp_(0.0, 1.0))
         raw = self.density(torch.cat([encoded, batch.facts], dim=1))
         shift_m = self.spec.max_shift_m * torch.tanh(raw[:, 1])
         return batch.logit + raw[:, 0], batch.range_m + shift_m, raw[:, 2:]
 
     def decode(self, ray: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrections of hit logit and intensity logit, (r,) each, from composited facts (r, d + 8)."""
+        """Corrections of hit logit and intensity logit, (r,) each, from composited features (r, d + 8)."""
         return self.hit_head(ray)[:, 0], self.intensity_head(ray)[:, 0]

@@ -14,21 +14,21 @@ _DROPOUT = 0.1
 _HEADS = 8
 _STAGES = 4
 _GROWTH = (1, 2, 4, 8, 8)
-"""Channels at each resolution, in multiples of the first."""
+"""Channels at each resolution, in multiples of the first one's."""
 
 
 class RaydropUnet(nn.Module):
-    """Hit probability, intensity and range of a pano to a better hit probability.
+    """Refines the hit probabilities of a pano, from them, intensity and range.
 
-    Four times halved, attention at a sixteenth, four times doubled with skips; 6,535,969 parameters at 32
-    channels. Weights come from the generator; dropout in training from torch's global one.
+    Four halvings, self-attention at a sixteenth of the resolution, four doublings with skip connections;
+    6,535,969 parameters at 32 channels. Dropout in training uses torch's global generator.
     """
 
     def __init__(self, channels: int, generator: torch.Generator) -> None:
-        """Draw all weights.
+        """Sample all weights from `generator`.
 
         Raises:
-            RecipeError: The channels cannot be shared among the eight attention heads.
+            RecipeError: `channels` is below 1, or eight attention heads cannot share the deepest ones evenly.
         """
         super().__init__()
         if channels < 1:
@@ -43,19 +43,19 @@ class RaydropUnet(nn.Module):
         self.leave = nn.Sequential(nn.BatchNorm2d(width[0]), nn.ReLU(), undrawn(nn.Conv2d, width[0], 1, 1))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
-                _draw(module, generator)
+                _initialise(module, generator)
 
     def forward(self, pano: Tensor) -> Tensor:
-        """Logits of the refined hit probability; its sigmoid is the probability.
+        """Logits of the refined hit probability.
 
         Args:
-            pano: (b, 3, h, w) hit probability, intensity, range in scaled units; h and w at least 16.
+            pano: (b, 3, h, w): hit probability, intensity, range in scaled units; h and w at least 16.
 
         Returns:
             (b, h, w).
 
         Raises:
-            ShapeError: The pano is too small to be halved four times, or has not three channels.
+            ShapeError: The pano is too small to be halved four times, or does not have three channels.
         """
         smallest = 1 << _STAGES
         if pano.ndim != 4 or pano.shape[1] != 3 or min(pano.shape[2:]) < smallest:
@@ -72,10 +72,10 @@ class RaydropUnet(nn.Module):
         return self.leave(x)[:, 0]
 
     def expect(self, hit_share: float) -> None:
-        """Start from how many cells return at all, as log-odds in the last bias: training begins there.
+        """Set the last bias to the log-odds of the usual hit rate, from which training starts.
 
         Args:
-            hit_share: Share of the training panos' cells with a return, 0..1; 0 and 1 are kept finite.
+            hit_share: Share of the training panos' cells with a return, clamped to [0.001, 0.999].
         """
         known = min(max(hit_share, 1e-3), 1.0 - 1e-3)
         last = cast(nn.Conv2d, self.leave[-1])
@@ -84,7 +84,7 @@ class RaydropUnet(nn.Module):
 
 
 class _Attention(nn.Module):
-    """Self-attention between all pixels, added to them."""
+    """Self-attention between all pixels, added to its input."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -100,8 +100,8 @@ class _Attention(nn.Module):
         parts = self.qkv(self.norm(x)).reshape(b, 3, _HEADS, c // _HEADS, h * w)
         query, key, value = parts.transpose(3, 4).unbind(1)
         logits = query @ key.transpose(2, 3) * (c // _HEADS) ** -0.5
-        # In training a tenth of the links is cut; the most negative finite number leaves a row of cut links
-        # uniform, where minus infinity would make it NaN.
+        # In training a tenth of the links is cut. The most negative finite number makes a row of cut links
+        # uniform; minus infinity would make it NaN.
         cut = self.keep(torch.ones_like(logits)) == 0.0
         links = logits.masked_fill(cut, torch.finfo(logits.dtype).min).softmax(dim=-1)
         mixed = (links @ value).transpose(2, 3).reshape(b, c, h, w)
@@ -109,7 +109,7 @@ class _Attention(nn.Module):
 
 
 def _double_convolution(inputs: int, outputs: int) -> nn.Sequential:
-    """Twice normalise, rectify, drop, convolve 3 x 3; between the two as many channels as the wider end."""
+    """Twice: normalise, ReLU, dropout, 3 x 3 convolution; in between, channels of the wider end."""
     middle = max(inputs, outputs)
     layers: list[nn.Module] = []
     for fan_in, fan_out in ((inputs, middle), (middle, outputs)):
@@ -119,13 +119,13 @@ def _double_convolution(inputs: int, outputs: int) -> nn.Sequential:
 
 
 def _doubled(x: Tensor, like: Tensor) -> Tensor:
-    """Twice the size, with zeros added below and to the right up to the size of another."""
+    """Twice the size, padded with zeros below and to the right to the size of `like`."""
     x = interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
     return pad(x, (0, like.shape[3] - x.shape[3], 0, like.shape[2] - x.shape[2]))
 
 
-def _draw(convolution: nn.Conv2d, generator: torch.Generator) -> None:
-    """Torch's own start, from an explicit generator: uniform within 1 / sqrt(inputs of an output)."""
+def _initialise(convolution: nn.Conv2d, generator: torch.Generator) -> None:
+    """Initialise as torch does, but from an explicit generator: uniform within 1 / sqrt(inputs)."""
     weight = convolution.weight
     bound = weight[0].numel() ** -0.5
     nn.init.uniform_(weight, -bound, bound, generator=generator)

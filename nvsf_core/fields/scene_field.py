@@ -12,18 +12,18 @@ from nvsf_core.fields.layers import Density, colour_head, lidar_direction, lidar
 from nvsf_core.recipe import PaperOptimiser, PaperRecipe
 
 Moved = tuple[Tensor, float]
-"""Points (n, 3) in another frame, and its time t."""
+"""Points (n, 3) of the unit cube, moved to another frame, and that frame's time t."""
 
 
 class SceneField(nn.Module):
-    """Encodings, flow, density and heads. A batch has one time: frame i of n, 0 to n - 1, or in between.
+    """Encodings, flow, density and heads. A batch has one time: frame i of n, from 0, or between two.
 
-    Strategies of Sec. III-C: `same`, one encoding; `separate`, one a sensor; `separate_fused`, both read at
-    every point and concatenated, the sensor's own first: the NeRF network's first layer fuses them.
+    Strategies of Sec. III-C: `same`: one encoding; `separate`: one a sensor; `separate_fused`: both encodings
+    of every point, the sensor's own first, concatenated and fused by the density network's first layer.
     """
 
     def __init__(self, recipe: PaperRecipe, frames: int, generator: torch.Generator) -> None:
-        """Draw all weights; without camera rays there is neither a camera encoder nor a colour head."""
+        """Sample all weights; without camera rays there is neither a camera encoding nor a colour head."""
         super().__init__()
         self.recipe, self.frames = recipe, frames
         sensors = 2 if recipe.sampling.camera and recipe.encoders != "same" else 1
@@ -39,43 +39,47 @@ class SceneField(nn.Module):
             start_alike(self)
 
     def density(self, x01: Tensor, frame: float, sensor: Literal["lidar", "camera"]) -> tuple[Tensor, Tensor]:
-        """Points (n, 3) of the unit cube to σ (n,) per scaled unit and geometry features (n, 15)."""
+        """σ (n,) per scaled unit and geometry features (n, g) of points (n, 3) in the unit cube."""
         moved = self.neighbours(x01, frame) if self.recipe.aggregate and self.frames > 1 else []
         own_first = cast(list[HybridEncoding], list(self.encoders))[:: -1 if sensor == "camera" else 1]
         features = [self._encode(encoder, x01, frame, moved) for encoder in own_first[: self.read]]
         return self.density_network(torch.cat(features, dim=1))
 
     def neighbours(self, x01: Tensor, frame: float) -> list[Moved]:
-        """The points at i + 1 and i - 1, where MLP_flow (eq. 5) puts them; only in frames that exist."""
+        """The points moved by MLP_flow (eq. 5) to frames i + 1 and i - 1, where these exist."""
         flows = zip((1, -1), self.flow(x01, self.time(frame)), strict=True)
         there = [(step, flow) for step, flow in flows if 0 <= frame + step <= self.frames - 1]
         return [(x01 + applied(flow, self.recipe.slips), self.time(frame, step)) for step, flow in there]
 
     def time(self, frame: float, step: int = 0) -> float:
-        """Time t = i / (n - 1) in 0..1; of a neighbour (i ± 1) / n under the authors' slip."""
+        """Time t = i / (n - 1) in 0..1; with `slips.neighbour_times` a neighbour's is (i ± 1) / n."""
         slip = step != 0 and self.recipe.slips.neighbour_times
         return (frame + step) / (self.frames if slip else max(self.frames - 1, 1))
 
     def _encode(self, encoder: HybridEncoding, x01: Tensor, frame: float, moved: list[Moved]) -> Tensor:
-        """Static features and d = 0.5 d_0 + 0.25 (d_1 + d_-1); d_0 stands in for a frame that is missing."""
+        """Static features and d = 0.5 d_0 + 0.25 (d_1 + d_-1); a missing frame's d is replaced by d_0."""
         dynamic = (1.0 - 0.25 * len(moved)) * encoder.dynamic(x01, self.time(frame))
         for there, t in moved:
             dynamic = torch.add(dynamic, encoder.dynamic(there, t, hash_gradient=False), alpha=0.25)
         return torch.cat([encoder.static(x01), dynamic], dim=1)
 
     def lidar(self, direction: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor]:
-        """Unit directions and geometry features to intensity i and hit probability p, (n,) each in 0..1."""
+        """Intensity i and hit probability p, (n,) each in 0..1, of unit directions and geometry features."""
         angles = lidar_direction(direction, self.recipe.heads)
         return self.intensity(angles, geometry)[..., 0], self.hit(angles, geometry)[..., 0]
 
     def camera(self, direction: Tensor, geometry: Tensor) -> Tensor:
-        """Unit directions and geometry features to colour c, (n, 3) in 0..1."""
+        """Colour c, (n, 3) in 0..1, of unit directions (n, 3) and geometry features (n, g).
+
+        Raises:
+            RecipeError: The recipe trains no camera.
+        """
         if self.colour is None:
             raise RecipeError(f"{self.recipe.name}: no colour without camera rays; set sampling.camera")
         return self.colour(spherical_harmonics(direction), geometry)
 
     def parameter_groups(self, optimiser: PaperOptimiser) -> list[dict[str, Any]]:
-        """For Adam: flow at `flow_rate`, intensity and hit at `head_rate`, all else at `table_rate`."""
+        """Adam's groups: flow with `flow_rate`, intensity and hit with `head_rate`, the rest `table_rate`."""
         heads, flow = [*self.intensity.parameters(), *self.hit.parameters()], [*self.flow.parameters()]
         tables = [p for p in self.parameters() if not any(p is other for other in heads + flow)]
         rates = (optimiser.table_rate, optimiser.head_rate, optimiser.flow_rate)

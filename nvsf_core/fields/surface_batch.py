@@ -1,4 +1,4 @@
-"""Rays with the surfaces that evidence proposes for them, static and of moving objects: a field's input."""
+"""Rays with the surfaces that the evidence has along them, static and moving: input of the LiDAR field."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,15 +15,16 @@ from nvsf_core.kernels.surface_list import list_surfaces
 
 
 def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> np.ndarray:
-    """Room for each object's corrections in the field's cube, apart from the street and from each other.
+    """Where in the field's cube the corrections of each moving object are stored.
 
-    Objects stand in rows under the cube's top, which a street, as wide as its cube but not as high, leaves
-    free; the next layer lies below. Where the cube is full they begin again at the top.
+    Objects must overlap neither the street nor each other. They are placed in rows under the cube's top,
+    which is empty because a street is not as high as it is wide; the next layer is below. When the cube is
+    full, places are reused from the top.
 
     Args:
         paths: The scene's objects, in their order.
         bounds: The field's cube.
-        gap_m: Space kept between two of them: a cell of the coarsest level.
+        gap_m: Space between two objects: a cell of the coarsest level.
 
     Returns:
         (n, 3) float64 shifts from each object's own frame to its place in the cube, metres.
@@ -42,31 +43,31 @@ def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float)
 
 
 class ObjectSurfaces(NamedTuple):
-    """t surfaces of m of the n rays of a batch: those that meet an object; ascending along each ray."""
+    """The t surfaces of moving objects along those m of a batch's n rays that meet one, by range."""
 
     ray: np.ndarray
-    """(m,) int64 ascending."""
+    """(m,) int64: numbers of these rays in the batch, ascending."""
     first: np.ndarray
-    """(m + 1,) int64: where each such ray's surfaces begin."""
+    """(m + 1,) int64: where each such ray's surfaces begin, and t."""
     range_m: np.ndarray
-    """(t,) float32."""
+    """(t,) float32: distance from the ray's origin, ascending along each ray."""
     opacity: np.ndarray
-    """(t,) float32."""
+    """(t,) float32 in 0..1."""
     cosine: np.ndarray
     """(t,) float32: cosine of incidence."""
     is_planar: np.ndarray
     """(t,) bool."""
     hits: np.ndarray
-    """(t,) int32 of the surfel."""
+    """(t,) int32: recorded returns in the surfel."""
     intensity: np.ndarray
-    """(t,) float32 of the surfel."""
+    """(t,) float32: the surfel's intensity, 0..1."""
     hit_prior: np.ndarray
-    """(t,) float32: share of the object's nearest scans that returned where the ray ends on it."""
+    """(t,) float32: share of the object's nearest scans that had a return there."""
     place_m: np.ndarray
-    """(t, 3) float32: where it lies in the field's cube."""
+    """(t, 3) float32: position in the field's cube, see `object_places`."""
 
     def of(self, chosen: np.ndarray) -> "ObjectSurfaces":
-        """Surfaces of rays (r,) int64 out of the n, which become rays 0 .. r - 1."""
+        """The surfaces of the `chosen` rays (r,) int64 of the batch, renumbered 0 to r - 1."""
         if len(self.ray) == 0:
             return self
         at = np.minimum(np.searchsorted(self.ray, chosen), len(self.ray) - 1)
@@ -92,9 +93,16 @@ def object_surfaces(
     near_m: float,
     far_m: float,
 ) -> ObjectSurfaces:
-    """Walk rays (r, 3), scene-local, through each object where it is at their times (r,).
+    """The surfaces of moving objects along rays, each object posed at the ray's own time.
 
-    `places` (n, 3) are `object_places` of all of the scene's objects.
+    Args:
+        objects: Surfels of the objects that the rays may meet.
+        places: (n, 3) metres, `object_places` of all of the scene's objects.
+        origin_m: (r, 3) scene-local.
+        direction: (r, 3) unit vectors, scene-local.
+        time_s: (r,) of each ray.
+        near_m: Least range.
+        far_m: Largest range.
     """
     rays, columns = [np.zeros(0, np.int64)], [_nothing()]
     for one in objects:
@@ -121,7 +129,7 @@ def object_surfaces(
 
 
 def join_surfaces(parts: list[ObjectSurfaces], rays: list[int]) -> ObjectSurfaces:
-    """Surfaces of batches of so many rays each, one after the other."""
+    """The surfaces of several batches with `rays` rays each, as of one batch with all of them in order."""
     before = np.cumsum([0, *rays[:-1]])
     starts = np.cumsum([0, *(len(part.range_m) for part in parts)])
     first = [part.first[:-1] + start for part, start in zip(parts, starts[:-1], strict=True)]
@@ -141,32 +149,33 @@ def _nothing() -> dict[str, np.ndarray]:
 
 
 NO_SURFACES = ObjectSurfaces(np.zeros(0, np.int64), np.zeros(1, np.int64), **_nothing())
-"""Of rays that meet nothing that moves."""
+"""Surfaces of rays that meet no moving object."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceBatch:
-    """r rays with at most k of m proposed surfaces each, one ray after the other, scene-local metres."""
+    """r rays with at most k surfaces each, m in all, ray by ray; scene-local, metres."""
 
     direction: Tensor
-    """(r, 3)."""
+    """(r, 3) float32 unit vectors."""
     first: Tensor
-    """(r + 1,) int64: where each ray's surfaces begin, ascending in range."""
+    """(r + 1,) int64: where each ray's surfaces begin, in ascending range, and m."""
     is_there: Tensor
-    """(r, k) bool: as many as the ray has."""
+    """(r, k) bool: True for as many surfaces as the ray has."""
     point_m: Tensor
-    """(m, 3): where a surface's corrections lie: itself, a moving object's surface at its place."""
+    """(m, 3): where the surface's corrections are stored: at its own point, or for a moving object as in
+    `object_places`."""
     range_m: Tensor
-    """(m,)."""
+    """(m,): distance from the ray's origin."""
     logit: Tensor
-    """(m,): logit of the evidence's opacity."""
+    """(m,): logit of the opacity in the evidence."""
     facts: Tensor
-    """(m, 6): opacity logit, cosine of incidence, planar?, log hits, intensity, range; about 0..1."""
+    """(m, 6): opacity logit, cosine of incidence, is planar, log of hits, intensity, range; about 0..1."""
     hit_prior: Tensor
-    """(m,): share of a moving object's nearest scans that returned there; negative on what stands."""
+    """(m,): share of a moving object's nearest scans that had a return there; -1 on static surfaces."""
 
     def spread(self, values: Tensor) -> Tensor:
-        """Values (m, c) of all surfaces as (r, k, c), 0 behind a ray's last."""
+        """`values` (m, c) of all surfaces as (r, k, c), with 0 behind a ray's last surface."""
         rows = self.is_there.view(-1).nonzero()
         full = values.new_zeros(self.is_there.numel(), values.shape[1])
         full = full.scatter(0, rows.expand_as(values), values)
@@ -183,9 +192,16 @@ def surface_batch(
     far_m: float,
     objects: ObjectSurfaces | None = None,
 ) -> SurfaceBatch:
-    """Walk rays (r, 3) through the evidence of what stands; `objects` of the same rays are merged by range.
+    """The surfaces along rays: static ones, merged by range with those of moving objects.
 
-    Where there are more than `most` surfaces the farthest are left out.
+    Args:
+        surfels: The static evidence.
+        origin_m: (r, 3) scene-local.
+        direction: (r, 3) unit vectors, scene-local.
+        most: Surfaces a ray; of more, the farthest are left out.
+        near_m: Least range.
+        far_m: Largest range.
+        objects: `object_surfaces` of the same rays; None = no moving objects.
     """
     met = NO_SURFACES if objects is None else objects
     towards = np.ascontiguousarray(direction, np.float32)

@@ -1,4 +1,4 @@
-"""How far two point clouds are apart: each point's nearest in the other."""
+"""Chamfer distance of two point clouds, and of a batch of rays."""
 
 import torch
 from scipy.spatial import cKDTree
@@ -8,20 +8,20 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.numerics import require_finite
 
 _CHUNK_PAIRS = 1 << 26
-"""Most distances held at once on CUDA: 256 MiB of float32."""
+"""Most distances in memory at once on CUDA: 256 MiB of float32."""
 
 
 def squared_nearest_distances(points: Tensor, others: Tensor) -> tuple[Tensor, Tensor]:
-    """min_j |p_i - q_j|^2 for each point (n,) and min_i |q_j - p_i|^2 for each other point (m,).
+    """Squared distance of each point to the nearest other point, and of each other to the nearest point.
 
-    Differentiable through both clouds; which point is nearest is a constant. On a tie, any of them.
+    Differentiable in both clouds; the choice of the nearest point is a constant. On a tie, any of them.
 
     Args:
         points: (n, 3), n >= 1.
-        others: (m, 3), m >= 1, same device and unit.
+        others: (m, 3), m >= 1, same device, unit and frame.
 
     Returns:
-        (n,) and (m,), squared unit of the inputs.
+        min_j |p_i - q_j|^2 (n,) and min_i |q_j - p_i|^2 (m,), squared unit of the inputs.
 
     Raises:
         ShapeError: Not two clouds of at least one point.
@@ -41,23 +41,23 @@ def squared_nearest_distances(points: Tensor, others: Tensor) -> tuple[Tensor, T
 def chamfer_distance(points: Tensor, others: Tensor) -> Tensor:
     """CD = mean_i min_j |p_i - q_j|^2 + mean_j min_i |q_j - p_i|^2, a scalar, squared unit of the inputs.
 
-    Eq. 4 of the paper (CD); its 1/K is read as each cloud's own number of points. Arguments and
-    errors as `squared_nearest_distances`.
+    Eq. 4 of the paper (CD), with each cloud's own number of points for its 1/K. Arguments and errors as
+    in `squared_nearest_distances`.
     """
     to_others, to_points = squared_nearest_distances(points, others)
     return to_others.mean() + to_points.mean()
 
 
 def ray_batch_chamfer(direction: Tensor, rendered_range_m: Tensor, true_range_m: Tensor) -> Tensor:
-    """Half of both nearest squared distances (r,), m2, between a batch's rendered and recorded points.
+    """Half of the sum of both nearest squared distances (r,), m2, of rendered and recorded points.
 
-    Points are direction times range, as if all rays began at 0; a ray without return is at 0 in both. To be
-    averaged. Not in the paper; in its authors' code with weight 1.
+    Points are direction times range, as if all rays began at 0; a dropped ray's point is 0 in both clouds.
+    To be averaged. Not in the paper; in the authors' code with weight 1.
 
     Args:
-        direction: (r, 3) unit.
+        direction: (r, 3) unit vectors.
         rendered_range_m: (r,).
-        true_range_m: (r,), 0 = no return.
+        true_range_m: (r,) recorded, 0 = no return.
     """
     is_return = true_range_m > 0
     rendered = direction * (rendered_range_m * is_return)[:, None]
@@ -67,7 +67,7 @@ def ray_batch_chamfer(direction: Tensor, rendered_range_m: Tensor, true_range_m:
 
 @torch.no_grad()
 def _nearest(points: Tensor, others: Tensor) -> Tensor:
-    """Number (n,) of the nearest other point: a k-d tree on the CPU, all distances in chunks elsewhere."""
+    """Index (n,) of each point's nearest other point: by k-d tree on the CPU, else by all pairs."""
     if points.device.type == "cpu":
         return torch.from_numpy(cKDTree(others.detach().numpy()).query(points.detach().numpy())[1])
     return nearest_by_all_pairs(points, others)
@@ -75,9 +75,14 @@ def _nearest(points: Tensor, others: Tensor) -> Tensor:
 
 @torch.no_grad()
 def nearest_by_all_pairs(points: Tensor, others: Tensor) -> Tensor:
-    """The same from all pairs, on any device; n m distances in chunks of bounded memory."""
+    """Index (n,) of each point's nearest other point, on any device, from all n m distances in chunks.
+
+    Args:
+        points: (n, 3).
+        others: (m, 3), m >= 1.
+    """
     rows = max(1, _CHUNK_PAIRS // len(others))
-    # Exact differences: the matrix-product form of cdist cancels for clouds far from 0.
+    # Of differences: cdist's matrix product loses digits for clouds far from 0.
     mode = "donot_use_mm_for_euclid_dist"
     parts = torch.split(points, rows)
     return torch.cat([torch.cdist(part, others, compute_mode=mode).argmin(dim=1) for part in parts])

@@ -1,4 +1,4 @@
-"""How neighbouring ranges differ: the shape of a surface, not its distance."""
+"""Loss of differences between neighbouring ranges: the shape of surfaces, not their distance."""
 
 from typing import Literal
 
@@ -15,23 +15,22 @@ def gradient_loss(
     mask_y: Tensor,
     norm: Literal["l1", "mse"] = "l1",
 ) -> Tensor:
-    """M . |grad D^ - grad D| of each pixel of patches, x and y added, in metres (squared: m2).
+    """M . |grad D^ - grad D| of each pixel, x and y added. Eq. 1 of the paper (L_grad), to be summed.
 
-    grad D = D[i, j] - D[i, j + 1] along x, D[i, j] - D[i + 1, j] along y, both signed. Every difference
-    within a patch counts once, at its first pixel; the last column and row have none. (The authors repeat the
-    last one, so that in patches of two rows each y difference counts twice.) Where nothing returned the
-    rendered range counts as 0, as recorded; a pair of a return and a drop therefore compares ranges.
-    Eq. 1 of the paper (L_grad), to be summed; the equation has the absolute value, the text the square.
+    grad D = D[i, j] - D[i, j + 1] along x, D[i, j] - D[i + 1, j] along y, signed. Each difference within a
+    patch counts once, at its first pixel; the last column and row have none. (The authors repeat the last
+    one, so that in patches of two rows each y difference counts twice.) At dropped rays the rendered range
+    counts as 0, like the recorded one. The paper's equation has the absolute value, its text the square.
 
     Args:
-        rendered_range_m: (p, h, w) rendered ranges of patches, metres.
+        rendered_range_m: (p, h, w) rendered ranges of p patches.
         true_range_m: (p, h, w) recorded, 0 = no return.
-        mask_x: (p, h, w) bool, where x gradients count; taken from the whole pano.
+        mask_x: (p, h, w) bool, where x gradients count; cut from the whole pano's `gradient_mask`.
         mask_y: (p, h, w) bool, the same for y.
-        norm: Absolute or squared.
+        norm: "l1" = absolute difference, "mse" = squared.
 
     Returns:
-        (p, h, w).
+        (p, h, w), metres (l1) or m2 (mse).
 
     Raises:
         ShapeError: The four differ in shape or are not patches.
@@ -39,7 +38,7 @@ def gradient_loss(
     shapes = {tuple(x.shape) for x in (rendered_range_m, true_range_m, mask_x, mask_y)}
     if len(shapes) != 1 or rendered_range_m.ndim != 3:
         raise ShapeError(f"gradient_loss: expected four times (p, h, w), found {sorted(shapes)}")
-    # Differences are linear: those of the error are the errors of the differences.
+    # Differences are linear: the error of a difference is the difference of errors.
     error = rendered_range_m * (true_range_m > 0) - true_range_m
     along_x = pad(error[:, :, :-1] - error[:, :, 1:], (0, 1, 0, 0))
     along_y = pad(error[:, :-1] - error[:, 1:], (0, 0, 0, 1))

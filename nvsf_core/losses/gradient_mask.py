@@ -1,4 +1,4 @@
-"""Where the ranges of a pano may be compared with their neighbours': on surfaces, not across edges."""
+"""Masks of a pano's pixels on smooth surfaces, where the gradient loss applies; not across edges."""
 
 from itertools import pairwise
 from typing import Literal
@@ -9,19 +9,18 @@ from torch import Tensor
 from nvsf_core.errors import RecipeError, ShapeError
 
 BAND_EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0)
-"""Distances between which coverage is reported."""
+"""Borders of the distance bands of `mask_coverage`."""
 
 
 def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
-    """M2 = 1 where the absolute gradient itself hardly changes: ||g|[k] - |g|[k + 1]| < tau.
+    """M^(2) of eq. 2 of the paper: where the absolute gradient hardly changes, ||g|[k] - |g|[k + 1]| < tau.
 
-    g is the forward difference g[k] = D[k] - D[k + 1]. The last g of a row or column is repeated, and so is
-    the last of its changes (as the authors do), so the last two pixels of each always pass. A pixel without
-    return is never inside; one beside it can be. Eq. 2 of the paper (M^(2)).
+    g[k] = D[k] - D[k + 1]. The last g of a row or column is repeated, and so is the last of its changes (as
+    in the authors' code), so that the last two pixels of each always pass. A pixel without a return never
+    passes; its neighbour can.
 
-    On a plane seen at a grazing angle the gradient grows with distance, but its change stays small: the mask
-    still holds where |g| < tau fails. A lone spike passes too: its two
-    gradients are equal but for the sign.
+    On a plane seen at a grazing angle the gradient is large, but its change is small: the pixel passes,
+    where |g| < tau would fail. A single spike passes too: its two gradients differ in sign only.
 
     Args:
         range_m: (..., H, W) recorded ranges, 0 = no return.
@@ -36,16 +35,16 @@ def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, T
         ShapeError: Fewer than two axes.
     """
     along_x, along_y = (
-        _repeat_last((g[..., :-1] - g[..., 1:]).abs() < threshold_m, 1)
+        _repeat_last((g[..., :-1] - g[..., 1:]).abs() < threshold_m)
         for g in (gradient.abs() for gradient in _gradients(range_m, threshold_m))
     )
     return _on_hits(along_x, along_y, range_m)
 
 
 def single_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
-    """1 where the range hardly changes: |D[k] - D[k + 1]| < tau. Source: LiDAR-NeRF, with tau = 0.01 m.
+    """Where the range hardly changes: |D[k] - D[k + 1]| < tau. Source: LiDAR-NeRF, with tau = 0.01 m.
 
-    Arguments, results and errors as `double_gradient_mask`.
+    Arguments, results and errors as in `double_gradient_mask`.
     """
     along_x, along_y = (gradient.abs() < threshold_m for gradient in _gradients(range_m, threshold_m))
     return _on_hits(along_x, along_y, range_m)
@@ -54,7 +53,7 @@ def single_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, T
 def gradient_mask(
     range_m: Tensor, kind: Literal["double", "single"], threshold_m: float
 ) -> tuple[Tensor, Tensor]:
-    """The mask that a recipe's `GradientLossSpec` names."""
+    """`double_gradient_mask` or `single_gradient_mask`, as a recipe's `GradientLossSpec` names it."""
     chosen = double_gradient_mask if kind == "double" else single_gradient_mask
     return chosen(range_m, threshold_m)
 
@@ -62,15 +61,15 @@ def gradient_mask(
 def mask_coverage(
     mask: Tensor, range_m: Tensor, edges_m: tuple[float, ...] = BAND_EDGES_M
 ) -> list[tuple[int, int]]:
-    """For each band of distance: pixels with a return, and how many of them are inside the mask.
+    """For each band of distance: the number of pixels with a return, and of those that the mask holds.
 
     Args:
         mask: (..., H, W) bool.
         range_m: (..., H, W), 0 = no return.
-        edges_m: Bands [e0, e1), [e1, e2), ...; no return is in none.
+        edges_m: Of the bands [e0, e1), [e1, e2), ...
 
     Returns:
-        One pair a band; their quotient is the coverage.
+        One pair a band.
     """
     hit = range_m > 0
     bands = [hit & (range_m >= low) & (range_m < high) for low, high in pairwise(edges_m)]
@@ -78,19 +77,19 @@ def mask_coverage(
 
 
 def _gradients(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
-    """Gradients along x (..., H, W) and along y (..., W, H), the axis last; NaN where it has one pixel."""
+    """Gradients along x (..., H, W) and along y (..., W, H); NaN along an axis of one pixel."""
     if not threshold_m > 0.0:
         raise RecipeError(f"gradient mask: expected a threshold above 0 m, found {threshold_m}")
     if range_m.ndim < 2:
         raise ShapeError(f"gradient mask: expected (..., H, W), found {tuple(range_m.shape)}")
     return tuple(  # type: ignore[return-value]
-        _repeat_last(ranges[..., :-1] - ranges[..., 1:], 1) if ranges.shape[-1] > 1 else ranges * torch.nan
+        _repeat_last(ranges[..., :-1] - ranges[..., 1:]) if ranges.shape[-1] > 1 else ranges * torch.nan
         for ranges in (range_m, range_m.transpose(-1, -2))
     )
 
 
-def _repeat_last(values: Tensor, times: int) -> Tensor:
-    return torch.cat([values, *[values[..., -1:]] * times], dim=-1)
+def _repeat_last(values: Tensor) -> Tensor:
+    return torch.cat([values, values[..., -1:]], dim=-1)
 
 
 def _on_hits(along_x: Tensor, along_y: Tensor, range_m: Tensor) -> tuple[Tensor, Tensor]:

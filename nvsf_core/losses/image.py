@@ -1,4 +1,4 @@
-"""Losses of images: colour of single pixels, and structure in small windows."""
+"""Losses of images: colours of single pixels, and structure in small windows."""
 
 from torch import Tensor
 from torch.nn import functional
@@ -8,14 +8,14 @@ _LUMINANCE_FLOOR, _CONTRAST_FLOOR = 0.01**2, 0.03**2
 
 
 def structure(shown: Tensor, truth: Tensor) -> Tensor:
-    """1 - SSIM (Wang et al. 2004, eq. 13, flat 7x7 windows at every other pixel), mean over channels.
+    """1 - SSIM (Wang et al. 2004, eq. 13) of uniform 7x7 windows, every other pixel; mean of channels.
 
     Args:
         shown: (c, h, w) in 0..1, differentiable.
         truth: (c, h, w).
 
     Returns:
-        (h', w') of the windows that lie in the image; in 0..2.
+        (h', w') in 0..2, one for each window inside the image.
     """
     mean_x, mean_y = _mean(shown), _mean(truth)
     variance_x = _mean(shown.square()) - mean_x.square()
@@ -30,11 +30,6 @@ def structure(shown: Tensor, truth: Tensor) -> Tensor:
 
 def _mean(image: Tensor) -> Tensor:
     return functional.avg_pool2d(image, _WINDOW_PX, _STEP_PX)
-
-
-def colour_loss(colour: Tensor, true_colour: Tensor) -> Tensor:
-    """Squared error (r,), mean over channels, of colours (r, 3) in 0..1."""
-    return ((colour - true_colour) ** 2).mean(dim=1)
 
 
 def squared_colour_error(colour: Tensor, true_colour: Tensor) -> Tensor:

@@ -1,35 +1,28 @@
-"""Nothing stands between the sensor and its return."""
+"""Line-of-sight loss: free space between the sensor and its return, one surface at the return."""
 
 import torch
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
 
-_FIRST = 0.02
-_FINAL_SHARE = 0.1
 _SIGMAS = 3.0
-"""The shell's half width in standard deviations of the weights wanted in it."""
+"""Half width of the shell around the return, in standard deviations of the target weights."""
 
 
-def shell_half_width(
-    step: int, steps: int, first: float = _FIRST, final_share: float = _FINAL_SHARE
-) -> float:
-    """Half width of the shell at a step: `first` times `final_share` to the power step / steps.
-
-    The authors' numbers are the defaults, in scaled units: 0.02 to 0.002.
-    """
-    return first * float(final_share ** (step / max(1, steps)))
+def shell_half_width(step: int, steps: int) -> float:
+    """Half width of the shell at `step` of `steps`, scaled units: 0.02 to 0.002, as in the authors' code."""
+    return 0.02 * float(0.1 ** (step / max(1, steps)))
 
 
 def line_of_sight_loss(weights: Tensor, t: Tensor, true_range: Tensor, epsilon: float) -> Tensor:
-    """Squared difference (r,) of a ray's weights from those of one surface at its return, over all samples.
+    """Sum over samples of the squared difference of a ray's weights from target weights, (r,).
 
-    Wanted are 0 outside [z - epsilon, z + epsilon] and, inside, a normal distribution about z with standard
-    deviation epsilon / 3, cut off there and integrated over each sample's stretch (between the middles to
-    its neighbours), so that they sum to 1 however thin the shell is. Rays without a return count 0.
+    The targets are 0 outside [z - epsilon, z + epsilon]. Inside they are a normal distribution about z with
+    standard deviation epsilon / 3, truncated there and integrated over each sample's interval (up to the
+    middles to its neighbours), so that they sum to 1 however thin the shell is. Dropped rays count 0.
 
-    Source: Rematas et al., Urban Radiance Fields, 2022, the terms L_empty, L_near and L_dist of L_sight, with
-    sums over samples for integrals. Not in the paper; in its authors' code, switched off.
+    Source: Rematas et al. 2022 (Urban Radiance Fields), the terms L_empty, L_near and L_dist of L_sight, with
+    sums over samples for integrals. Not in the paper; in the authors' code, switched off.
 
     Args:
         weights: (r, s) of the samples, 0..1.
@@ -51,8 +44,8 @@ def line_of_sight_loss(weights: Tensor, t: Tensor, true_range: Tensor, epsilon: 
     middles = 0.5 * (t[:, 1:] + t[:, :-1])
     infinite = torch.full_like(t[:, :1], torch.inf)
     borders = torch.cat([-infinite, middles, infinite], dim=1)
-    # The share of the normal distribution below each border, of what lies within the shell.
-    # Its inverse has to be a number: 0 * inf would be NaN where a border lies on the return.
+    # The truncated distribution's share below each border.
+    # 1 / epsilon has to be finite: 0 * inf would be NaN where a border lies on the return.
     thinnest = _SIGMAS * torch.finfo(t.dtype).tiny
     sigmas = ((borders - true_range[:, None]) * (_SIGMAS / max(epsilon, thinnest))).clamp(-_SIGMAS, _SIGMAS)
     within = torch.special.erf(torch.tensor(_SIGMAS / 2.0**0.5, dtype=t.dtype, device=t.device))

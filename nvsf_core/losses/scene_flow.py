@@ -1,4 +1,4 @@
-"""The flow carries a frame's cloud onto its neighbours' clouds."""
+"""Losses of scene flow: a frame's moved cloud has to fit the clouds of the neighbouring frames."""
 
 import torch
 from torch import Tensor
@@ -14,20 +14,20 @@ def scene_flow_loss(
     following: Tensor | None,
     preceding: Tensor | None,
 ) -> Tensor:
-    """CD(S_i + flow_j(S_i), S_(i+j)) of each neighbour j = +1, -1 that there is: (0..2,), to be summed.
+    """CD(S_i + flow_j(S_i), S_(i+j)) of each neighbour j = +1, -1 that exists; to be summed.
 
-    Eq. 5 of the paper (L_flow) with the CD of eq. 4, on clouds without ground. The gradient reaches the flow
-    through the moved points. (The authors' code sums half of the squared distances instead of averaging.)
+    Eq. 5 of the paper (L_flow) with the CD of eq. 4, on clouds without ground. (The authors' code sums half
+    of the squared distances instead of averaging.)
 
     Args:
-        points: (k, 3) the frame's cloud S_i; scaled units in the `paper` recipe.
+        points: (k, 3) cloud S_i of the frame; scaled units in the `paper` recipe.
         forward: (k, 3) displacement to the following frame, same unit.
         backward: (k, 3) displacement to the preceding frame.
-        following: (m, 3) that frame's cloud, or None.
-        preceding: (l, 3) that frame's cloud, or None.
+        following: (m, 3) cloud of the following frame, or None.
+        preceding: (l, 3) cloud of the preceding frame, or None.
 
     Returns:
-        Squared unit of the input; empty if the frame or all its neighbours have no points.
+        (0..2,), squared unit of the inputs; empty if the frame or all its neighbours have no points.
 
     Raises:
         ShapeError: Points and displacements differ in shape.
@@ -48,8 +48,8 @@ def scene_flow_loss(
 
 
 def flow_magnitude(forward: Tensor, backward: Tensor) -> Tensor:
-    """|flow| of each component (2 k, 3), in its own unit, to be averaged: still, unless the clouds say else.
+    """|flow| of each component (2 k, 3) of two flows (k, 3), to be averaged: prefers points that rest.
 
-    Not in the paper; in its authors' code with weight 1.
+    Not in the paper; in the authors' code with weight 1.
     """
     return torch.cat([forward, backward]).abs()

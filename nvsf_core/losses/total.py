@@ -1,4 +1,4 @@
-"""Named terms, weighted and added; a term that is not finite is an error, never a 0."""
+"""The total loss: named terms, weighted and added. A term that is not finite is an error, never 0."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -18,21 +18,21 @@ class LossBreakdown:
     terms: dict[str, float]
     """Mean (or sum) of each unweighted term, in its own unit."""
     reduced: dict[str, Tensor] = field(default_factory=dict)
-    """The same, differentiable: which term has a broken gradient is asked when one is."""
+    """The same, differentiable: to find the term with a broken gradient when there is one."""
 
 
 def total_loss(
     terms: dict[str, Tensor], weights: dict[str, float], sums: Collection[str] = ()
 ) -> LossBreakdown:
-    """Each term's mean, or its sum if `sums` names it, times its weight, added.
+    """Sum over terms of weight times mean, or times sum for those in `sums`.
 
-    An empty term (no ray of its kind) counts as absent; if all are, the total is 0. Eq. 10 of the paper:
+    An empty term (no ray of its kind) is left out; without any the total is 0. Eq. 10 of the paper:
     lambda_1 L_flow + ... + lambda_6 L_rgb, with sums over rays (`PaperLosses`).
 
     Args:
         terms: Unreduced, any shape.
-        weights: Of each term at least.
-        sums: Terms that are added up instead of averaged.
+        weights: Weight of each term; others are ignored.
+        sums: Terms that are summed instead of averaged.
 
     Raises:
         DivergedError: A term is NaN or infinite; names it.

@@ -1,1 +1,1 @@
-"""What is measured and under which protocol."""
+"""Error metrics of rendered scans and images, and the protocols they are measured by."""

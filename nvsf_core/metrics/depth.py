@@ -1,4 +1,4 @@
-"""Camera depth against the LiDAR returns that fall into the image."""
+"""Errors of camera depth at the LiDAR returns that project into the image."""
 
 import numpy as np
 
@@ -8,16 +8,20 @@ from nvsf_core.metrics.measure import Measure, absent, undefined
 from nvsf_core.sensors.linear_pano import project_nearest
 
 CAP_M = 80.0
-"""Depths beyond it count as this."""
+"""Depths beyond it count as equal to it."""
 NO_DEPTH = absent("this model stores no camera depth")
+"""The measure of a model that renders no camera depth."""
 
 
 def lidar_depth_images(points_m: np.ndarray, camera: Pinhole) -> tuple[np.ndarray, np.ndarray]:
-    """Ray length and z of the nearest return in each pixel, (H, W) float32 each, metres; 0 = no return.
+    """Images of the nearest return in each pixel.
 
     Args:
-        points_m: (N, 3) returns in the camera's frame.
-        camera: Whose image.
+        points_m: (N, 3) returns, camera frame.
+        camera: The camera.
+
+    Returns:
+        Ray length and z, (H, W) float32 each, metres; 0 = no return.
     """
     pixels, seen = camera.project(points_m)
     column, row = np.rint(pixels[seen]).astype(np.int64).T
@@ -29,11 +33,11 @@ def lidar_depth_images(points_m: np.ndarray, camera: Pinhole) -> tuple[np.ndarra
 def ray_depth_rmse(predicted_m: np.ndarray, truth_m: np.ndarray) -> Measure:
     """`image_depth_rmse_m`: root mean square difference of ray lengths at the pixels with a return.
 
-    Both sides capped at 80 m; a pixel without an answer (0 or infinite) counts as 80 m.
+    Both sides are capped at 80 m; a pixel without a depth (0 or infinite) counts as 80 m.
 
     Args:
-        predicted_m: (H, W) length of each pixel's ray, metres.
-        truth_m: (H, W) from `lidar_depth_images`, 0 = no return.
+        predicted_m: (H, W) ray lengths, metres.
+        truth_m: (H, W) ray lengths from `lidar_depth_images`, 0 = no return.
     """
     same_shape(predicted_m, truth_m)
     there = truth_m > 0.0
@@ -45,14 +49,14 @@ def ray_depth_rmse(predicted_m: np.ndarray, truth_m: np.ndarray) -> Measure:
 
 
 def published_depth_rmse(predicted_m: np.ndarray, truth_z_m: np.ndarray) -> Measure:
-    """`image_depth_rmse_m` as NVSF publishes it: zeros of all pixels without a return are in the mean.
+    """`image_depth_rmse_m` as NVSF publishes it: the mean includes all pixels without a return.
 
-    The rendered ray length is set to 0 where there is no return and compared with z-depth, over all
-    pixels, both capped at 80 m. So the number shrinks with the LiDAR's share of the pixels, and a perfect
-    model is wrong by 1 / cos of the angle to the optical axis.
+    The rendered ray length, set to 0 where there is no return, is compared with z, over all pixels, both
+    capped at 80 m. So the error shrinks with the share of pixels that have a return, and a perfect model has
+    an error, because ray length is z divided by the cosine of the angle to the optical axis.
 
     Args:
-        predicted_m: (H, W) length of each pixel's ray, metres; inf = no answer.
+        predicted_m: (H, W) ray lengths, metres; inf = no depth.
         truth_z_m: (H, W) z from `lidar_depth_images`, 0 = no return.
     """
     same_shape(predicted_m, truth_z_m)

@@ -1,4 +1,4 @@
-"""Errors taken element by element: RMSE, median absolute error, PSNR."""
+"""Errors over the elements of two arrays: RMSE, median absolute error, PSNR."""
 
 import math
 
@@ -8,16 +8,16 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.measure import Measure, fault
 
 PSNR_CAP_DB = 80.0
-"""PSNR of a perfect answer. A mean squared error below 1e-8 of the squared peak counts as 1e-8."""
+"""PSNR of a perfect prediction: mean squared errors below 1e-8 of the squared peak count as 1e-8."""
 
 
 def rmse(predicted: np.ndarray, truth: np.ndarray) -> Measure:
-    """Root of the mean squared difference over all elements, in the unit of the inputs (same shape)."""
+    """Root mean squared difference of two arrays of one shape, in their unit."""
     return _fault(predicted, truth) or Measure(math.sqrt(_mean_square(predicted, truth)), truth.size)
 
 
 def median_abs_error(predicted: np.ndarray, truth: np.ndarray) -> Measure:
-    """Median of |predicted - truth| over all elements, in the unit of the inputs (same shape)."""
+    """Median of |predicted - truth| of two arrays of one shape, in their unit."""
     bad = _fault(predicted, truth)
     if bad is not None:
         return bad
@@ -26,7 +26,9 @@ def median_abs_error(predicted: np.ndarray, truth: np.ndarray) -> Measure:
 
 
 def psnr(predicted: np.ndarray, truth: np.ndarray, peak: float) -> Measure:
-    """10 log10(peak^2 / MSE) in dB over all elements (same shape), at most `PSNR_CAP_DB`.
+    """10 log10(peak^2 / MSE) in dB of two arrays of one shape, at most `PSNR_CAP_DB`.
+
+    `peak` is the largest value that is possible, in the arrays' unit.
 
     Raises:
         ValueError: The peak is not above 0.
@@ -50,7 +52,7 @@ def _fault(predicted: np.ndarray, truth: np.ndarray) -> Measure | None:
 
 
 def same_shape(predicted: np.ndarray, truth: np.ndarray) -> None:
-    """Refuse a pair of different shapes, which numpy might broadcast.
+    """Refuse arrays of different shapes, which numpy might broadcast.
 
     Raises:
         ShapeError: The shapes differ.

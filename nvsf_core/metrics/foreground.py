@@ -1,13 +1,13 @@
-"""Moving objects and what stands around them, by annotated boxes: used for measuring only.
+"""Metrics of moving objects (foreground) and of the rest (background), by annotated boxes.
 
-Boxes are those of the very frame, at its pose's instant, and nothing is interpolated; scans are taken as
-recorded, each return in the sensor's frame at its own firing. Beside the car, where a firing comes up to
-a quarter of a sweep from that instant, an object may therefore stick out of its box.
+The boxes are those of the frame itself, at the time of its pose. Scans are not compensated for motion: each
+return is in the sensor's frame at its own firing. Beside the car, where the firing is up to a quarter of a
+sweep away from that time, parts of an object may therefore be outside its box.
 
-`lidar4d` and `image`, as published: each side keeps what lies in the boxes, by its own points, and both
-whole images are compared with 0 everywhere else. A predicted point that misses the box simply vanishes,
-and errors shrink with the object's share of the image. `masked`, the honest one: recorded returns inside
-the boxes against simulated ones inside the boxes grown by `GROWN_M`; nothing else is in the mean.
+`lidar4d` and `image`, as published: each side keeps its own points inside the boxes, and the whole images
+are compared, 0 elsewhere. So a predicted point beside the box does not count, and errors shrink with the
+object's share of the image. `masked`, which avoids both: recorded returns inside the boxes are compared with
+simulated ones inside the boxes enlarged by `GROWN_M`; nothing else is in the mean.
 """
 
 from collections.abc import Mapping
@@ -37,24 +37,24 @@ from nvsf_core.sensors.linear_pano import LinearPano
 FOREGROUND, BACKGROUND = "foreground", "background"
 REGIONS = (FOREGROUND, BACKGROUND)
 GROWN_M = 0.3
-"""How far beyond its box a simulated return may miss a moving object and still be held against it."""
+"""How far outside its box a simulated return still counts as the moving object's, metres."""
 NO_BOX = "no moving object is annotated in this frame"
 NO_RETURN = "no recorded return lies inside a moving object's box"
 NO_PIXEL = "no moving object's box lies in front of this camera"
 
 
 def cut_pano(image: PanoImage, pano: LinearPano, boxes_to_lidar: np.ndarray, region: str) -> PanoImage:
-    """A pano with 0 wherever its own points are not in the region.
+    """A pano with 0 in all pixels whose point is not in the region.
 
-    The points are the pano's inverse where hit > 0.5; a pixel without a point is background.
+    Points are those of the pixels with hit > 0.5; other pixels are background.
 
     Args:
-        image: Recorded or predicted.
+        image: Recorded or predicted pano.
         pano: Its grid.
         boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
         region: `foreground` or `background`.
     """
-    inside = _pixels_inside(_answered_m(image), pano, boxes_to_lidar)
+    inside = _pixels_inside(_returned_m(image), pano, boxes_to_lidar)
     keep = inside if region == FOREGROUND else ~inside
     return PanoImage(
         range_m=np.where(keep, image.range_m, 0.0),
@@ -72,9 +72,17 @@ def lidar4d_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background in the protocols `lidar4d` and `lidar4d_scan`, of one frame, as published.
 
-    Region to metrics, all over the full image; the background without LPIPS, which no table has. One
-    exception: a frame without a moving object has no foreground (published: an error of 0), and is counted
-    as such.
+    One difference: in a frame without a moving object the foreground's metrics are absent (published: 0).
+
+    Args:
+        predicted: The model's pano, or the projection of its scan.
+        truth: Projection of the recorded scan.
+        pano: Their grid.
+        boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
+        lpips: The network, or None where its weights are absent.
+
+    Returns:
+        Region to metrics over the full pano; the background without LPIPS, which no paper reports.
     """
     found: dict[str, Mapping[str, Measure]] = {}
     for region in REGIONS:
@@ -99,19 +107,19 @@ def masked_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background in the protocol `masked`, of one frame, 0 to 80 m on both sides.
 
-    Foreground: Chamfer and F of recorded returns inside the boxes and simulated ones inside the grown
-    boxes; range and intensity along the rays of those recorded returns; hits on the cells that either of
-    the two fills (whether the whole scans return there). A prediction that puts returns of the road or of a
-    wall into a box fills more cells, in which both return, and its accuracy rises: read it beside the
-    Chamfer distance; `n_valid` counts the cells. Background: both sides outside the grown boxes,
-    hits on all cells that neither side's returns inside the grown boxes fill.
+    Foreground: Chamfer distance and F-score of recorded returns inside the boxes and simulated ones inside
+    the enlarged boxes; range and intensity along the rays of those recorded returns; hits on the cells of
+    either (whether the whole scans have a return there). A prediction that puts returns of the road or a wall
+    into a box fills more cells, where both sides have returns, so its accuracy rises: read it together with
+    the Chamfer distance; `n_valid` counts the cells. Background: both sides outside the enlarged boxes, hits
+    on all cells without a return of either side inside the enlarged boxes.
 
     Args:
         predicted: The exported scan.
         rendered: The prediction along the recorded rays, in the order of the recorded returns.
         truth: The recorded scan.
         truth_rays: Recorded range and intensity along the same rays.
-        n_lasers: Lasers of the sensor, for the hit cells.
+        n_lasers: Number of the sensor's lasers, for the hit cells.
         boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
     """
     shell = inside_any(truth.points_m, boxes_to_lidar, GROWN_M)
@@ -146,17 +154,17 @@ def masked_range_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background of a range image in the protocol `masked`: `range_rmse_m`, of one frame.
 
-    As in `lidar4d`: the prediction is masked by hit > 0.5, both sides are clamped to [1e-6, 80] m, and a
-    pixel that one side alone leaves empty counts as 0 there. Foreground: pixels whose recorded point lies in
-    a box, or whose simulated one lies in a grown box. Background: pixels where neither lies in a grown box.
+    As in `lidar4d`, the prediction is masked by hit > 0.5, both sides are clamped to [1e-6, 80] m, and
+    a pixel that is empty on one side only counts as 0 there. Foreground: pixels whose recorded point is in a
+    box, or whose simulated point is in an enlarged box. Background: where neither is in an enlarged box.
 
     Args:
-        predicted: The model's own pano, or the projection of its scan.
-        truth: The recorded scan's projection.
+        predicted: The model's pano, or the projection of its scan.
+        truth: Projection of the recorded scan.
         pano: Their grid.
         boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
     """
-    predicted_m, truth_m = _answered_m(predicted), truth.range_m
+    predicted_m, truth_m = _returned_m(predicted), truth.range_m
     truth_in = _pixels_inside(truth_m, pano, boxes_to_lidar)
     truth_shell = _pixels_inside(truth_m, pano, boxes_to_lidar, GROWN_M)
     predicted_in = _pixels_inside(predicted_m, pano, boxes_to_lidar, GROWN_M)
@@ -180,13 +188,13 @@ def image_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background of a camera in the protocol `image`, as published.
 
-    Both images are black outside the region and compared whole; the background without LPIPS.
+    Both images are black outside the region and compared as a whole; the background without LPIPS.
 
     Args:
         predicted_rgb: (H, W, 3) uint8.
         truth_rgb: (H, W, 3) uint8.
-        valid: (H, W) pixels that the recording covers.
-        rectangles: (H, W) pixels inside the boxes' rectangles (`geometry.boxes.box_rectangles`).
+        valid: (H, W) bool, pixels that the recording covers.
+        rectangles: (H, W) bool, pixels inside the boxes' rectangles (`geometry.boxes.box_rectangles`).
         lpips: The network, or None where its weights are absent.
     """
     found: dict[str, Mapping[str, Measure]] = {}
@@ -205,7 +213,7 @@ def masked_image_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background of a camera in the protocol `masked`: the region's own pixels only.
 
-    PSNR (peak 1) over the valid pixels of the region, SSIM over the 7x7 windows that lie wholly in them.
+    PSNR (peak 1) over the valid pixels of the region, SSIM over the 7x7 windows inside them.
     Shapes as in `image_regions`.
     """
     predicted, truth = predicted_rgb.astype(np.float64) / 255.0, truth_rgb.astype(np.float64) / 255.0
@@ -221,8 +229,8 @@ def masked_image_regions(
     return found
 
 
-def _answered_m(image: PanoImage) -> np.ndarray:
-    """(H, W) range where a return is expected, else 0."""
+def _returned_m(image: PanoImage) -> np.ndarray:
+    """(H, W) range where the hit probability is above 0.5, else 0."""
     masked_m: np.ndarray = np.where(image.hit > 0.5, image.range_m, 0.0)
     return masked_m
 
@@ -230,22 +238,22 @@ def _answered_m(image: PanoImage) -> np.ndarray:
 def _pixels_inside(
     range_m: np.ndarray, pano: LinearPano, boxes_to_lidar: np.ndarray, grown_m: float = 0.0
 ) -> np.ndarray:
-    """(H, W) bool: pixels whose points lie in a box."""
+    """(H, W) bool: pixels whose point lies in a box enlarged by `grown_m`."""
     inside = np.zeros(range_m.shape, dtype=bool)
     inside[range_m > 0.0] = inside_any(pano.points(range_m), boxes_to_lidar, grown_m)
     return inside
 
 
 def _along_rays(rendered: RenderedRays, truth: RenderedRays, which: np.ndarray) -> dict[str, Measure]:
-    answered = np.isfinite(rendered.range_m[which])
+    returned = np.isfinite(rendered.range_m[which])
     return {
         **ray_range_metrics(rendered.range_m[which], truth.range_m[which]),
-        **ray_intensity_metrics(rendered.intensity[which], truth.intensity[which], answered),
+        **ray_intensity_metrics(rendered.intensity[which], truth.intensity[which], returned),
     }
 
 
 def _explained(measures: Mapping[str, Measure], reason: str) -> dict[str, Measure]:
-    """What is 0/0 because the truth is empty is nobody's fault: said so, and not counted as one."""
+    """Undefined measures as absent ones: an empty truth is not the prediction's fault."""
     return {name: absent(reason) if m.reason else m for name, m in measures.items()}
 
 

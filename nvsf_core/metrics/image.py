@@ -11,6 +11,7 @@ from nvsf_core.metrics.measure import Measure, undefined
 from nvsf_core.metrics.ssim import ssim
 
 NAMES = ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_lpips_alex")
+"""Metrics of `image_metrics`."""
 
 
 def image_metrics(
@@ -18,8 +19,8 @@ def image_metrics(
 ) -> Mapping[str, Measure]:
     """PSNR (peak 1), SSIM (7x7 uniform, mean of channels) and LPIPS over the recorded image's pixels.
 
-    A predicted pixel without an answer is black and counts. Pixels that the undistorted recording
-    does not cover count in no PSNR and no SSIM window, and are black on both sides for LPIPS.
+    Pixels that the prediction does not cover are black and count. Pixels that the undistorted recording does
+    not cover are in no PSNR and no SSIM window, and are black on both sides for LPIPS.
 
     Args:
         predicted_rgb: (H, W, 3) uint8.
@@ -35,8 +36,7 @@ def image_metrics(
         raise ShapeError(f"validity mask {valid.shape} for an image of {truth_rgb.shape[:2]} pixels")
     n_valid = int(np.count_nonzero(valid))
     if n_valid == 0:
-        bad = undefined("the recorded image has no valid pixel")
-        return dict.fromkeys(NAMES, bad)
+        return dict.fromkeys(NAMES, undefined("the recorded image has no valid pixel"))
     predicted, truth = predicted_rgb.astype(np.float64) / 255.0, truth_rgb.astype(np.float64) / 255.0
     return {
         "image_psnr_db": Measure(psnr(predicted[valid], truth[valid], 1.0).value, n_valid),

@@ -1,7 +1,7 @@
 """LPIPS (Zhang et al. 2018), version 0.1, with the SqueezeNet 1.1 backbone.
 
-Written out here because every package that has it needs torchvision, whose wheels do not load beside
-CPU torch. The weights are not part of this repository: `find_weights` says where they are looked for.
+Implemented here because every package with it needs torchvision, whose wheels do not load beside CPU torch.
+The weights are not part of this repository: `find_weights` says where they are searched.
 """
 
 import hashlib
@@ -22,25 +22,25 @@ from nvsf_core.stores.checkpoints import load_tensors
 WEIGHTS_VARIABLE = "NVSF_LPIPS_WEIGHTS"
 WEIGHTS_NAME = "lpips_squeeze_v0.1.safetensors"
 _DIGEST = "c01c153ec40466912849953b531ee86185ddbcbd61029b61715e1eeb07d326f2"
-"""Of version 0.1's numbers (`_digest`): one flipped bit gives distances that nobody else has."""
+"""`_digest` of version 0.1's weights: other weights give distances that compare with nobody's."""
 MIN_SIDE = 32
-"""Smaller images shrink to nothing in the backbone's pools."""
+"""Least side of an image, pixels: the backbone's pools reduce smaller ones to nothing."""
 
 LPIPS_ALEX = absent("LPIPS-Alex: no weights at hand")
-"""The papers' variant, AlexNet's. Its numbers and SqueezeNet's never share a name."""
+"""The measure of the papers' variant, with AlexNet. Its values do not compare with SqueezeNet's."""
 
 _POOLS_BEFORE = (3, 6, 9)
-"""Layers of SqueezeNet 1.1 that follow a max pool (3x3, stride 2, rounding up)."""
+"""Fire modules of SqueezeNet 1.1 that follow a max pool (3x3, stride 2, size rounded up)."""
 _FIRES = (3, 4, 6, 7, 9, 10, 11, 12)
 _TAPS = (4, 7, 9, 10, 11, 12)
-"""Fire modules whose output is compared, after the first convolution's."""
+"""Fire modules whose output is compared, besides the first convolution's."""
 
 
 class Lpips:
-    """The network with its weights, on CPU in float32 (bfloat16 would cost 1.4e-3)."""
+    """The network with its weights, on the CPU in float32 (bfloat16 changes distances by up to 1.4e-3)."""
 
     def __init__(self, weights: Mapping[str, Tensor]) -> None:
-        # Channels last: the convolutions take half of the time.
+        # Channels last: the convolutions are twice as fast.
         self._weights = {
             name: value.contiguous(memory_format=torch.channels_last) if value.ndim == 4 else value
             for name, value in weights.items()
@@ -48,7 +48,7 @@ class Lpips:
 
     @torch.no_grad()
     def __call__(self, predicted: Tensor, truth: Tensor) -> Tensor:
-        """Perceptual distance of image pairs (B, 3, H, W) in 0..1 (scaled to -1..1 here), (B,)."""
+        """Perceptual distances (B,) of image pairs (B, 3, H, W) in 0..1."""
         total = torch.zeros(predicted.shape[0])
         pairs = zip(self._features(predicted), self._features(truth), strict=True)
         for index, (p, t) in enumerate(pairs):
@@ -72,7 +72,7 @@ class Lpips:
         return taps
 
     def _fire(self, x: Tensor, name: str) -> Tensor:
-        """Squeeze to few channels, expand by 1x1 and by 3x3 convolutions, side by side."""
+        """A Fire module: squeeze to few channels, then expand by 1x1 and 3x3 convolutions, concatenated."""
         squeezed = self._conv(x, f"{name}.squeeze", 0)
         narrow = self._conv(squeezed, f"{name}.expand1x1", 0)
         return torch.cat([narrow, self._conv(squeezed, f"{name}.expand3x3", 1)], dim=1)
@@ -87,7 +87,7 @@ def _unit(x: Tensor) -> Tensor:
 
 
 def find_weights() -> Path | None:
-    """File named by `NVSF_LPIPS_WEIGHTS`, else `../shared/weights/` beside the checkout; None if absent.
+    """File named by `NVSF_LPIPS_WEIGHTS`, else in `../shared/weights/` beside the checkout; None if absent.
 
     Raises:
         StoreError: The variable names a file that does not exist.
@@ -106,7 +106,7 @@ def load_lpips() -> Lpips | None:
     """The network, or None where `find_weights` finds no weights.
 
     Raises:
-        StoreError: The file is damaged, or holds other weights than this network's.
+        StoreError: The file is damaged, or holds other weights.
     """
     path = find_weights()
     if path is None:
@@ -135,7 +135,7 @@ def require_version_0_1(tensors: Mapping[str, Tensor], origin: str) -> None:
 
 
 def _digest(tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 over names and float32 numbers, in the order of names: however the file was written."""
+    """SHA-256 over names and float32 values, in the order of names: independent of the file's format."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
         digest.update(name.encode())
@@ -144,10 +144,10 @@ def _digest(tensors: Mapping[str, Tensor]) -> str:
 
 
 def lpips_measure(lpips: Lpips | None, predicted: np.ndarray, truth: np.ndarray) -> Measure:
-    """LPIPS of one pair (H, W) or (H, W, 3); one channel is repeated thrice.
+    """LPIPS of one pair of images (H, W) or (H, W, 3); a single channel is repeated three times.
 
-    Values belong in 0..1. The LiDAR4D protocol puts metres in, and so lies far outside the domain that
-    the network was trained on: its numbers compare with the papers' only.
+    Values should be in 0..1. The LiDAR4D protocol passes metres, far outside what the network was trained
+    on: such values compare with the papers' only.
     """
     if lpips is None:
         return absent(f"no LPIPS weights: make them with `nvsf weights`, or set {WEIGHTS_VARIABLE}")

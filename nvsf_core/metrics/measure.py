@@ -1,4 +1,4 @@
-"""What every metric returns: a number, what it rests on, and why it is undefined where it is."""
+"""The result of a metric: its value, over how many elements, and the reason where it is undefined."""
 
 import math
 from dataclasses import dataclass
@@ -11,27 +11,27 @@ class Measure:
     """One metric of one frame."""
 
     value: float
-    """The number; NaN where the metric is undefined, infinite where an error is."""
+    """NaN where the metric is undefined, infinite where the error is."""
     n_valid: int
-    """How many points, pixels, rays or cells it rests on."""
+    """Number of points, pixels, rays or cells it is computed from."""
     reason: str = ""
-    """Why it is undefined; empty where it is defined."""
+    """Why it is undefined; empty if it is defined."""
     is_absent: bool = False
-    """Whether it is undefined because what it needs is not there: nothing went wrong."""
+    """Whether it is undefined because its input does not exist, which is no error."""
 
 
 def undefined(reason: str, n_valid: int = 0) -> Measure:
-    """A metric without a value: NaN, and the reason."""
+    """An undefined metric: NaN, and the reason."""
     return Measure(math.nan, n_valid, reason)
 
 
 def absent(reason: str) -> Measure:
-    """A metric that needs what is not there (weights, boxes, a modality): NaN on nothing, and the reason."""
+    """A metric whose input does not exist (weights, boxes, a modality): NaN, and the reason."""
     return Measure(math.nan, 0, reason, is_absent=True)
 
 
 def fault(predicted: np.ndarray, truth: np.ndarray) -> Measure | None:
-    """The undefined measure of a pair that is empty or holds a non-finite number; None for a sound pair."""
+    """The undefined measure of a pair with an empty truth or a non-finite number; None for others."""
     if truth.size == 0:
         return undefined("nothing to compare with: the truth is empty")
     for side, values in (("predicted", predicted), ("true", truth)):

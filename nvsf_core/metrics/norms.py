@@ -1,9 +1,9 @@
-"""What scans and images of a drive look like as a whole: share of returns, intensity, brightness.
+"""Typical statistics of a drive's training scans and images, which rendered ones must not be far from.
 
-A rendered scan is compared with the training scans nearest in time; limits come from training scans alone.
-There are two ways to know nothing: every ray returns (or none), and every intensity is the median. A
-rendered scan is doubted when it is nearer to that than to the recording, that is beyond half the way. It may
-differ as much as training scans of one drive differ from each other, and by what the sensor rounds away.
+Statistics are the hit rate, the distribution of intensities, and the brightness of images. A rendered scan is
+compared with the training scans nearest in time; limits are derived from training scans only. A model that
+has learned nothing makes every ray return (or none), with the median intensity. The limit is half of the
+distance to such a scan, but at least as far as the training scans are apart, or one step of rounding.
 """
 
 from dataclasses import dataclass
@@ -14,47 +14,48 @@ import numpy as np
 from nvsf_core.errors import DataError
 
 _LEVELS = 100
-"""Steps of intensity, 0.01 each: what KITTI's and KITTI-360's files tell apart."""
+"""Steps of intensity, 0.01 each: the resolution of KITTI's and KITTI-360's files."""
 _HALF_WAY = 0.5
+"""Limits are this share of the distance to a model that has learned nothing."""
 _SMALLEST_LIMIT = 0.01
-"""A percentage point of the rays, and one step of intensity."""
+"""One percent of the rays, and one step of intensity."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanNorms:
-    """The training scans of a drive, n of them in the order of time."""
+    """Statistics of a drive's n training scans, in the order of time."""
 
     time_s: np.ndarray
     """(n,) float64."""
     firings: np.ndarray
-    """(n,) of each laser in the turn."""
+    """(n,) firings of each laser in a sweep."""
     lasers: int
-    """That ever returned."""
+    """Number of lasers that ever had a return."""
     hit_rate: np.ndarray
     """(n,) share of the rays that returned."""
     spread: np.ndarray
-    """(n, 101) of intensities, as of `intensity_spread`."""
+    """(n, 101) `intensity_spread` of each scan."""
 
     @property
     def hit_rate_limit(self) -> float:
-        """How far a rendered scan's hit rate may be from the nearest training scans'."""
+        """Largest difference of a rendered scan's hit rate from the nearest training scans'."""
         typical = float(np.median(self.hit_rate))
         knowing_nothing = min(typical, 1.0 - typical)
         return max(_SMALLEST_LIMIT, _HALF_WAY * knowing_nothing, float(np.ptp(self.hit_rate)))
 
     @property
     def intensity_limit(self) -> float:
-        """How far a rendered scan's intensities may be spread from the nearest training scans'."""
+        """Largest `spread_distance` of a rendered scan's intensities from the nearest training scans'."""
         return spread_limit(self.spread)
 
     def hit_rate_apart(self, returns: int, time_s: float) -> float:
-        """Hit rate of a scan at a time, less the rate of the two training scans nearest to it."""
+        """Hit rate of a scan at a time, minus the mean rate of the two training scans nearest in time."""
         near = self._nearest(time_s)
         rays = self.lasers * float(self.firings[near].mean())
         return returns / rays - float(self.hit_rate[near].mean())
 
     def intensities_apart(self, intensity: np.ndarray, time_s: float) -> float:
-        """Distance of intensities (m,), m > 0, from those of the two training scans nearest in time."""
+        """`spread_distance` of intensities (m,), m > 0, from the two training scans nearest in time."""
         near = self._nearest(time_s)
         return spread_distance(intensity_spread(intensity), self.spread[near].mean(axis=0))
 
@@ -65,14 +66,14 @@ class ScanNorms:
 def scan_norms(
     time_s: np.ndarray, firings: np.ndarray, lasers: int, offsets: np.ndarray, intensity: np.ndarray
 ) -> ScanNorms:
-    """The norms of n training scans, whose returns lie one scan behind the other.
+    """The norms of n training scans, whose returns are in one array, scan by scan.
 
     Args:
-        time_s: (n,).
-        firings: (n,) of each laser in a turn, > 0.
-        lasers: That ever returned, > 0.
-        offsets: (n + 1,) where each scan's returns begin; every scan has some.
-        intensity: (N,) of all returns.
+        time_s: (n,) ascending.
+        firings: (n,) firings of each laser in a sweep, > 0.
+        lasers: Number of lasers that ever had a return, > 0.
+        offsets: (n + 1,) where each scan's returns begin, and N; no scan is empty.
+        intensity: (N,) in 0..1, of all returns.
 
     Raises:
         DataError: There is no scan, or one without rays or returns.
@@ -97,7 +98,7 @@ def intensity_spread(intensity: np.ndarray) -> np.ndarray:
     """Cumulative histogram (101,) float64 of intensities (m,) in [0, 1], m > 0, in steps of 0.01.
 
     Raises:
-        DataError: There is none, or one is not finite.
+        DataError: There is no intensity, or one that is not finite.
     """
     if intensity.size == 0 or not np.isfinite(intensity).all():
         broken = int(np.count_nonzero(~np.isfinite(intensity)))
@@ -108,9 +109,9 @@ def intensity_spread(intensity: np.ndarray) -> np.ndarray:
 
 
 def spread_limit(spread: np.ndarray) -> float:
-    """How far one more cumulative histogram may be from n recorded ones (n, 101), n > 0.
+    """Largest `spread_distance` of a rendered cumulative histogram from n recorded ones (n, 101), n > 0.
 
-    Half the way to all of it at the median, or as far as the recorded ones are apart.
+    Half of the distance to a histogram with the median only, or the largest distance of two recorded ones.
     """
     together = spread.mean(axis=0)
     at_median = (np.arange(_LEVELS + 1) >= int(np.searchsorted(together, 0.5))).astype(np.float64)
@@ -119,47 +120,47 @@ def spread_limit(spread: np.ndarray) -> float:
 
 
 def spread_distance(one: np.ndarray, other: np.ndarray) -> float:
-    """Earth mover's distance of two cumulative histograms (101,): how far intensities would have to move.
+    """Earth mover's distance of two cumulative histograms (101,), 0..1: the mean shift of intensity.
 
-    W1 = integral of |F - G|, here the sum over steps of 0.01; 0 for equal ones, at most 1.
+    W1 = integral of |F - G|, here a sum over steps of 0.01.
     """
     return float(np.abs(one - other).sum() / _LEVELS)
 
 
 LEAST_LEVELS = 8.0
-"""An image that deviates less from its mean is met by one grey with 30 dB: errors in it say nothing."""
-_HALF = 0.5
+"""Least standard deviation of an image that is not blank: below, a uniform grey reaches 30 dB PSNR."""
 _TOP = 255.0
 _ENOUGH_PX = 40_000
+"""Pixels of an image that its statistics are taken from, about, evenly spaced."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageNorms:
-    """The training images of one camera, n of them."""
+    """Statistics of one camera's n training images."""
 
     seen: np.ndarray
-    """(H, W) bool, the pixels that are looked at."""
+    """(H, W) bool, the pixels that the statistics are taken from."""
     deviation: np.ndarray
-    """(n,) standard deviation of each image's grey values, levels of 255."""
+    """(n,) standard deviation of each image's grey values, 0..255."""
     spread: np.ndarray
-    """(n, 101) of the grey values, as of `intensity_spread`."""
+    """(n, 101) `intensity_spread` of each image's grey values."""
 
     @property
     def blank_below(self) -> float:
-        """Levels that an image which is not blank deviates by: half of the plainest training image's."""
-        return max(LEAST_LEVELS, _HALF * float(self.deviation.min()))
+        """An image with a smaller standard deviation is blank: half of the least of the training images."""
+        return max(LEAST_LEVELS, _HALF_WAY * float(self.deviation.min()))
 
     @property
     def greys_limit(self) -> float:
-        """How far a rendered image's grey values may be spread from the training image most like it."""
+        """Largest `greys_apart` of a rendered image."""
         return spread_limit(self.spread)
 
     def deviation_of(self, image: np.ndarray) -> float:
-        """Standard deviation of an image's (H, W, 3) uint8 grey values, levels of 255."""
+        """Standard deviation of the grey values, 0..255, of an image (H, W, 3) uint8."""
         return float(_greys(image, self.seen).std()) * _TOP
 
     def greys_apart(self, image: np.ndarray) -> float:
-        """Distance of an image's (H, W, 3) uint8 greys from those of the training image most like it."""
+        """`spread_distance` of an image's (H, W, 3) uint8 grey values to the nearest training image's."""
         own = intensity_spread(_greys(image, self.seen))
         return min(spread_distance(own, recorded) for recorded in self.spread)
 
@@ -169,10 +170,10 @@ def image_norms(images: np.ndarray, valid: np.ndarray) -> ImageNorms:
 
     Args:
         images: (n, H, W, 3) uint8, n > 0.
-        valid: (H, W) bool, the pixels that show something. Of many, evenly spaced ones are enough.
+        valid: (H, W) bool, pixels that the recording covers.
 
     Raises:
-        DataError: There is no image, or no pixel that shows something.
+        DataError: There is no image, or no valid pixel.
     """
     if len(images) == 0 or not valid.any():
         raise DataError(
@@ -192,6 +193,6 @@ def image_norms(images: np.ndarray, valid: np.ndarray) -> ImageNorms:
 
 
 def _greys(image: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Mean of the three colours, 0..1, of the pixels (m,) that are looked at."""
+    """Grey values (m,), 0..1, of an image's m `seen` pixels: the mean of the three colours."""
     grey: np.ndarray = image[seen].mean(axis=-1) / _TOP
     return grey

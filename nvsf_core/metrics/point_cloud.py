@@ -1,4 +1,4 @@
-"""Distances between point clouds."""
+"""Chamfer distance and F-score of point clouds."""
 
 from collections.abc import Mapping
 
@@ -8,20 +8,20 @@ from scipy.spatial import cKDTree
 from nvsf_core.metrics.measure import Measure, fault, undefined
 
 F_THRESHOLD_M2 = 0.05
-"""A point is matched when its squared distance to the other cloud is below this (radius 0.2236 m)."""
+"""A point is matched if its squared distance to the other cloud is below this (0.2236 m squared)."""
 
 
 def point_cloud_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping[str, Measure]:
     """Squared Chamfer distance and F-score of two clouds.
 
-    `chamfer_m2` = mean d^2(predicted to truth) + mean d^2(truth to predicted), in m^2, nearest
-    neighbours in float64. `f_score` = harmonic mean of precision (share of the prediction with
-    d^2 < 0.05 m^2) and recall (share of the truth), 0 where both are 0.
-    An empty cloud has no Chamfer distance; facing a cloud with points its F-score is 0.
+    `chamfer_m2` = mean d^2(predicted to truth) + mean d^2(truth to predicted), in m^2, of nearest
+    neighbours in float64. `f_score` = harmonic mean of precision (share of the predicted points with
+    d^2 < 0.05 m^2) and recall (the same of the true points), 0 if both are 0. With an empty cloud the Chamfer
+    distance is undefined; the F-score is 0, or undefined if both clouds are empty.
 
     Args:
-        predicted_m: Points (N, 3) in metres, in the frame of the truth.
-        truth_m: Points (M, 3) in metres.
+        predicted_m: (N, 3), in the frame of the truth.
+        truth_m: (M, 3).
     """
     n_points = len(predicted_m) + len(truth_m)
     if len(predicted_m) == 0 or len(truth_m) == 0:
@@ -43,7 +43,7 @@ def point_cloud_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping
 
 
 def _nearest_m2(from_m: np.ndarray, to_m: np.ndarray) -> np.ndarray:
-    """Squared distance of each point of one cloud to the nearest of the other, (N,) float64."""
+    """Squared distance (N,) float64 of each point of one cloud to the nearest of the other."""
     distance_m, _ = cKDTree(to_m.astype(np.float64)).query(from_m.astype(np.float64))
     squared: np.ndarray = np.square(distance_m)
     return squared

@@ -1,11 +1,11 @@
-"""Which numbers are compared with which: the protocols of the metric tables.
+"""The protocols of the metric tables: what is compared with what.
 
-`lidar4d`: as published by LiDAR4D and NVSF. The recorded scan projected to the 66x1030 pano with the
-papers' quirks against the model's pano, masked by its hits; every pixel counts, empty ones as 0.
+`lidar4d`: as published by LiDAR4D and NVSF. The model's pano, masked by its hits, with the recorded scan
+projected to the 66x1030 pano as the papers' code does; every pixel counts, empty ones as 0.
 `lidar4d_scan`: the same, with the projection of the exported scan as the prediction.
-`raw`: the recorded scan itself, 0 to 80 m on both sides: along its own rays, and as a cloud.
+`raw`: with the recorded scan itself, 0 to 80 m on both sides: along its rays, and as a point cloud.
 `image`: all pixels of the recorded image.
-`masked`: inside and outside the boxes of moving objects, with nothing else in the mean (`foreground.py`).
+`masked`: only inside, or only outside, the boxes of moving objects (`foreground.py`).
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ from nvsf_core.metrics.range_and_intensity import (
 from nvsf_core.sensors.linear_pano import LinearPano
 
 MAX_RANGE_M = 80.0
-"""Returns beyond it count on neither side."""
+"""Returns beyond it are left out on both sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,10 +45,10 @@ class PanoImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """One turn of a LiDAR in its own frame, as recorded or exported."""
+    """The points of one sweep, as recorded or exported."""
 
     points_m: np.ndarray
-    """(N, 3) metres."""
+    """(N, 3) in the sensor's frame at firing time."""
     intensity: np.ndarray
     """(N,) 0..1."""
     laser: np.ndarray
@@ -57,16 +57,18 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedRays:
-    """What lies along the recorded returns' own rays, all (R,)."""
+    """Range and intensity along the rays of the recorded returns, all (R,)."""
 
     range_m: np.ndarray
-    """Metres along the ray; inf = no answer."""
+    """Range along the ray; inf = no return."""
     intensity: np.ndarray
     """Intensity 0..1."""
 
 
 def project_scan(pano: LinearPano, scan: Scan) -> PanoImage:
-    """A scan on the pano (the protocol asks for `quirks=True`); a filled pixel is a certain hit.
+    """A scan projected to a pano; a filled pixel has hit probability 1.
+
+    The protocol `lidar4d` wants a pano with `reference_quirks=True`.
 
     Raises:
         DataError: A point of the scan is not finite.
@@ -80,12 +82,12 @@ def lidar4d(
 ) -> Mapping[str, Measure]:
     """Metrics of the protocols `lidar4d` and `lidar4d_scan`, of one frame.
 
-    The prediction is masked by hit > 0.5 before anything else; points come from both panos by the
-    pano's inverse. LPIPS takes the range image in metres, as the papers do.
+    First the prediction is masked by hit > 0.5. Point clouds are those of the panos' pixels. LPIPS takes
+    ranges in metres, as the papers do; it is absent if `lpips` is None.
     """
-    answered = predicted.hit > 0.5
-    range_m = np.where(answered, predicted.range_m, 0.0)
-    intensity = np.where(answered, predicted.intensity, 0.0)
+    returned = predicted.hit > 0.5
+    range_m = np.where(returned, predicted.range_m, 0.0)
+    intensity = np.where(returned, predicted.intensity, 0.0)
     return {
         **point_cloud_metrics(pano.points(range_m), pano.points(truth.range_m)),
         **range_image_metrics(range_m, truth.range_m),
@@ -110,14 +112,14 @@ def raw(
         rendered: The prediction along the recorded rays, in the order of the recorded returns.
         truth: The recorded scan.
         truth_rays: Recorded range and intensity along the same rays.
-        n_lasers: Lasers of the sensor, for the hit cells.
+        n_lasers: Number of the sensor's lasers, for the hit cells.
     """
     counted = (truth_rays.range_m > 0.0) & (truth_rays.range_m <= MAX_RANGE_M)
-    answered = np.isfinite(rendered.range_m[counted])
+    returned = np.isfinite(rendered.range_m[counted])
     near_predicted, near_truth = near_returns(predicted), near_returns(truth)
     return {
         **ray_range_metrics(rendered.range_m[counted], truth_rays.range_m[counted]),
-        **ray_intensity_metrics(rendered.intensity[counted], truth_rays.intensity[counted], answered),
+        **ray_intensity_metrics(rendered.intensity[counted], truth_rays.intensity[counted], returned),
         **hit_cell_metrics(
             near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser, n_lasers
         ),
@@ -126,7 +128,7 @@ def raw(
 
 
 def near_returns(scan: Scan) -> Scan:
-    """The returns within `MAX_RANGE_M` of the sensor; a broken (NaN) point stays, to be counted as such."""
+    """Returns above 0 and up to `MAX_RANGE_M` from the sensor; NaN points are kept, for metrics to report."""
     range_m = np.linalg.norm(scan.points_m.astype(np.float64), axis=1)
     keep = ~((range_m > MAX_RANGE_M) | (range_m == 0.0))
     return Scan(points_m=scan.points_m[keep], intensity=scan.intensity[keep], laser=scan.laser[keep])

@@ -1,4 +1,4 @@
-"""The rows of `scene_metrics`, their means, and a table for the terminal."""
+"""The columns of `scene_metrics`, means over its rows, and a table of them for the terminal."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ COLUMNS = (
     "scene", "split", "frame", "protocol", "region", "sensor", "metric", "value", "unit", "n_valid", "recipe",
     "seed", "train_seconds", "render_seconds", "parameters", "model_mb", "peak_memory_mb", "commit",
 )  # fmt: skip
-"""Columns of `scene_metrics`, one row a frame and metric."""
+"""Columns of `scene_metrics`, which has a row for each frame and metric."""
 
 UNITS = {
     "chamfer_m2": "m2", "f_score": "1",
@@ -21,12 +21,12 @@ UNITS = {
     "image_psnr_db": "dB", "image_ssim": "1", "image_lpips_squeeze": "1",
     "image_lpips_alex": "1", "image_depth_rmse_m": "m",
 }  # fmt: skip
-"""Unit of every metric that is measured; 1 = a bare number."""
+"""Unit of each metric; 1 = dimensionless."""
 
 HELD_OUT = "test"
-"""Split of the frames that were held out of training."""
+"""Name of the split of frames that are held out of training and scored."""
 BASELINES = ("reproject", "copy_nearest", "mesh")
-"""Recipes that learn nothing, in the order in which a table lists them, below the models."""
+"""Recipes without learning, in the order of a table, which lists them below the models."""
 
 _PANO = ("chamfer_m2", "f_score", "range_rmse_m", "range_psnr_db", "intensity_rmse", "hit_accuracy")
 HEADLINES = {
@@ -42,7 +42,7 @@ HEADLINES = {
     ),
     "image": ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_depth_rmse_m"),
 }  # fmt: skip
-"""Metrics of each protocol that the terminal shows; the store and the report hold all."""
+"""Metrics of each protocol in the terminal's table; the store and the report have all."""
 
 _SHORT = {
     "chamfer_m2": "CD m2", "f_score": "F", "range_rmse_m": "range RMSE m", "range_psnr_db": "range PSNR dB",
@@ -56,11 +56,12 @@ Row = Mapping[str, Any]
 
 
 def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Mean over frames of each scene, split, region, recipe, seed, protocol, sensor and metric.
+    """Mean over the frames of each scene, split, region, protocol, sensor, recipe, seed and metric.
 
     Returns:
-        Rows with these keys, `value` (mean of the frames where it is defined, NaN if there is none),
-        `unit`, `n_frames`, `n_defined`, `render_seconds` (mean a frame) and the costs of the model.
+        Rows with these keys, `value` (mean over the frames where it is defined, NaN if there is none),
+        `unit`, `n_frames`, `n_defined`, `render_seconds` (mean a frame), and the model's `train_seconds`,
+        `parameters` and `model_mb`.
     """
     keys = ("scene", "split", "region", "protocol", "sensor", "recipe", "seed", "metric")
     groups: dict[tuple[Any, ...], list[Row]] = {}
@@ -80,10 +81,10 @@ def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def summary_table(rows: Sequence[Row]) -> str:
-    """Plain text, one block a scene, split, protocol, region and sensor: the model above the baselines.
+    """A table in plain text, one block for each scene, split, protocol and sensor, models above baselines.
 
-    Time stands beside error. Regions are shown in the protocol `masked` alone, and of them the foreground.
-    A mean over fewer frames than there are carries `*`; `-` is undefined on all of them.
+    The protocol `masked` is shown for the foreground only. `*` marks a mean over fewer frames than there are,
+    `-` a metric that is undefined on all of them.
     """
     blocks: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in mean_rows(rows):
@@ -91,7 +92,7 @@ def summary_table(rows: Sequence[Row]) -> str:
         if row["region"] == shown and row["metric"] in HEADLINES[row["protocol"]]:
             key = (row["scene"], row["split"], row["protocol"], row["region"], row["sensor"])
             blocks.setdefault(key, []).append(row)
-    # Frames' order of writing puts a method's protocols together; a reader compares methods.
+    # Rows are stored method by method; readers compare methods within a protocol.
     order = sorted(
         blocks, key=lambda key: (key[0], key[1] != HELD_OUT, key[1], list(HEADLINES).index(key[2]), key[4])
     )

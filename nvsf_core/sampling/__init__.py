@@ -1,1 +1,1 @@
-"""Which pixels and which places along a ray are looked at."""
+"""Sampling of pixels, and of distances along rays."""

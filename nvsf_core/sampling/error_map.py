@@ -1,4 +1,4 @@
-"""Heuristic sampling: each frame remembers where it was wrong, and rays are drawn from that."""
+"""Heuristic sampling (paper): rays are sampled in proportion to a map of each frame's past errors."""
 
 import torch
 from torch import Tensor, nn
@@ -8,39 +8,42 @@ from nvsf_core.numerics import require_finite
 from nvsf_core.sampling.patches import require_patch_fits
 
 LIDAR_CELL_PX = 2
-"""Pano pixels along a cell of the LiDAR's map."""
+"""Side of a cell of the LiDAR's map, in pano pixels."""
 CAMERA_CELL_PX = 4
-"""Image pixels along a cell of a camera's map."""
+"""Side of a cell of a camera's map, in image pixels."""
 
 _KEPT = 0.1
-"""Share of a cell's old value that stays."""
+"""Weight of a cell's old value in an update."""
 _LOWEST, _HIGHEST = 1.0, 1000.0
-"""What the smallest and the largest error of a batch become."""
+"""Values of a batch's smallest and largest error in the map."""
 
 
 class ErrorMap(nn.Module):
-    """The reconstruction error of each frame on a coarse grid, and draws in proportion to it.
+    """The reconstruction error of each frame on a coarse grid, and samples in proportion to it.
 
-    A module only so that its state travels with checkpoints and devices; nothing in it is learned.
+    It is a module so that checkpoints and devices include its state; nothing in it is learned.
     """
 
     errors: Tensor
-    """(frames, ceil(height / cell), ceil(width / cell)) float32, from 1 to 1000."""
+    """(frames, ceil(height / cell_px), ceil(width / cell_px)) float32, 1 to 1000."""
     drawable: Tensor
-    """(height, width) bool: pixels that may be drawn."""
+    """(height, width) bool: pixels that may be sampled."""
     _inside: Tensor
 
     def __init__(
         self, frames: int, height: int, width: int, cell_px: int, is_drawable: Tensor | None = None
     ) -> None:
-        """Start without knowledge: every cell 1.
+        """Start with 1 in every cell.
 
         Args:
-            frames: Training frames, numbered from 0.
+            frames: Number of training frames.
             height: Rows of the image.
-            width: Columns.
-            cell_px: Pixels along a cell.
-            is_drawable: (height, width) bool, for cameras whose images have blind parts; None = all.
+            width: Columns of the image.
+            cell_px: Side of a cell, pixels.
+            is_drawable: (height, width) bool, pixels that may be sampled; None = all.
+
+        Raises:
+            ShapeError: The mask has another shape, or no pixel.
         """
         super().__init__()
         self.cell_px = cell_px
@@ -55,23 +58,23 @@ class ErrorMap(nn.Module):
         self.register_buffer("drawable", drawable.clone(), persistent=False)
         padded = torch.zeros(1, 1, cells[0] * cell_px, cells[1] * cell_px)
         padded[0, 0, :height, :width] = drawable
-        # (cells, cell_px * cell_px): which pixels of each cell may be drawn, as weights.
+        # (cells, cell_px * cell_px): 1 for the pixels of each cell that may be sampled.
         inside = nn.functional.unfold(padded, cell_px, stride=cell_px)[0].T.contiguous()
         self.register_buffer("_inside", inside, persistent=False)
 
     @torch.no_grad()
     def update(self, frame: int, rows: Tensor, columns: Tensor, error: Tensor) -> None:
-        """Take in the errors of a batch: cell <- 0.1 cell + 0.9 e.
+        """Enter the errors of a batch: cell <- 0.1 cell + 0.9 e.
 
-        e is the batch's error brought to [1, 1000] by its own smallest and largest value. Of several rays in
-        one cell the largest counts (the authors leave open which). A batch without rays, or whose errors are
-        all equal, ranks nothing and changes nothing.
+        e is the error, mapped linearly from the batch's smallest and largest error to [1, 1000]. Of several
+        rays in one cell the largest counts (the authors do not say which). A batch without rays, or with
+        equal errors only, changes nothing.
 
         Args:
-            frame: The batch's frame, from 0.
-            rows: (r,) pixel rows.
-            columns: (r,) pixel columns.
-            error: (r,) of each ray, any unit.
+            frame: Index of the batch's frame.
+            rows: (r,) integer, pixel rows.
+            columns: (r,) integer, pixel columns.
+            error: (r,) error of each ray, any unit.
 
         Raises:
             ShapeError: The three differ in length.
@@ -86,7 +89,7 @@ class ErrorMap(nn.Module):
             return
         error = require_finite(f"error map, errors of frame {frame}", error.to(self.errors))
         low, high = error.min(), error.max()
-        # In halves, or the difference of two huge errors overflows.
+        # Halved first, or the difference of two huge errors would overflow.
         spread = 0.5 * high - 0.5 * low
         if not bool(spread > 0.0):
             return
@@ -100,11 +103,17 @@ class ErrorMap(nn.Module):
     def sample_patches(
         self, frame: int, count: int, patch: tuple[int, int], generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """Upper left corners (count,), (count,) of patches, in proportion to the frame's cells.
+        """Rows (count,) and columns (count,) of patches' upper left corners, sampled by the frame's errors.
 
-        Cells are drawn by a multinomial without replacement, a corner evenly within its cell (the paper's
-        jitter), then moved until its patch lies within the image. More patches than cells: each cell once
-        for every full round.
+        Cells are sampled by a multinomial without replacement, a corner uniformly within its cell (the
+        paper's jitter) and then moved until its patch lies within the image. With more patches than cells
+        each cell is taken once for every full round.
+
+        Args:
+            frame: Index of the frame.
+            count: Number of patches.
+            patch: Rows and columns of a patch.
+            generator: The only source of randomness.
 
         Raises:
             ShapeError: The patch is larger than the image.
@@ -112,7 +121,7 @@ class ErrorMap(nn.Module):
         """
         height, width = self.drawable.shape
         require_patch_fits((height, width), patch)
-        cell_row, cell_column = self._draw_cells(self.errors[frame].flatten(), count, generator)
+        cell_row, cell_column = self._sample_cells(self.errors[frame].flatten(), count, generator)
         jitter = torch.rand(2, count, generator=generator, device=generator.device).to(cell_row.device)
         jitter = (jitter * self.cell_px).long().clamp_max(self.cell_px - 1)
         rows = (cell_row * self.cell_px + jitter[0]).clamp_max(height - patch[0])
@@ -120,15 +129,15 @@ class ErrorMap(nn.Module):
         return rows, columns
 
     def sample_pixels(self, frame: int, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Pixels (count,), (count,): as patches of one pixel, but only such as may be drawn.
+        """Rows (count,) and columns (count,) of pixels, sampled by the frame's errors.
 
-        The jitter is even over the drawable pixels of the drawn cell.
+        As `sample_patches` with patches of one pixel, uniform over the `drawable` pixels of the cell.
 
         Raises:
             DivergedError: The map holds no cell above 0, or one that is not finite.
         """
         weights = self.errors[frame].flatten() * (self._inside.sum(dim=1) > 0)
-        cell_row, cell_column = self._draw_cells(weights, count, generator)
+        cell_row, cell_column = self._sample_cells(weights, count, generator)
         if count == 0:
             return cell_row, cell_column
         inside = self._inside[cell_row * self.errors.shape[2] + cell_column].to(generator.device)
@@ -136,8 +145,8 @@ class ErrorMap(nn.Module):
         rows = cell_row * self.cell_px + pixel // self.cell_px
         return rows, cell_column * self.cell_px + pixel % self.cell_px
 
-    def _draw_cells(self, weights: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Rows and columns (count,) of cells, drawn without replacement from weights (cells,).
+    def _sample_cells(self, weights: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Rows and columns (count,) of cells, sampled without replacement with weights (cells,).
 
         Raises:
             DivergedError: A weight is not finite, or none is above 0.

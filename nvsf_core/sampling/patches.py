@@ -1,4 +1,4 @@
-"""Small rectangles of a pano, whose neighbouring ranges are compared."""
+"""Patches: small rectangles of a pano, whose neighbouring ranges are compared."""
 
 import torch
 from torch import Tensor
@@ -9,15 +9,15 @@ from nvsf_core.errors import ShapeError
 def uniform_corners(
     shape: tuple[int, int], patch: tuple[int, int], count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Upper left corners (count,), (count,) of patches, even over all that lie within the image.
+    """Rows (count,) and columns (count,) of patches' upper left corners.
 
-    Drawn with replacement. Every row and column can be in a patch, the last ones too.
+    Uniform, with replacement, over all patches within the image, the last rows and columns included.
 
     Args:
         shape: Rows and columns of the image.
         patch: Rows and columns of a patch.
-        count: Patches.
-        generator: Draws them.
+        count: Number of patches.
+        generator: The only source of randomness.
 
     Raises:
         ShapeError: The patch is larger than the image.
@@ -43,19 +43,19 @@ def patch_pixels(
 ) -> tuple[Tensor, Tensor]:
     """All pixels of patches with the given upper left corners.
 
-    A corner too far down or right is moved until its patch lies within the image. With `wrap` columns go
-    on at the other edge instead, as a full turn does; rows never wrap. (LiDAR4D wraps, the paper's code
-    does not.)
+    A corner too far down or right is moved until its patch lies within the image. With `wrap`, columns
+    continue at the other edge instead, as in a 360-degree pano; rows never do. (LiDAR4D wraps, the paper's
+    code does not.)
 
     Args:
-        corner_rows: (p,) integer.
-        corner_columns: (p,) integer.
+        corner_rows: (p,) integer, upper rows.
+        corner_columns: (p,) integer, left columns.
         patch: Rows h and columns w of a patch.
         shape: Rows H and columns W of the image.
         wrap: Whether columns are taken modulo W.
 
     Returns:
-        rows (p, h, w), columns (p, h, w), int64, all within the image.
+        Rows (p, h, w) and columns (p, h, w), int64, all within the image.
 
     Raises:
         ShapeError: The patch is larger than the image.
@@ -71,10 +71,10 @@ def patch_pixels(
 
 
 def require_patch_fits(shape: tuple[int, int], patch: tuple[int, int]) -> None:
-    """Refuse a patch that no place of the image can hold.
+    """Refuse a patch that is larger than the image, or empty.
 
     Raises:
-        ShapeError: It is empty or larger than the image.
+        ShapeError: It is.
     """
     if not (1 <= patch[0] <= shape[0] and 1 <= patch[1] <= shape[1]):
         raise ShapeError(f"expected patches of at least 1x1 within {shape}, found {patch}; use smaller ones")

@@ -1,4 +1,4 @@
-"""Which pixels of a frame a step learns from: evenly or by the error map, one by one or in patches."""
+"""Sampling of a training step's pixels: uniform or by the error map, as single pixels or patches."""
 
 from dataclasses import dataclass
 
@@ -16,18 +16,18 @@ class SampledPixels:
     """The pixels of one step."""
 
     rows: Tensor
-    """(r,) int64."""
+    """(r,) int64 pixel rows."""
     columns: Tensor
-    """(r,) int64."""
+    """(r,) int64 pixel columns."""
     patch: tuple[int, int] | None
-    """Rows and columns of a patch; r is then a multiple of their product and patches follow one another,
-    each row by row: `x.view(-1, *patch)`. None: single pixels."""
+    """Rows and columns of a patch: the pixels are patch by patch, row by row, so that `x.view(-1, *patch)`
+    has one patch a row. None: single pixels."""
 
 
 def is_second_epoch(epoch: int) -> bool:
-    """Whether this epoch, counted from 0, is one of heuristic draws and patches.
+    """Whether an epoch, counted from 0, samples heuristically and in patches.
 
-    Every second one is, beginning with the second, so that the first has filled the error map.
+    Every second one does, from the second on: the first has to fill the error map.
     """
     return epoch % 2 == 1
 
@@ -35,16 +35,16 @@ def is_second_epoch(epoch: int) -> bool:
 def uniform_pixels(
     shape: tuple[int, int], count: int, generator: torch.Generator, is_drawable: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Rows (count,) and columns (count,) of pixels, even over the image, with replacement.
+    """Rows (count,) and columns (count,) of pixels, uniform over the image, with replacement.
 
     Args:
         shape: Rows and columns of the image.
-        count: Pixels.
-        generator: Draws them.
-        is_drawable: (rows, columns) bool: only these; None = all.
+        count: Number of pixels.
+        generator: The only source of randomness.
+        is_drawable: (H, W) bool, pixels that may be sampled; None = all.
 
     Raises:
-        ShapeError: No pixel may be drawn.
+        ShapeError: No pixel may be sampled.
     """
     allowed = None if is_drawable is None else is_drawable.flatten().nonzero()[:, 0]
     size = shape[0] * shape[1] if allowed is None else len(allowed)
@@ -66,24 +66,24 @@ def sample_lidar_pixels(
 ) -> SampledPixels:
     """The pano pixels of one step.
 
-    `sampling.heuristic` and `sampling.patches` act in every second epoch (`is_second_epoch`), each for
-    itself: patches without the error map lie evenly, the error map without patches draws pixels. Patches
-    fill at most `sampling.rays` rays, and there is at least one.
+    `sampling.heuristic` and `sampling.patches` apply in every second epoch (`is_second_epoch`),
+    each by itself: patches without the error map are uniform, the error map without patches gives single
+    pixels. There are as many patches as fit into `sampling.rays`, at least one.
 
     Args:
         sampling: Switches and number of rays.
         epoch: From 0.
-        frame: Number of the frame in `error_map`.
-        error_map: Of the panos.
-        generator: Draws.
-        wrap: Whether a patch goes on at the pano's other edge.
+        frame: Index of the frame in `error_map`.
+        error_map: Errors of the panos.
+        generator: The only source of randomness.
+        wrap: Whether a patch continues at the pano's other edge.
     """
     height, width = error_map.drawable.shape
     heuristic, patch = sampling.heuristic and is_second_epoch(epoch), sampling.patches
     if patch is None or not is_second_epoch(epoch):
-        return _draw_single(heuristic, sampling.rays, frame, error_map, generator)
+        return _single_pixels(heuristic, sampling.rays, frame, error_map, generator)
     count = max(1, sampling.rays // (patch[0] * patch[1]))
-    # A patch that wraps may begin in every column, as one that is a single column wide may.
+    # A patch that wraps may begin in every column, like one of a single column.
     within = (patch[0], 1) if wrap else patch
     if heuristic:
         corners = error_map.sample_patches(frame, count, within, generator)
@@ -96,12 +96,20 @@ def sample_lidar_pixels(
 def sample_camera_pixels(
     sampling: PaperSampling, epoch: int, frame: int, error_map: ErrorMap, generator: torch.Generator
 ) -> SampledPixels:
-    """The image pixels of one step: by the error map in every second epoch, evenly otherwise."""
+    """The image pixels of one step: by the error map in every second epoch, else uniform.
+
+    Args:
+        sampling: Switches and number of rays.
+        epoch: From 0.
+        frame: Index of the frame in `error_map`.
+        error_map: Errors of the camera's images.
+        generator: The only source of randomness.
+    """
     heuristic = sampling.heuristic and is_second_epoch(epoch)
-    return _draw_single(heuristic, sampling.rays, frame, error_map, generator)
+    return _single_pixels(heuristic, sampling.rays, frame, error_map, generator)
 
 
-def _draw_single(
+def _single_pixels(
     heuristic: bool, count: int, frame: int, error_map: ErrorMap, generator: torch.Generator
 ) -> SampledPixels:
     if heuristic:

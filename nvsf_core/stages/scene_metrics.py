@@ -16,7 +16,7 @@ from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metrics
-from nvsf_core.stages.runner.record import machine
+from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
 from nvsf_core.stages.scoring.demo_truth import measure_demo_view, read_demo_truth

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from nvsf_core.losses.image import colour_loss, structure
+from nvsf_core.losses.image import structure
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss
 from nvsf_core.losses.total import total_loss
 
@@ -23,11 +23,8 @@ def test_a_coin_costs_the_log_of_two() -> None:
     assert torch.allclose(loss, torch.full((2,), math.log(2.0)))
 
 
-def test_intensity_and_colour_are_squared_errors() -> None:
+def test_intensity_is_a_squared_error() -> None:
     assert torch.allclose(intensity_loss(torch.zeros(1), torch.tensor([0.2])), torch.tensor([0.09]))
-    assert torch.allclose(
-        colour_loss(torch.tensor([[0.0, 0.3, 0.6]]), torch.zeros(1, 3)), torch.tensor([0.15])
-    )
 
 
 def test_an_empty_term_is_absent_and_not_nan() -> None:

@@ -1,1 +1,1 @@
-"""Hash grids and feature planes: encode and adjoint, one interface over torch, numba and Triton."""
+"""Kernels of hash grids and feature planes, with gradients, in torch, numba and Triton."""

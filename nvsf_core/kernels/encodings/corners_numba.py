@@ -1,9 +1,8 @@
-"""Grid points around a block of positions and their linear weights, in loops that the compiler vectorises.
+"""Grid points around a block of positions, and their linear weights, in loops that compilers vectorise.
 
-What the loops need for that: one axis after the other in float32 and 32-bit integers, unsigned indices
-(numba would test a signed one for being negative). No fast-math flag is set: a fused multiply-add would put
-a point on a cell border into another cell than the oracle's, and numba hands a caller's flags down to what
-it calls.
+For that they take one axis at a time, in float32 and 32-bit integers, with unsigned indices (numba tests
+signed ones for being negative). No fast-math flag is set: with a fused multiply-add a point on a cell border
+could get another cell than in the torch oracle. numba passes a caller's flags on to the functions it calls.
 """
 
 from __future__ import annotations
@@ -22,40 +21,52 @@ __all__ = [
 ]  # fmt: skip
 
 BLOCK = 256
-"""Points whose corners are worked out before their rows are fetched: fetches of many points overlap in
-flight, and the scratch of 28 KiB stays in the first cache."""
+"""Points a block: all their corners are computed before the rows are read, so that reads of many points
+overlap. Its 28 KiB of scratch memory fit into the first-level cache."""
 
 AHEAD = 32
-"""Rows are asked for this many points before they are needed; the processor by itself looks seven ahead."""
+"""Rows are prefetched this many points before they are needed; processors by themselves look seven ahead."""
 
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def neutral_axes() -> Any:
-    """Scratch of `place`: two rows (lower and upper point) for each of three axes, keys and shares.
+    """Scratch memory of `place`: keys and shares (6 * BLOCK,), for three axes their lower and upper points.
 
-    An axis that is never placed has key 0 and share 1, which change nothing in `combine`.
+    An axis that `place` is not called for has key 0 and share 1, which are neutral in `combine`.
     """
     return np.zeros(6 * BLOCK, np.uint32), np.ones(6 * BLOCK, np.float32)
 
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def corner_scratch(corners: Any) -> Any:
-    """Scratch of `combine`: entries and weights of a block's corners.
+    """Scratch memory of `combine`: entries and weights of a block's corners.
 
-    What is asked for ahead is read from the entries too, AHEAD points past the last.
+    The prefetch reads the entries up to AHEAD points past the last.
     """
     return np.empty(corners * BLOCK + 2 * AHEAD, np.uint32), np.empty(corners * BLOCK, np.float32)
 
 
+# Wide: numba inlines it; each parameter is a scalar or a flat array of the caller's loop.
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def place(
     coordinates: Any, first: Any, count: Any, axis: Any, scale: Any, shift: Any, last: Any, factor: Any,
     key: Any, share: Any,
 ) -> None:  # fmt: skip
-    """Lower and upper grid point along an axis of `count` coordinates from `first` on, at most BLOCK.
+    """Lower and upper grid point of each coordinate along one axis, and their linear weights (shares).
 
-    A coordinate x, clamped to [0, 1], lies at ``x * scale + shift``. The keys are the two points (at most
-    `last`) times `factor`, the shares 1 - fraction and fraction. NaN reads point 0; its shares are NaN.
+    A coordinate x, clamped to [0, 1], is at ``x * scale + shift``. NaN reads point 0; its shares are NaN.
+
+    Args:
+        coordinates: Flat float32, see `axis_by_axis`.
+        first: Index of the first coordinate.
+        count: Number of coordinates, at most BLOCK.
+        axis: 0, 1 or 2.
+        scale: Float32, cells along the axis.
+        shift: Float32, position of x = 0.
+        last: Uint32, largest grid point.
+        factor: Uint32, by which grid points are multiplied in the keys.
+        key: Written: the axis' two rows of BLOCK keys, grid point times factor.
+        share: Written: the axis' two rows of BLOCK shares, 1 - fraction and fraction.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     begin = np.uint64(first)
@@ -75,14 +86,25 @@ def place(
         key[high + i] = np.uint32(min(np.uint32(lower + np.int32(1)), last) * factor)
 
 
+# Wide: numba inlines it; each parameter is a scalar or a flat array of the caller's loop.
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def combine(
     key: Any, share: Any, count: Any, axes: Any, dense: Any, mask: Any, entry: Any, weight: Any
 ) -> None:  # fmt: skip
-    """Entries and weights of the corners: sums of keys where dense, else their masked XOR; share products.
+    """Table entries and weights of the 2^axes corners of each position.
 
-    Fills entry (uint32) and weight (float32) of 2^axes corners: for each pair of neighbours in x, y varying
-    fastest, one row of 2 * BLOCK, in which the lower and the upper point of a position lie side by side.
+    Results have a row of 2 * BLOCK for each pair of corners that are neighbours in x (y varies fastest); in
+    it the lower and the upper corner of a position are side by side.
+
+    Args:
+        key: Keys from `place`.
+        share: Shares from `place`.
+        count: Number of positions, at most BLOCK.
+        axes: Number of axes, 2 or 3.
+        dense: True = an entry is the sum of keys, False = their XOR, masked.
+        mask: Uint32, entries of a hashed level minus 1.
+        entry: Written: uint32 entries.
+        weight: Written: float32 products of shares.
     """
     lower, upper = np.uint64(0), np.uint64(BLOCK)
     for pair in range(1 << (axes - 1)):
@@ -100,13 +122,13 @@ def combine(
 
 
 def axis_by_axis(positions: Tensor) -> Any:
-    """Positions (n, d) as a flat float32 array (d * n,), one axis after the other."""
+    """Positions (n, d) as a flat float32 array (d * n,), axis by axis."""
     # numpy transposes this shape six times faster than torch
     return np.ascontiguousarray(positions.detach().numpy().T).reshape(-1)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile lazily; cache beside the source or in the user's cache, nowhere if neither is writable."""
+    """Compile at the first call; cache beside the source or in the user's cache, if either is writable."""
     options: dict[str, Any] = {"parallel": True, "nogil": True, "error_model": "numpy"}
     try:
         return numba.njit(function, cache=True, **options)
@@ -115,7 +137,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def use_threads_of_torch() -> int:
-    """One thread count for torch and numba, so that a run's thread count is set in one place."""
+    """Give numba torch's thread count, so that a run sets it in one place; returns it."""
     threads = int(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
     numba.set_num_threads(threads)
     return threads

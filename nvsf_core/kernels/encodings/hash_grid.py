@@ -1,4 +1,4 @@
-"""The hash-grid encode: one interface, the kernel chosen by where the tensors are."""
+"""The hash-grid encoding: one function, which chooses the kernel by the tensors' device and type."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ Backend = Literal["torch", "numba", "triton"]
 def hash_grid_encode(
     positions: Tensor, table: Tensor, layout: GridLayout, backend: Backend | None = None
 ) -> Tensor:
-    """Linear look-up of every level of a multiresolution hash grid.
+    """Features of positions, interpolated linearly in every level of a multiresolution hash grid.
 
     ``out[:, l*F:(l+1)*F] = sum over the grid points c around x of w_c(x) * table[offset_l + index_l(c)]``,
-    8 points c in three dimensions, 4 in two. Positions outside the box are clamped to it: they get the
-    encoding of the nearest point of the box, and no gradient along the clamped axes. In a dense level a grid
-    point past the last is the last one. A NaN position yields a NaN encoding. float32 runs in numba on the
-    CPU and in Triton on CUDA (where Triton is installed); anything else in the torch oracle.
+    8 points c in three dimensions, 4 in two. Positions outside the box are clamped to it and have no gradient
+    along the clamped axes. In a dense level a grid point past the last is replaced by the last. A NaN
+    position has a NaN encoding. float32 is computed by numba on the CPU and by Triton on CUDA (if Triton is
+    installed), everything else by the torch oracle.
 
     Args:
-        positions: (n, layout.dimensions) in [0, 1], floating; they may require a gradient (which
-            numba leaves to the oracle).
+        positions: (n, layout.dimensions) in [0, 1], floating; may require a gradient (which the oracle
+            computes for numba).
         table: (layout.entries, layout.features), floating, on the same device.
-        layout: the grid.
-        backend: overrides the choice. "triton" takes CPU tensors only under Triton's interpreter.
+        layout: Sizes of the grid.
+        backend: Overrides the choice; "triton" takes CPU tensors only under Triton's interpreter.
 
     Returns:
         (n, levels * features), level by level, of the table's type.
 
     Raises:
-        ShapeError: a shape, type or device does not fit the layout or the backend.
+        ShapeError: A shape, type or device does not fit the layout or the backend.
     """
     _require_shapes(positions, table, layout)
     backend = backend or _backend_for(positions, table)
@@ -54,7 +54,7 @@ def hash_grid_encode(
 class _NumbaEncode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-        # numba costs 0.3 s to import and nothing but this path needs it
+        # Importing numba takes 0.3 s, and only this path needs it.
         from nvsf_core.kernels.encodings import hash_grid_numba
 
         ctx.save_for_backward(positions, table)
@@ -80,7 +80,7 @@ class _NumbaEncode(torch.autograd.Function):
 class _TritonEncode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-        # not every machine has Triton
+        # Not every machine has Triton.
         from nvsf_core.kernels.encodings import hash_grid_triton
 
         ctx.save_for_backward(positions, table)

@@ -1,9 +1,8 @@
-"""The hash-grid encode and its adjoint for the CPU, compiled by numba on first use and cached on disk.
+"""The hash-grid encoding and its table gradient on the CPU, compiled by numba at first use and cached.
 
-Bits: the forward pass is parallel over chunks of points that do not touch; the adjoint is parallel over
-levels, never over points, and each level adds its points in their order. So neither the thread count nor
-the run changes a bit. Both passes work out the corners anew: that is a tenth of the time, and keeping them
-would move 64 bytes a point and level.
+Results are bit-identical for every thread count and run: the forward pass is parallel over chunks of points;
+the adjoint is parallel over levels, never over points, and adds a level's points in their order. Both passes
+compute the corners: that takes a tenth of the time, while storing them would move 64 bytes a point and level.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ from nvsf_core.kernels.encodings.rows_numba import copy_row, gather, scatter
 
 __all__ = ["adjoint", "encode"]
 
-# A level is walked over this many points before the next, so that its part of the table stays in the caches;
-# few enough for their rows of all levels to stay in the second cache until they are put in order.
+# Points that one level is computed for before the next, so that the level's part of the table stays cached;
+# few enough for their rows of all levels to stay in the second-level cache until they are reordered.
 _FORWARD_CHUNK = 4096
 _HALF = np.float32(0.5)
 
@@ -46,7 +45,7 @@ def _forward_for(features: int, dimensions: int) -> Any:
         axes: Any, table: Any, scales: Any, lasts: Any, factors: Any, dense: Any, offsets: Any, mask: Any,
         points: Any, chunk_points: Any, out: Any,
     ) -> None:  # fmt: skip
-        # read from an array: constants here would be unrolled and take twice as long to compile
+        # Read from an array: constants would be unrolled, and compiling would take twice as long.
         levels, axis_count = factors.shape
         for chunk in prange((points + chunk_points - 1) // chunk_points):
             key, share = neutral_axes()
@@ -85,7 +84,7 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
         axes: Any, grad: Any, scales: Any, lasts: Any, factors: Any, dense: Any, offsets: Any, mask: Any,
         points: Any, workers: Any, grad_table: Any,
     ) -> None:  # fmt: skip
-        # read from an array: constants here would be unrolled and take twice as long to compile
+        # Read from an array: constants would be unrolled, and compiling would take twice as long.
         levels, axis_count = factors.shape
         rows = np.empty(levels * points * features, np.float32)
         for block in prange((points + BLOCK - 1) // BLOCK):
@@ -93,8 +92,8 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
                 for point in range(block * BLOCK, min((block + 1) * BLOCK, points)):
                     start = (level * points + point) * features
                     copy_row(grad, (point * levels + level) * features, rows, start, features)
-        # A worker owns whole levels, so no two ever write the same entry. They are dealt out there and back:
-        # finer levels miss the caches more often, and nobody should own all of them.
+        # Each worker has whole levels, so no two write the same entry. Levels are assigned forwards, then
+        # backwards, because finer ones take longer (more cache misses).
         for worker in prange(workers):
             key, share = neutral_axes()
             entry, weight = corner_scratch(8)
@@ -120,9 +119,9 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
 
 @cache
 def _level_arrays(layout: GridLayout) -> tuple[Any, ...]:
-    """Scale, last grid point, factor of each axis, dense or not, offset of each level; mask of the hash.
+    """Of each level: scale, last grid point, factors of the axes, whether dense, offset; and the hash mask.
 
-    The lower grid point is never past the last: floor(scale + 0.5) <= ceil(scale). Hashed levels have none.
+    A lower grid point is never past the last: floor(scale + 0.5) <= ceil(scale). Hashed levels have no last.
     """
     sizes = tuple(zip(layout.resolutions, layout.is_dense, strict=True))
     factors = [(1, size, size * size) if dense else PRIMES for size, dense in sizes]
@@ -137,9 +136,9 @@ def _level_arrays(layout: GridLayout) -> tuple[Any, ...]:
 
 
 def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    """Encode float32 CPU positions (n, dimensions) with a float32 table; no gradient is recorded.
+    """Encode float32 CPU positions (n, dimensions) with a float32 table, without autograd.
 
-    See `nvsf_core.kernels.hash_grid_encode` for the contract.
+    Arguments and result as in `nvsf_core.kernels.hash_grid_encode`.
     """
     points = positions.shape[0]
     blocks_a_thread = -(-points // (BLOCK * use_threads_of_torch()))
@@ -156,17 +155,17 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
 
 
 def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
-    """Gradient with respect to the table, from the gradient with respect to the encoding.
+    """Gradient of the table from the gradient of the encoding.
 
     Args:
         positions: (n, dimensions) float32 on the CPU.
         grad: (n, levels * features) float32 on the CPU.
-        layout: the grid.
+        layout: Sizes of the grid.
 
     Returns:
-        (layout.entries, layout.features) float32; the same bits for every thread count.
+        (layout.entries, layout.features) float32; bit-identical for every thread count.
     """
-    # numpy, unlike torch, asks for huge pages: clearing tens of MB costs a quarter
+    # numpy, unlike torch, requests huge pages: clearing tens of MB takes a quarter of the time
     grad_table = np.zeros((layout.entries, layout.features), dtype=np.float32)
     _adjoint_for(layout.features, layout.dimensions)(
         axis_by_axis(positions),

@@ -1,4 +1,4 @@
-"""The hash-grid encode in plain torch: slow, differentiable, what the kernels are tested against."""
+"""The hash-grid encoding in plain torch: slow, differentiable, the oracle that kernels are tested against."""
 
 from __future__ import annotations
 
@@ -11,16 +11,7 @@ __all__ = ["encode"]
 
 
 def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    """Encode positions; see `nvsf_core.kernels.hash_grid_encode` for the contract.
-
-    Args:
-        positions: (n, dimensions) floating, in [0, 1] (clamped).
-        table: (layout.entries, layout.features) floating.
-        layout: the grid.
-
-    Returns:
-        (n, levels * features), of the table's type, level by level.
-    """
+    """Encode positions (n, dimensions); arguments and result as in `nvsf_core.kernels.hash_grid_encode`."""
     inside = positions.clamp(0.0, 1.0)
     return torch.cat([_encode_level(inside, table, layout, level) for level in range(layout.levels)], dim=-1)
 
@@ -43,7 +34,7 @@ def _encode_level(inside: Tensor, table: Tensor, layout: GridLayout, level: int)
 
 
 def _entry(point: list[Tensor], layout: GridLayout, level: int) -> Tensor:
-    """Row of the table for grid points, given axis by axis: x fastest where dense, else the XOR hash."""
+    """Table rows of grid points, given axis by axis: x varies fastest in dense levels, others are hashed."""
     if layout.is_dense[level]:
         resolution = layout.resolutions[level]
         *finer, entry = [coordinate.clamp(max=resolution - 1) for coordinate in point]

@@ -1,18 +1,17 @@
-"""The hash-grid encode and both its adjoints for CUDA, compiled by Triton on first use.
+"""The hash-grid encoding and its gradients on CUDA, compiled by Triton at first use.
 
-No compiler and no CUDA extension of ours: Triton brings its own. With the environment variable
-TRITON_INTERPRET=1, set before this module is imported, the same kernels run on CPU tensors (slowly, for
-tests).
+Triton brings its own compiler. With the environment variable TRITON_INTERPRET=1, set before this module is
+imported, the same kernels run on CPU tensors (slowly, for tests).
 
-Cells: the position in grid units is rounded twice, after the product and after the sum, as the oracle's is.
-One rounding (a fused multiply-add) would change last bits of weights and, on the border between the first two
-cells, the cell; so every launch switches fusion off and the forward pass has the oracle's bits.
+Every launch switches fused multiply-add off. So positions in grid units are rounded after the product and
+after the sum, as in the torch oracle, and the forward pass is bit-identical to it; fused, weights would
+differ in their last bits, and at a cell border the cell could differ.
 
-Bits: the gradient of the table is added up atomically, in the order in which the device happens to run, so
-its last bits differ from run to run; everything else is the same in every run.
+The gradient of the table is summed atomically, in any order, so its last bits differ from run to run;
+everything else is bit-identical in every run.
 """
 
-# What Triton compiles is typed by its arguments at launch, and Triton reads annotations its own way.
+# Triton types its functions by their arguments at launch, and gives annotations a meaning of its own.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
@@ -30,14 +29,14 @@ __all__ = ["add", "adjoint", "encode", "is_interpreted", "position_adjoint", "st
 
 _PRIME_Y = tl.constexpr(PRIMES[1])
 _PRIME_Z = tl.constexpr(PRIMES[2])
-# Points of a program. Programs of points come first in the launch grid, whose first axis holds 2^31 of them:
-# no number of points that fits into memory needs a second launch.
+# Points of a program. The programs are along the launch grid's first axis, which allows 2^31 of them: one
+# launch is enough for all points that fit into memory.
 _BLOCK = 128
 
 
 @triton.jit
 def _cell(positions, point, inside, scale, AXIS: tl.constexpr, DIMENSIONS: tl.constexpr):
-    """Lower grid point and fraction along an axis; NaN reads cell 0 and stays NaN in the fraction."""
+    """Lower grid point and fraction along an axis; NaN reads cell 0, and its fraction is NaN."""
     x = tl.load(positions + point * DIMENSIONS + AXIS, mask=inside, other=0.0)
     known = tl.where(x == x, x, 0.0)
     position = tl.minimum(tl.maximum(known, 0.0), 1.0) * scale + 0.5
@@ -47,7 +46,7 @@ def _cell(positions, point, inside, scale, AXIS: tl.constexpr, DIMENSIONS: tl.co
 
 @triton.jit
 def _cells(positions, point, inside, scale, DIMENSIONS: tl.constexpr):
-    """`_cell` along x, y and z; in two dimensions z is y again, and unused."""
+    """`_cell` along x, y and z; in two dimensions z is a copy of y that is not used."""
     x, fx = _cell(positions, point, inside, scale, 0, DIMENSIONS)
     y, fy = _cell(positions, point, inside, scale, 1, DIMENSIONS)
     z, fz = y, fy
@@ -60,7 +59,7 @@ def _cells(positions, point, inside, scale, DIMENSIONS: tl.constexpr):
 def _entry(
     x, y, z, resolution, dense, offset, entry_mask, CORNER: tl.constexpr, DIMENSIONS: tl.constexpr
 ):  # fmt: skip
-    """Row of the table for a corner of the cell: x fastest where dense, else the XOR hash."""
+    """Table row of a cell's corner: x varies fastest in dense levels, others are hashed."""
     top = resolution - 1
     cx = x + (CORNER & 1)
     cy = y + ((CORNER >> 1) & 1)
@@ -76,7 +75,7 @@ def _entry(
 
 @triton.jit
 def _weight(fx, fy, fz, CORNER: tl.constexpr, DIMENSIONS: tl.constexpr):
-    """Weight of a corner, multiplied in the oracle's order."""
+    """Weight of a corner, its factors multiplied in the oracle's order."""
     weight = (fx if CORNER & 1 else 1.0 - fx) * (fy if (CORNER >> 1) & 1 else 1.0 - fy)
     if DIMENSIONS == 3:
         weight = weight * (fz if CORNER >> 2 else 1.0 - fz)
@@ -89,7 +88,7 @@ def _forward(
     LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """A block of points in a level; levels come last in the launch grid, so that one's table stays cached."""
+    """Encode a block of points in one level; levels are the launch grid's last axis, for the cache's sake."""
     level = tl.program_id(1)
     scale, resolution = tl.load(scales + level), tl.load(resolutions + level)
     is_dense, offset = tl.load(dense + level), tl.load(offsets + level)
@@ -112,7 +111,7 @@ def _table_adjoint(
     LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Adds weight * grad of a block of points to a level's entries."""
+    """Add weight * grad of a block of points to one level's entries."""
     level = tl.program_id(1)
     scale, resolution = tl.load(scales + level), tl.load(resolutions + level)
     is_dense, offset = tl.load(dense + level), tl.load(offsets + level)
@@ -136,7 +135,7 @@ def _position_adjoint(
     LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """A block of points through all levels: the product rule over the axes' weights, times the scale."""
+    """Gradient of a block of positions, over all levels: product rule over the axes' weights, times scale."""
     point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     inside = point < points
     feature = tl.arange(0, WIDTH)[None, :]
@@ -171,7 +170,7 @@ def _position_adjoint(
 
 @triton.jit
 def add(a, b):
-    """The sum that a reduction is made of."""
+    """The sum of two values, for `tl.reduce`."""
     return a + b
 
 
@@ -179,21 +178,31 @@ def add(a, b):
 def store_unclamped(
     positions, grad_positions, grad, point, inside, AXIS: tl.constexpr, DIMENSIONS: tl.constexpr
 ):  # fmt: skip
-    """Stores the gradient along an axis; 0 where the position was clamped along it or is NaN."""
+    """Store a gradient along one axis; 0 where the position is clamped along it or NaN.
+
+    Args:
+        positions: Pointer to float32 (n, DIMENSIONS).
+        grad_positions: Pointer of the same shape, written.
+        grad: (BLOCK,) gradient along the axis.
+        point: (BLOCK,) indices of points.
+        inside: (BLOCK,) bool, whether the point exists.
+        AXIS: Number of the axis.
+        DIMENSIONS: Number of axes.
+    """
     x = tl.load(positions + point * DIMENSIONS + AXIS, mask=inside, other=0.0)
     free = (x >= 0.0) & (x <= 1.0)
     tl.store(grad_positions + point * DIMENSIONS + AXIS, tl.where(free, grad, 0.0), mask=inside)
 
 
 def is_interpreted() -> bool:
-    """Whether Triton's interpreter runs these kernels, on CPU tensors, instead of a CUDA device."""
+    """Whether Triton's interpreter runs these kernels, on the CPU, instead of a CUDA device."""
     return not isinstance(_forward, triton.JITFunction)
 
 
 def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    """Encode float32 positions (n, dimensions) with a float32 table; no gradient is recorded.
+    """Encode float32 positions (n, dimensions) with a float32 table, without autograd.
 
-    See `nvsf_core.kernels.hash_grid_encode` for the contract.
+    Arguments and result as in `nvsf_core.kernels.hash_grid_encode`.
     """
     out = torch.empty(positions.shape[0], layout.outputs, dtype=torch.float32, device=positions.device)
     _launch(_forward, layout, layout.levels, positions, table, target=out)
@@ -201,15 +210,15 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
 
 
 def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
-    """Gradient with respect to the table, from the gradient with respect to the encoding.
+    """Gradient of the table from the gradient of the encoding.
 
     Args:
         positions: (n, dimensions) float32 on the device.
         grad: (n, levels * features) float32 on the same device.
-        layout: the grid.
+        layout: Sizes of the grid.
 
     Returns:
-        (layout.entries, layout.features) float32, added up atomically: the last bits differ between runs.
+        (layout.entries, layout.features) float32; its last bits differ between runs.
     """
     out = torch.zeros(layout.entries, layout.features, dtype=torch.float32, device=positions.device)
     _launch(_table_adjoint, layout, layout.levels, positions, grad, target=out)
@@ -217,13 +226,13 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
 
 
 def position_adjoint(positions: Tensor, table: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
-    """Gradient with respect to the positions, (n, dimensions) float32; 0 along clamped axes.
+    """Gradient (n, dimensions) float32 of the positions; 0 along clamped axes.
 
     Args:
         positions: (n, dimensions) float32 on the device.
         table: (layout.entries, layout.features) float32 on the same device.
-        grad: (n, levels * features) float32 on the same device.
-        layout: the grid.
+        grad: (n, levels * features) float32 on the same device, gradient of the encoding.
+        layout: Sizes of the grid.
     """
     out = torch.empty_like(positions, memory_format=torch.contiguous_format)
     _launch(_position_adjoint, layout, 1, positions, table, grad, target=out)
@@ -235,7 +244,7 @@ def _launch(kernel: Any, layout: GridLayout, parts: int, *sources: Tensor, targe
     points = sources[0].shape[0]
     if points == 0:
         return
-    # the launch goes to the current device, which need not be the tensors'
+    # Triton launches on the current device, which need not be the tensors'.
     with torch.cuda.device_of(target):  # type: ignore[no-untyped-call]
         kernel[(triton.cdiv(points, _BLOCK), parts)](
             *(source.detach().contiguous() for source in sources),

@@ -1,4 +1,4 @@
-"""How a multiresolution hash grid lies in memory: which level has how many cells, and where it starts."""
+"""Memory layout of a multiresolution hash grid: cells of each level, and where its entries begin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nvsf_core.errors import RecipeError
 __all__ = ["PRIMES", "GridLayout"]
 
 PRIMES = (1, 2654435761, 805459861)
-"""Factors of the XOR hash for x, y, z (Teschner et al. 2003, as in tiny-cuda-nn)."""
+"""Factors of the XOR hash for x, y, z (Müller et al. 2022, eq. 4; after Teschner et al. 2003)."""
 
 
 @dataclass(frozen=True)
@@ -19,20 +19,20 @@ class GridLayout:
     """A multiresolution hash grid (Müller et al. 2022) in 2 or 3 dimensions, with tiny-cuda-nn's conventions.
 
     Level l has ``scale = base * growth^l - 1`` and ``ceil(scale) + 1`` grid points along an axis; a
-    position x in [0, 1] lies at ``x * scale + 0.5`` in grid units. The level is dense if all its points
-    fit into ``2^log2_table`` entries and hashed otherwise. Scales are rounded to 1e-6, so that resolutions do
-    not depend on the last bit of a power (the authors' finest level of 32 768 becomes 32 769 by that bit).
+    position x in [0, 1] is at ``x * scale + 0.5`` in grid units. A level is dense if all its points fit into
+    ``2^log2_table`` entries, else hashed. Scales are rounded to 1e-6, so that resolutions do not depend on
+    the last bit of a power (which makes 32 769 of the finest level's 32 768 in the authors' code).
 
     Attributes:
-        levels: number of levels, at least 1.
-        features: numbers in an entry, at least 1.
-        log2_table: a level has at most 2 to this many entries.
-        base_resolution: grid points an axis of the coarsest level, at least 2.
-        finest_resolution: grid points an axis of the finest level; ignored when there is one level.
-        dimensions: axes of a position, 2 or 3; given by name.
+        levels: Number of levels, at least 1.
+        features: Numbers in an entry, at least 1.
+        log2_table: Binary logarithm of a level's largest number of entries.
+        base_resolution: Grid points along an axis of the coarsest level, at least 2.
+        finest_resolution: The same of the finest level; ignored with one level.
+        dimensions: Axes of a position, 2 or 3; by name only.
 
     Raises:
-        RecipeError: a value is outside its interval.
+        RecipeError: A value is outside its interval.
     """
 
     levels: int
@@ -43,7 +43,7 @@ class GridLayout:
     dimensions: int = field(default=3, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be laid out."""
+        """Refuse sizes outside their intervals."""
         for name, low, high in (
             ("levels", 1, 64),
             ("features", 1, 64),
@@ -68,12 +68,12 @@ class GridLayout:
 
     @property
     def table_entries(self) -> int:
-        """Entries of a hashed level, a power of two."""
+        """Number of entries of a hashed level, a power of two."""
         return 1 << self.log2_table
 
     @cached_property
     def scales(self) -> tuple[float, ...]:
-        """Cells along the unit box, per level (not whole in general)."""
+        """Cells along an axis of the unit box, per level; not whole numbers in general."""
         base, growth = self.base_resolution, self.growth
         return tuple(round(base * growth**level - 1.0, 6) for level in range(self.levels))
 
@@ -84,15 +84,15 @@ class GridLayout:
 
     @cached_property
     def is_dense(self) -> tuple[bool, ...]:
-        """Whether every grid point of the level has an entry of its own."""
+        """Whether every grid point has an entry of its own, per level."""
         return tuple(resolution**self.dimensions <= self.table_entries for resolution in self.resolutions)
 
     @cached_property
     def offsets(self) -> tuple[int, ...]:
-        """First entry of each level, and the number of all entries last: (levels + 1)."""
+        """First entry of each level, then the number of all entries: levels + 1 numbers."""
         offsets = [0]
         for resolution, dense in zip(self.resolutions, self.is_dense, strict=True):
-            # whole multiples of 8 entries, as tiny-cuda-nn, so that every level starts aligned
+            # Multiples of 8 entries, as in tiny-cuda-nn, so that every level starts aligned.
             points = -(-(resolution**self.dimensions) // 8) * 8
             offsets.append(offsets[-1] + (min(points, self.table_entries) if dense else self.table_entries))
         return tuple(offsets)
@@ -104,10 +104,10 @@ class GridLayout:
 
     @property
     def entries(self) -> int:
-        """Rows of the table."""
+        """Number of rows of the table."""
         return self.offsets[-1]
 
     @property
     def outputs(self) -> int:
-        """Numbers in the encoding of a position: levels * features."""
+        """Length of a position's encoding: levels * features."""
         return self.levels * self.features

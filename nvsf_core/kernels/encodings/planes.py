@@ -1,4 +1,4 @@
-"""Bilinear samples of a feature plane: one interface, the kernel chosen by where the tensors are."""
+"""Bilinear interpolation in feature planes: one function, which chooses the kernel by device and type."""
 
 from __future__ import annotations
 
@@ -18,26 +18,24 @@ PlanesBackend = Literal["torch", "numba", "triton"]
 
 
 def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | None = None) -> Tensor:
-    """Bilinear look-up in a plane of features whose outermost grid points lie on the square's border.
+    """Features of points in the unit square, interpolated bilinearly; the plane's border is the square's.
 
     ``out[i] = sum over the 4 grid points c around x_i of w_c(x_i) * plane[:, row_c, column_c]``, with x_i
     at ``column = x * (width - 1)``, ``row = y * (height - 1)``. Coordinates outside the square are clamped
-    to it and get no gradient along the clamped axes; a NaN coordinate yields a NaN sample. Where the cell
-    ends beyond the last grid point (at 1, or along an axis of one grid point) the value does not change
-    along that axis: its gradient there is 0. float32 runs in numba on the CPU and in Triton on CUDA (where
-    Triton is installed); anything else in the torch oracle.
+    to it and have no gradient along the clamped axes; a NaN coordinate has a NaN result. At the coordinate 1,
+    and along an axis of one grid point, the gradient along that axis is 0. float32 is computed by numba on
+    the CPU and by Triton on CUDA (if Triton is installed), everything else by the torch oracle.
 
     Args:
-        coordinates: (n, 2) in [0, 1], floating: first along the width, second along the height; they may
-            require a gradient.
+        coordinates: (n, 2) in [0, 1], floating, along the width and the height; may require a gradient.
         plane: (features, height, width), floating, on the same device.
-        backend: overrides the choice. "triton" takes CPU tensors only under Triton's interpreter.
+        backend: Overrides the choice; "triton" takes CPU tensors only under Triton's interpreter.
 
     Returns:
         (n, features), of the plane's type.
 
     Raises:
-        ShapeError: a shape, type or device does not fit.
+        ShapeError: A shape, type or device does not fit.
     """
     _require_shapes(coordinates, plane)
     backend = backend or _backend_for(coordinates, plane)
@@ -51,7 +49,7 @@ def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | N
 class _NumbaSample(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
-        # numba costs 0.3 s to import and nothing but this path needs it
+        # Importing numba takes 0.3 s, and only this path needs it.
         from nvsf_core.kernels.encodings import planes_numba
 
         ctx.save_for_backward(coordinates, plane)
@@ -73,7 +71,7 @@ class _NumbaSample(torch.autograd.Function):
 class _TritonSample(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
-        # not every machine has Triton
+        # Not every machine has Triton.
         from nvsf_core.kernels.encodings import planes_triton
 
         ctx.save_for_backward(coordinates, plane)

@@ -1,10 +1,10 @@
-"""Bilinear samples of a feature plane and their adjoint for the CPU, compiled by numba on first use.
+"""Bilinear interpolation in a feature plane and the plane's gradient on the CPU, compiled by numba.
 
-The kernels read and write planes as (height, width, features), so that the features of a grid point are one
-vector; the transpose passes over the plane once a call.
+The kernels take planes as (height, width, features), so that a grid point's features are one vector; each
+call transposes the plane once.
 
-Bits: the samples are parallel over blocks of points; the adjoint over groups of features, never over
-points, and each group adds its points in their order. So neither the thread count nor the run changes a bit.
+Results are bit-identical for every thread count and run: the forward pass is parallel over blocks of points,
+the adjoint over groups of features, never over points, and each group adds its points in their order.
 """
 
 from __future__ import annotations
@@ -86,15 +86,15 @@ def _adjoint_for(features: int, group: int) -> Any:
 
 
 def _axis_arrays(height: int, width: int) -> tuple[Any, ...]:
-    """Cells, last grid point and distance of neighbours in the table, along the width and the height."""
+    """Cells, last grid point and distance of neighbours in memory, along the width and the height."""
     lasts = np.array([width - 1, height - 1], dtype=np.uint32)
     return lasts.astype(np.float32), lasts, np.array([1, width], dtype=np.uint32)
 
 
 def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
-    """Sample a float32 CPU plane (features, height, width) at (n, 2); no gradient is recorded.
+    """Interpolate in a float32 CPU plane (features, height, width) at (n, 2), without autograd.
 
-    See `nvsf_core.kernels.planes_sample` for the contract.
+    Arguments and result as in `nvsf_core.kernels.planes_sample`.
     """
     features, height, width = plane.shape
     points = coordinates.shape[0]
@@ -111,7 +111,7 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
 
 
 def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
-    """Gradient with respect to the plane, from the gradient with respect to the samples.
+    """Gradient of the plane from the gradient of the result.
 
     Args:
         coordinates: (n, 2) float32 on the CPU.
@@ -119,12 +119,12 @@ def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
         shape: (features, height, width) of the plane.
 
     Returns:
-        (features, height, width) float32; the same bits for every thread count.
+        (features, height, width) float32; bit-identical for every thread count.
     """
     features, height, width = shape
     use_threads_of_torch()
     grad_plane = np.zeros((height, width, features), dtype=np.float32)
-    # two groups where features are even: more would repeat the corners for less
+    # Two groups if the number is even: more would compute the corners more often than they gain.
     group = features // 2 if features % 2 == 0 else features
     _adjoint_for(features, group)(
         axis_by_axis(coordinates),

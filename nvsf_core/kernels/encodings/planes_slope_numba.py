@@ -1,7 +1,7 @@
-"""The slope of a feature plane's samples along both coordinates for the CPU, compiled by numba on first use.
+"""Gradient of the coordinates of a plane's bilinear interpolation on the CPU, compiled by numba.
 
-This is how a loss moves points (the paper's flow) instead of features. The kernel reads planes as (height,
-width, features), as `planes_numba` does. Bits: parallel over points, each a sum of its own.
+By it a loss moves points (the paper's flow). The kernel takes planes as (height, width, features), as in
+`planes_numba`. It is parallel over points, each with a sum of its own, so results are bit-identical.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["coordinate_adjoint"]
 @cache
 def _slope_for(feature_count: int) -> Any:
     """The kernel with the number of features known to the compiler."""
-    # unsigned: numba would test every signed index for being negative
+    # Unsigned: numba tests every signed index for being negative.
     features = np.uint64(feature_count)
 
     def slope(coordinates: Any, plane: Any, grad: Any, height: Any, width: Any, out: Any) -> None:
@@ -52,7 +52,7 @@ def _slope_for(feature_count: int) -> Any:
                 )
                 along_u += g * ((one - fraction_v) * (at_b - at_a) + fraction_v * (at_d - at_c))
                 along_v += g * ((one - fraction_u) * (at_c - at_a) + fraction_u * (at_d - at_b))
-            # a clamped coordinate moves nothing, and neither does one that is not a number
+            # Clamped coordinates and NaN have no gradient.
             out[point, 0] = along_u * columns if zero <= x and x <= one else zero
             out[point, 1] = along_v * rows if zero <= y and y <= one else zero
 
@@ -60,7 +60,7 @@ def _slope_for(feature_count: int) -> Any:
 
 
 def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tensor:
-    """Gradient with respect to the coordinates, from the gradient with respect to the samples.
+    """Gradient of the coordinates from the gradient of the result.
 
     Args:
         coordinates: (n, 2) float32 on the CPU.
@@ -68,7 +68,7 @@ def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tens
         grad: (n, features) float32 on the CPU.
 
     Returns:
-        (n, 2) float32; the same bits for every thread count.
+        (n, 2) float32; bit-identical for every thread count.
     """
     features, height, width = plane.shape
     use_threads_of_torch()

@@ -1,4 +1,4 @@
-"""Bilinear samples of a feature plane in plain torch: slow, differentiable, the kernels' oracle."""
+"""Bilinear interpolation in a feature plane in plain torch: slow, differentiable, the kernels' oracle."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["sample"]
 
 
 def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
-    """Sample a plane (features, height, width) at (n, 2); see `nvsf_core.kernels.planes_sample`."""
+    """Interpolate in a plane (features, height, width) at (n, 2), as `nvsf_core.kernels.planes_sample`."""
     features, height, width = plane.shape
     cells = torch.tensor([width - 1, height - 1], dtype=coordinates.dtype, device=coordinates.device)
     position = coordinates.clamp(0.0, 1.0) * cells

@@ -1,11 +1,10 @@
-"""Bilinear samples of a feature plane and both adjoints for CUDA, compiled by Triton on first use.
+"""Bilinear interpolation in a feature plane and its gradients on CUDA, compiled by Triton at first use.
 
-The kernels read and write planes as (height, width, features), so that the features of a grid point are one
-fetch; the transpose passes over the plane once a call. Interpreter, rounding and the bits of the atomic sum:
-as in `hash_grid_triton`.
+The kernels take planes as (height, width, features), so that a grid point's features are one read; each call
+transposes the plane once. Interpreter, rounding and the atomic sum are as in `hash_grid_triton`.
 """
 
-# What Triton compiles is typed by its arguments at launch, and Triton reads annotations its own way.
+# Triton types its functions by their arguments at launch, and gives annotations a meaning of its own.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ _AXES = tl.constexpr(2)
 
 @triton.jit
 def _cell(coordinates, point, inside, cells, AXIS: tl.constexpr):
-    """Lower grid point and fraction along an axis; NaN reads grid point 0 and stays NaN in the fraction."""
+    """Lower grid point and fraction along an axis; NaN reads grid point 0, and its fraction is NaN."""
     x = tl.load(coordinates + point * _AXES + AXIS, mask=inside, other=0.0)
     known = tl.where(x == x, x, 0.0)
     position = tl.minimum(tl.maximum(known, 0.0), 1.0) * cells
@@ -36,7 +35,7 @@ def _cell(coordinates, point, inside, cells, AXIS: tl.constexpr):
 
 @triton.jit
 def _entry(u, v, height, width, CORNER: tl.constexpr):
-    """Grid point of a corner of the cell; the border's where the cell ends beyond it (with weight 0)."""
+    """Grid point of a cell's corner; one beyond the border is replaced by the border's (its weight is 0)."""
     column = tl.minimum(u + (CORNER & 1), width - 1)
     row = tl.minimum(v + (CORNER >> 1), height - 1)
     return (row * width + column).to(tl.int64)
@@ -67,7 +66,7 @@ def _plane_adjoint(
     coordinates, grad, grad_plane, points, height, width, rows, columns,
     FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Adds weight * grad of a block of points to the plane's grid points."""
+    """Add weight * grad of a block of points to the plane's grid points."""
     point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     inside = point < points
     feature = tl.arange(0, WIDTH)[None, :]
@@ -87,7 +86,7 @@ def _coordinate_adjoint(
     coordinates, plane, grad, grad_coordinates, points, height, width, rows, columns,
     FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The product rule over both axes' weights, times the cells along the axis."""
+    """Gradient of a block of coordinates: product rule over both weights, times the cells along the axis."""
     point = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     inside = point < points
     feature = tl.arange(0, WIDTH)[None, :]
@@ -108,9 +107,9 @@ def _coordinate_adjoint(
 
 
 def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
-    """Sample a float32 plane (features, height, width) at float32 (n, 2); no gradient is recorded.
+    """Interpolate in a float32 plane (features, height, width) at float32 (n, 2), without autograd.
 
-    See `nvsf_core.kernels.planes_sample` for the contract.
+    Arguments and result as in `nvsf_core.kernels.planes_sample`.
     """
     out = torch.empty(coordinates.shape[0], plane.shape[0], dtype=torch.float32, device=plane.device)
     _launch(_forward, plane.shape, coordinates, _features_last(plane), target=out)
@@ -118,15 +117,15 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
 
 
 def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
-    """Gradient with respect to the plane, from the gradient with respect to the samples.
+    """Gradient of the plane from the gradient of the result.
 
     Args:
         coordinates: (n, 2) float32 on the device.
         grad: (n, features) float32 on the same device.
-        shape: the plane's: (features, height, width).
+        shape: (features, height, width) of the plane.
 
     Returns:
-        A view of that shape, float32, added up atomically: the last bits differ between runs.
+        A float32 view of that shape; its last bits differ between runs.
     """
     features, height, width = shape
     out = torch.zeros(height, width, features, dtype=torch.float32, device=grad.device)
@@ -135,7 +134,7 @@ def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
 
 
 def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tensor:
-    """Gradient with respect to the coordinates, (n, 2) float32; 0 along clamped axes.
+    """Gradient (n, 2) float32 of the coordinates; 0 along clamped axes.
 
     Args:
         coordinates: (n, 2) float32 on the device.
@@ -157,7 +156,7 @@ def _launch(kernel: Any, shape: torch.Size, *sources: Tensor, target: Tensor) ->
     if points == 0:
         return
     features, height, width = shape
-    # the launch goes to the current device, which need not be the tensors'
+    # Triton launches on the current device, which need not be the tensors'.
     with torch.cuda.device_of(target):  # type: ignore[no-untyped-call]
         kernel[(triton.cdiv(points, _BLOCK),)](
             *(source.detach().contiguous() for source in sources),

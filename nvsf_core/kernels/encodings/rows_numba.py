@@ -1,11 +1,11 @@
-"""Weighted rows of a table as vector instructions: gather and its adjoint, scatter, for numba kernels.
+"""Weighted sums of a table's rows (gather) and their adjoint (scatter) as vector instructions, for numba.
 
-numba leaves a loop over two or four features scalar, because it cannot prove that the written array is not
-the table that is read. Here the two rows of neighbours in x are one vector, which halves the loads of entries
-and weights and the sums. Products and sums are single IEEE operations, no fused multiply-add; a gather adds
-all lower rows and all upper rows, then both, which the torch oracle does in another order.
+numba does not vectorise a loop over two or four features, because it cannot prove that the written array is
+not the table that is read. Here the two rows of neighbours in x are one vector, which halves the number of
+loads and sums. Products and sums are single IEEE operations, without fused multiply-add. A gather adds all
+lower rows and all upper rows, then both; the torch oracle has another order.
 
-numba's cache does not watch this file: after a change to it, touch the kernels that call it.
+numba's cache ignores changes of this file: after one, touch the kernels that call it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def _row(builder: Any, array: Any, start: Any, width: int) -> Any:
 
 
 def _pair_start(builder: Any, point: Any, corner: int, block: int) -> Any:
-    """Where the pair of corners `corner` and `corner + 1` of a point lies, as `combine` fills them."""
+    """Index of a point's pair of corners `corner` and `corner + 1` in the arrays of `combine`."""
     return builder.add(builder.shl(point, point.type(1)), point.type(corner * block))
 
 
@@ -55,7 +55,7 @@ def _shuffled(builder: Any, first: Any, second: Any, lanes: Iterable[int]) -> An
 
 
 def _pair_weights(builder: Any, weight: Any, at: Any, width: int) -> Any:
-    """weight[at] in `width` lanes, then weight[at + 1] in as many."""
+    """A vector of `width` times weight[at], then `width` times weight[at + 1]."""
     pair = builder.load(_row(builder, weight, at, 2), align=4)
     return _shuffled(builder, pair, pair, [0] * width + [1] * width)
 
@@ -63,9 +63,9 @@ def _pair_weights(builder: Any, weight: Any, at: Any, width: int) -> Any:
 def _prefetch(
     builder: Any, table: Any, entry: Any, point: Any, corners: int, block: int, stride: int, write: bool
 ) -> None:
-    """Ask for the rows of a point further on, of every other corner: its neighbour in x is mostly beside it.
+    """Prefetch rows of the point AHEAD, of every other corner: its neighbour in x is mostly adjacent.
 
-    Past the last point of a block this asks for a row that nobody needs, which costs next to nothing.
+    Near the end of a block this fetches rows that are not needed, at almost no cost.
     """
     arguments = [_BYTES, _INT32, _INT32, _INT32]
     prefetch = builder.module.declare_intrinsic(
@@ -80,7 +80,16 @@ def _prefetch(
 
 @intrinsic(prefer_literal=True)
 def copy_row(typing_context, source, first, out, start, width):  # type: ignore[no-untyped-def]
-    """``out[start : start + width] = source[first : first + width]``; flat float32, width a constant."""
+    """``out[start : start + width] = source[first : first + width]``.
+
+    Args:
+        typing_context: numba's.
+        source: Flat float32.
+        first: Index.
+        out: Flat float32, written.
+        start: Index.
+        width: Constant of the calling kernel.
+    """
     signature = types.void(source, types.intp, out, types.intp, width)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -92,15 +101,25 @@ def copy_row(typing_context, source, first, out, start, width):  # type: ignore[
     return signature, code
 
 
+# Wide: an intrinsic takes flat arrays, indices into them, and constants.
 @intrinsic(prefer_literal=True)
 def gather(  # type: ignore[no-untyped-def]
     typing_context, table, entry, weight, point, out, start, corners, block, stride, width
 ):
-    """``out[start : start + width] = sum over the corners of weight * row(entry)``, as `combine` fills them.
+    """``out[start : start + width] = sum over corners of weight * table[e * stride : e * stride + width]``.
 
-    A row is ``table[e * stride : e * stride + width]``. table, out: flat float32; entry (uint32) and weight
-    (float32) of `corner_scratch`; point < block, start: whole numbers; the rest: constants of the calling
-    kernel.
+    Args:
+        typing_context: numba's.
+        table: Flat float32.
+        entry: Row numbers e from `combine`.
+        weight: Weights from `combine`.
+        point: Index of the point in its block.
+        out: Flat float32, written.
+        start: Index.
+        corners: Number of corners, like the following a constant of the calling kernel.
+        block: Points a block.
+        stride: Length of a row.
+        width: Features that are read from a row.
     """
     signature = types.void(table, entry, weight, types.intp, out, types.intp, corners, block, stride, width)
 
@@ -127,13 +146,27 @@ def gather(  # type: ignore[no-untyped-def]
     return signature, code
 
 
+# Wide: an intrinsic takes flat arrays, indices into them, and constants.
 @intrinsic(prefer_literal=True)
 def scatter(  # type: ignore[no-untyped-def]
     typing_context, table, entry, weight, point, grad, start, corners, block, stride, width
 ):
-    """``row(entry) += weight * grad[start : start + width]`` for each corner in order.
+    """``table[e * stride : e * stride + width] += weight * grad[start : start + width]``, corner by corner.
 
-    The adjoint of `gather`, with the same arguments; adds to the table.
+    The adjoint of `gather`.
+
+    Args:
+        typing_context: numba's.
+        table: Flat float32, added to.
+        entry: Row numbers e from `combine`.
+        weight: Weights from `combine`.
+        point: Index of the point in its block.
+        grad: Flat float32.
+        start: Index.
+        corners: Number of corners, like the following a constant of the calling kernel.
+        block: Points a block.
+        stride: Length of a row.
+        width: Features that are written to a row.
     """
     signature = types.void(table, entry, weight, types.intp, grad, types.intp, corners, block, stride, width)
 
@@ -152,7 +185,7 @@ def scatter(  # type: ignore[no-untyped-def]
             at = _pair_start(builder, args[3], corner, block.literal_value)
             terms = builder.fmul(_pair_weights(builder, weight_data, at, wide), twice)
             addresses = _pair_rows(builder, table_data, entry_data, at, stride.literal_value, wide)
-            # One after the other: at the last grid point both are the same row.
+            # One after the other, because at the last grid point both are the same row.
             for address, k in zip(addresses, (0, wide), strict=True):
                 term = _shuffled(builder, terms, terms, range(k, k + wide))
                 builder.store(builder.fadd(builder.load(address, align=4), term), address, align=4)

@@ -1,12 +1,8 @@
-"""The record beside each output, `stage.json`: what made it, on which machine, and which files it has."""
+"""The record beside each output, `stage.json`: what made it, what was found, and which files it has."""
 
-import os
-import platform
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
-
-import torch
 
 from nvsf_core.errors import StoreError
 from nvsf_core.stores.checksums import damaged_file, file_checksums
@@ -126,17 +122,3 @@ def _is_inside(path: Any) -> bool:
         return False
     parts = PurePosixPath(path)
     return not parts.is_absolute() and ".." not in parts.parts
-
-
-def machine() -> str:
-    """Processor, cores, versions and GPU in one line."""
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        named = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-        model = named[0].split(":", 1)[1].strip() if named else model
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "not run on a GPU"
-    return (
-        f"{model}, {os.cpu_count()} CPU cores, Python {platform.python_version()}, "
-        f"torch {torch.__version__}, {gpu}"
-    )
