@@ -1,4 +1,4 @@
-"""The last phase: a U-Net corrects the hit probabilities of whole panos."""
+"""Trains the paper's ray-drop U-Net, which corrects the hit probabilities of whole panos."""
 
 import math
 import time
@@ -20,7 +20,7 @@ from nvsf_core.training.loop import (
 
 _MOST_BOXES = 31
 _BOX_PX = (5, 102)
-"""Largest height and width of a blanked box, in panos of the size below; smaller in smaller ones."""
+"""Largest height and width of a blanked box in a pano of the size below; in proportion in others."""
 _PANO_PX = (66, 1030)
 _WARM_SHARE = 0.3
 _FIRST_DIVISOR = 25.0
@@ -31,7 +31,7 @@ _SEED_RANGE = 2**62
 
 
 def refinement_state(unet: nn.Module, spec: RefinementSpec, generator: torch.Generator) -> TrainingState:
-    """A U-Net before its first step; also what a checkpoint is restored into."""
+    """The state of a U-Net before its first step; a checkpoint is restored into it."""
     optimiser = torch.optim.Adam(unet.parameters(), lr=spec.rate, fused=True)
     return TrainingState(unet, optimiser, generator)
 
@@ -45,25 +45,23 @@ def refine(
     say: Callable[[str], None],
     *,
     checkpoint_s: float = 60.0,
-    frames_at_once: int = 1,
 ) -> None:
-    """Run the steps that are left: cross-entropy between the U-Net's logits and what returned.
+    """Run the remaining steps; the loss is the cross-entropy between the U-Net's logits and recorded returns.
 
-    A step sees all frames (or `spec.frames_a_step` of them in turn); the gradients of parts of
-    `frames_at_once` frames add up to that of the mean over all their pixels. Batch statistics are those of a
-    part, the one difference to all frames at once. Each step blanks 0 to 31 random boxes of the input, so
-    that the U-Net learns to close gaps. The same state, stopped anywhere and restored, gives the same bits.
+    A step uses all frames (or the next `spec.frames_a_step` of them), one at a time to save memory: their
+    gradients add up to that of the mean over all pixels, and batch statistics are those of one frame. Each
+    step blanks 0 to 31 random boxes of the input, so that the U-Net learns to close gaps. The same state,
+    stopped anywhere and restored, gives the same bits.
 
     Args:
-        state: Of `refinement_state`; its generator (on the CPU) decides boxes and dropout.
-        spec: Steps, highest rate, frames a step.
-        renders: (n, 3, H, W) hit probability, intensity, range in scaled units of all training frames; on
-            any device, parts go to the model's.
-        is_return: (n, H, W) whether each pixel returned, bool or 0 and 1.
-        save: Is given tensors and facts every `checkpoint_s` seconds and at the end.
-        say: Is told how it goes.
+        state: Of `refinement_state`, changed in place; its generator decides boxes and dropout.
+        spec: Steps, highest learning rate, frames a step.
+        renders: (n, 3, H, W) hit probability, intensity, range in scaled units of all training frames, on
+            any device.
+        is_return: (n, H, W) whether each pixel has a recorded return, bool or 0 and 1.
+        save: Writes a checkpoint of tensors and facts, every `checkpoint_s` seconds and at the end.
+        say: Prints a line of progress, every few seconds.
         checkpoint_s: Seconds between two checkpoints.
-        frames_at_once: Frames held in memory together.
 
     Raises:
         ShapeError: There is no frame, or renders and returns differ in size.
@@ -81,7 +79,7 @@ def refine(
     saved = said = time.perf_counter()
     state.model.train()
     while state.step < spec.steps:
-        loss = _step(state, spec, renders, is_return, frames_at_once)
+        loss = _step(state, spec, renders, is_return)
         state.step += 1
         now = time.perf_counter()
         state.seconds = now - began
@@ -96,22 +94,12 @@ def refine(
     state.model.eval()
 
 
-@torch.no_grad()
-def refined_hit_probability(unet: nn.Module, renders: Tensor) -> Tensor:
-    """Corrected hit probability (n, H, W) 0..1 of renders (n, 3, H, W), one frame at a time, no dropout."""
-    device = next(unet.parameters()).device
-    was_training = unet.training
-    unet.eval()
-    found = [torch.sigmoid(unet(render[None].to(device)))[0].to(renders.device) for render in renders]
-    unet.train(was_training)
-    return torch.stack(found) if found else renders.new_zeros(renders[:, 0].shape)
-
-
 def one_cycle(step: int, steps: int, highest: float) -> tuple[float, float]:
-    """Adam's step size and beta_1 at a step: Smith's one cycle, with cosines, as a function of the step.
+    """Adam's learning rate and beta_1 at a step of Smith's one-cycle schedule with cosines.
 
-    From highest / 25 up to `highest` in the first 30 % and down to highest / 250,000 in the rest, beta_1 the
-    other way from 0.95 to 0.85 and back: torch's OneCycleLR with its defaults, but without a state.
+    The rate rises from highest / 25 to `highest` in the first 30 % of the steps and falls to highest /
+    250,000 in the rest; beta_1 goes from 0.95 to 0.85 and back: torch's OneCycleLR with its defaults, but
+    without a state.
     """
     peak, last = _WARM_SHARE * steps - 1.0, steps - 1.0
     first, final = highest / _FIRST_DIVISOR, highest / _FIRST_DIVISOR / _LAST_DIVISOR
@@ -123,9 +111,10 @@ def one_cycle(step: int, steps: int, highest: float) -> tuple[float, float]:
 
 
 def blanked_boxes(height: int, width: int, generator: torch.Generator) -> Tensor:
-    """(H, W) bool, True in 0 to 31 random boxes 1 to 5 pixels high and 1 to 102 wide on panos of 66 x 1030.
+    """(H, W) bool, True in 0 to 31 random boxes.
 
-    On other panos the largest box is in the same proportion, at least 1 pixel.
+    In a pano of 66 x 1030 they are 1 to 5 pixels high and 1 to 102 wide; in others the largest box is in the
+    same proportion, at least 1 pixel.
     """
     blank = torch.zeros(height, width, dtype=torch.bool)
     most = [
@@ -141,10 +130,8 @@ def blanked_boxes(height: int, width: int, generator: torch.Generator) -> Tensor
     return blank
 
 
-def _step(
-    state: TrainingState, spec: RefinementSpec, renders: Tensor, is_return: Tensor, frames_at_once: int
-) -> float:
-    """One optimiser step; its loss, nats a pixel."""
+def _step(state: TrainingState, spec: RefinementSpec, renders: Tensor, is_return: Tensor) -> float:
+    """Take one optimiser step; returns its loss in nats a pixel."""
     device = next(state.model.parameters()).device
     n = len(renders)
     count = min(n, spec.frames_a_step) or n
@@ -155,22 +142,19 @@ def _step(
         group["lr"], group["betas"] = rate, (beta, group["betas"][1])
     state.optimiser.zero_grad(set_to_none=True)
     total = 0.0
-    # Dropout draws from torch's global generators: seeded here, or a resumed run would draw otherwise.
+    # Dropout samples from torch's global generators: seeded here, so that a resumed run samples the same.
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(int(torch.randint(_SEED_RANGE, (1,), generator=state.generator)))
-        for first in range(0, count, frames_at_once):
-            part = frames[first : first + frames_at_once]
-            images = renders[part].to(device).masked_fill(blank, 0.0)
-            logits = state.model(images)
-            loss = binary_cross_entropy_with_logits(logits, is_return[part].to(device, logits.dtype))
+        for frame in frames:
+            logits = state.model(renders[[frame]].to(device).masked_fill(blank, 0.0))
+            loss = binary_cross_entropy_with_logits(logits, is_return[[frame]].to(device, logits.dtype))
             if not torch.isfinite(loss):
                 raise DivergedError(
                     f"refinement step {state.step}: loss term 'hit' is {loss.item()}; lower the rate "
                     f"({first_broken(state)})"
                 )
-            share = len(part) / count
-            (share * loss).backward()  # type: ignore[no-untyped-call]
-            total += share * float(loss.detach())
+            (loss * (1.0 / count)).backward()  # type: ignore[no-untyped-call]
+            total += 1.0 / count * float(loss.detach())
     if not has_finite_gradients(state.model):
         raise DivergedError(
             f"refinement step {state.step}: loss term 'hit': {first_broken(state)}; lower the rate"
@@ -180,5 +164,5 @@ def _step(
 
 
 def _between(start: float, end: float, share: float) -> float:
-    """From start to end along half a cosine."""
+    """Value between start and end at a share 0..1 of half a cosine."""
     return end + 0.5 * (start - end) * (1.0 + math.cos(math.pi * share))

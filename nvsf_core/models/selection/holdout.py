@@ -70,7 +70,7 @@ def compare(
 
 
 def validation_numbers(count: int, every: int, first: int) -> range:
-    """Which of `count` items are for validation: from `first` on in steps of `every`; at least one, never all."""
+    """Which of `count` items are for validation: every `every`-th from `first`; at least one, never all."""
     return range(min(first, count // 2), count, every)
 
 
