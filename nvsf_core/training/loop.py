@@ -152,13 +152,12 @@ def train(
         try:
             loss, terms = _descend(step(state.step, state.generator))
         except DivergedError as error:
-            raise DivergedError(f"step {state.step}: {error} ({first_broken(state)})") from error
-        if not has_finite_gradients(state.model):
+            raise DivergedError(f"step {state.step}: {error} ({_first_broken(state)})") from error
+        if not _has_finite_gradients(state.model):
             state.generator.set_state(drawn_from)
             raise DivergedError(f"step {state.step}: {_blame(state, step)}")
         if before is not None:
-            require_finite_parameters(state.model, state.step)
-            _require_finite_moments(state)
+            _require_finite(state)
             save(*before)
             saved = time.perf_counter()
         state.optimiser.step()
@@ -177,8 +176,7 @@ def train(
                 f"{rays_per_s:,.0f} rays/s, {left_s:.0f} s left"
             )
         if state.step == spec.steps:
-            require_finite_parameters(state.model, state.step)
-            _require_finite_moments(state)
+            _require_finite(state)
             save(state.tensors(), state.facts())
         if observe is not None:
             paused = time.perf_counter()
@@ -204,7 +202,7 @@ def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
     return loss, terms
 
 
-def has_finite_gradients(model: nn.Module) -> bool:
+def _has_finite_gradients(model: nn.Module) -> bool:
     """Whether all gradients are finite. Only if one of their sums is not is every value looked at."""
     gradients = [p.grad for p in model.parameters() if p.grad is not None]
     if not gradients or bool(torch.stack([g.sum() for g in gradients]).isfinite().all()):
@@ -224,22 +222,17 @@ def _blame(state: TrainingState, step: Step) -> str:
             for (name, _), gradient in zip(named, found, strict=True):
                 if gradient is not None and not torch.isfinite(gradient).all():
                     return f"loss term {term!r}: its gradient by weights {name!r} {advice}"
-    return f"all terms together: {first_broken(state)} although each term's own is finite"
+    return f"all terms together: {_first_broken(state)} although each term's own is finite"
 
 
-def require_finite_parameters(model: nn.Module, step: int) -> None:
-    """Check all weights before they are saved.
+def _require_finite(state: TrainingState) -> None:
+    """Check weights and Adam's running statistics before they are saved.
 
-    Raises:
-        DivergedError: One is not finite; names the first such tensor.
+    A weight whose statistics overflowed is never updated again.
     """
-    for name, parameter in model.named_parameters():
+    for name, parameter in state.model.named_parameters():
         if not torch.isfinite(parameter).all():
-            raise DivergedError(f"step {step}: weights {name!r} are not finite; lower the step size")
-
-
-def _require_finite_moments(state: TrainingState) -> None:
-    """Check Adam's running statistics: a weight whose statistics overflowed is never updated again."""
+            raise DivergedError(f"step {state.step}: weights {name!r} are not finite; lower the step size")
     for name, parameter in state.model.named_parameters():
         for key, value in state.optimiser.state.get(parameter, {}).items():
             if not torch.isfinite(value).all():
@@ -249,7 +242,7 @@ def _require_finite_moments(state: TrainingState) -> None:
                 )
 
 
-def first_broken(state: TrainingState) -> str:
+def _first_broken(state: TrainingState) -> str:
     """In words, the first weight or gradient that is not finite, or that it must be the batch."""
     broken = [name for name, p in state.model.named_parameters() if not torch.isfinite(p).all()]
     if broken:

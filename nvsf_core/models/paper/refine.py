@@ -1,22 +1,18 @@
 """Trains the paper's ray-drop U-Net, which corrects the hit probabilities of whole panos."""
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from nvsf_core.errors import DivergedError, ShapeError
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.recipe import TrainingSpec
 from nvsf_core.recipe.paper import RefinementSpec
-from nvsf_core.training.loop import (
-    Save,
-    TrainingState,
-    first_broken,
-    has_finite_gradients,
-    require_finite_parameters,
-)
+from nvsf_core.training.loop import Save, TrainingState, train
 
 _MOST_BOXES = 31
 _BOX_PX = (5, 102)
@@ -26,13 +22,13 @@ _WARM_SHARE = 0.3
 _FIRST_DIVISOR = 25.0
 _LAST_DIVISOR = 1e4
 _LEAST_BETA, _MOST_BETA = 0.85, 0.95
-_SAY_EVERY_S = 4.0
 _SEED_RANGE = 2**62
 
 
 def refinement_state(unet: nn.Module, spec: RefinementSpec, generator: torch.Generator) -> TrainingState:
     """The state of a U-Net before its first step; a checkpoint is restored into it."""
-    optimiser = torch.optim.Adam(unet.parameters(), lr=spec.rate, fused=True)
+    groups = [{"params": list(unet.parameters()), "lr": spec.rate, "initial_lr": spec.rate}]
+    optimiser = torch.optim.Adam(groups, fused=True)
     return TrainingState(unet, optimiser, generator)
 
 
@@ -65,7 +61,7 @@ def refine(
 
     Raises:
         ShapeError: There is no frame, or renders and returns differ in size.
-        DivergedError: The loss, a render or a weight is not finite; names the step.
+        DivergedError: A render is not finite, or as `train`.
     """
     n = len(renders)
     if n == 0 or renders.ndim != 4 or is_return.shape != (n, *renders.shape[2:]):
@@ -75,22 +71,12 @@ def refine(
         )
     if not bool(torch.isfinite(renders).all()):
         raise DivergedError("refine: expected finite renders, found NaN or infinity; render them again")
-    began = time.perf_counter() - state.seconds
-    saved = said = time.perf_counter()
+    loop = TrainingSpec(
+        steps=spec.steps, rays=_frames_a_step(spec, renders) * is_return[0].numel(), final_share=1.0,
+        checkpoint_s=checkpoint_s, threads=torch.get_num_threads(),
+    )  # fmt: skip
     state.model.train()
-    while state.step < spec.steps:
-        loss = _step(state, spec, renders, is_return)
-        state.step += 1
-        now = time.perf_counter()
-        state.seconds = now - began
-        state.curve.append({"step": state.step, "seconds": state.seconds, "loss": loss})
-        if now - said >= _SAY_EVERY_S:
-            said = now
-            say(f"refinement step {state.step}/{spec.steps}, loss {loss:.4f}")
-        if now - saved >= checkpoint_s or state.step == spec.steps:
-            require_finite_parameters(state.model, state.step)
-            save(state.tensors(), state.facts())
-            saved = time.perf_counter()
+    train(state, loop, lambda step, _: _step(state, spec, step, renders, is_return), save, say)
     state.model.eval()
 
 
@@ -130,37 +116,28 @@ def blanked_boxes(height: int, width: int, generator: torch.Generator) -> Tensor
     return blank
 
 
-def _step(state: TrainingState, spec: RefinementSpec, renders: Tensor, is_return: Tensor) -> float:
-    """Take one optimiser step; returns its loss in nats a pixel."""
+def _frames_a_step(spec: RefinementSpec, renders: Tensor) -> int:
+    return min(len(renders), spec.frames_a_step) or len(renders)
+
+
+def _step(
+    state: TrainingState, spec: RefinementSpec, step: int, renders: Tensor, is_return: Tensor
+) -> Iterator[LossBreakdown]:
+    """The loss of one step, frame by frame, in nats a pixel; sets the optimiser's rates."""
     device = next(state.model.parameters()).device
-    n = len(renders)
-    count = min(n, spec.frames_a_step) or n
-    frames = [(state.step * count + k) % n for k in range(count)]
+    n, count = len(renders), _frames_a_step(spec, renders)
     blank = blanked_boxes(renders.shape[2], renders.shape[3], state.generator).to(device)
-    rate, beta = one_cycle(state.step, spec.steps, spec.rate)
+    rate, beta = one_cycle(step, spec.steps, spec.rate)
     for group in state.optimiser.param_groups:
         group["lr"], group["betas"] = rate, (beta, group["betas"][1])
-    state.optimiser.zero_grad(set_to_none=True)
-    total = 0.0
     # Dropout samples from torch's global generators: seeded here, so that a resumed run samples the same.
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(int(torch.randint(_SEED_RANGE, (1,), generator=state.generator)))
-        for frame in frames:
+        for frame in ((step * count + k) % n for k in range(count)):
             logits = state.model(renders[[frame]].to(device).masked_fill(blank, 0.0))
-            loss = binary_cross_entropy_with_logits(logits, is_return[[frame]].to(device, logits.dtype))
-            if not torch.isfinite(loss):
-                raise DivergedError(
-                    f"refinement step {state.step}: loss term 'hit' is {loss.item()}; lower the rate "
-                    f"({first_broken(state)})"
-                )
-            (loss * (1.0 / count)).backward()  # type: ignore[no-untyped-call]
-            total += 1.0 / count * float(loss.detach())
-    if not has_finite_gradients(state.model):
-        raise DivergedError(
-            f"refinement step {state.step}: loss term 'hit': {first_broken(state)}; lower the rate"
-        )
-    state.optimiser.step()
-    return total
+            truth = is_return[[frame]].to(device, logits.dtype)
+            hit = binary_cross_entropy_with_logits(logits, truth)
+            yield replace(total_loss({"hit": hit}, {"hit": 1.0 / count}), terms={})
 
 
 def _between(start: float, end: float, share: float) -> float:

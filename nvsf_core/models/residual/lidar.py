@@ -1,22 +1,18 @@
 """The LiDAR field of the residual family: its training step, and its comparison with `reproject`."""
 
 from dataclasses import asdict
-from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.moving.objects import NearObjects
-from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
-from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.residual.training_rays import LidarRays
 from nvsf_core.models.selection.holdout import compare
@@ -56,57 +52,47 @@ def choose(
     if left_out is None:
         return True, {"lidar_shows": "field: too few scans to judge it by"}
 
-    numbers = left_out.validation.tolist()
+    numbers, far_m = left_out.validation.tolist(), lidar.far_m
     moving = {number: lidar.moving(leave_out=number) for number in numbers}
-    truth = {number: _recorded(lidar, number) for number in numbers}
+    truth = {number: recorded_pano(lidar, number) for number in numbers}
 
-    def score(number: int, *, by_field: bool) -> list[float]:
-        render = _renderer(field, recipe, lidar, left_out, moving[number], by_field=by_field)
+    def by_field(number: int) -> list[float]:
+        most = recipe.evidence.lidar_candidates
+        render = field_renderer(field, left_out.static, moving[number], most=most, far_m=far_m)
         return _score(render, recipe, lidar, number, truth[number])
 
-    found = compare(
-        _METRICS,
-        numbers,
-        {"field": partial(score, by_field=True), "reproject": partial(score, by_field=False)},
-    )
+    def by_evidence(number: int) -> list[float]:
+        most = EvidenceSpec().lidar_candidates
+        render = evidence_renderer(left_out.for_rendering, moving[number], most=most, far_m=far_m)
+        return _score(render, recipe, lidar, number, truth[number])
+
+    found = compare(_METRICS, numbers, {"field": by_field, "reproject": by_evidence})
     shows_field = found.wins("field", "reproject")
     figures = found.figures({"field": "lidar_judged_", "reproject": "lidar_judged_reproject_"})
     shown = "field" if shows_field else "reproject: learning did not beat it"
     return shows_field, {"lidar_shows": shown, **figures}
 
 
-def _renderer(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence,
-    moving: NearObjects | None, *, by_field: bool,
-) -> RayRenderer:  # fmt: skip
-    """The field's renderer or the baseline's, both on the evidence without the validation scans."""
-    if by_field:
-        most = recipe.evidence.lidar_candidates
-        return field_renderer(field, left_out.static, moving, most=most, far_m=lidar.far_m)
-    most = EvidenceSpec().lidar_candidates
-    return evidence_renderer(left_out.for_rendering, moving, most=most, far_m=lidar.far_m)
-
-
-def _recorded(lidar: LidarRecording, number: int) -> PanoImage:
-    """The recorded pano of a training scan."""
+def recorded_pano(lidar: LidarRecording, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Range in metres and intensity (66, 1030) float32 of a training scan, projected as the papers do."""
     sweeps, a = lidar.sweeps, lidar.sweeps.arrays
     part = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[number]))
-    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    return project_scan(_PANO, scan)
+    return _PANO.project(a["points_m"][part], a["intensity"][part])
 
 
 def _score(
-    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int, truth: PanoImage
-) -> list[float]:
+    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int,
+    truth: tuple[np.ndarray, np.ndarray],
+) -> list[float]:  # fmt: skip
     """The values of `_METRICS` of a training scan that is simulated as if it were held out."""
     prior = lidar.evidence.prior
     rays, rendered = fire_left_out(render, recipe, lidar, number)
-    points_m, intensity, laser = RenderedSweep.of(rays, rendered).scan()
-    shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
+    points_m, intensity, _ = RenderedSweep.of(rays, rendered).scan()
+    shown = _PANO.project(points_m, intensity)
     found = {
-        **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),
-        **range_image_metrics(shown.range_m, truth.range_m),
-        **intensity_image_metrics(shown.intensity, truth.intensity),
+        **point_cloud_metrics(_PANO.points(shown[0]), _PANO.points(truth[0])),
+        **range_image_metrics(shown[0], truth[0]),
+        **intensity_image_metrics(shown[1], truth[1]),
     }
     expected = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
     returned = prior.is_hit[number, rays.laser, prior.nearest_firing(number, rays.fraction)]
@@ -133,13 +119,9 @@ def fire_left_out(
 
 
 def lidar_step(
-    field: LidarField,
-    surfels: Surfels,
-    rays: LidarRays,
-    recipe: ResidualRecipe,
-    far_m: float,
+    field: LidarField, surfels: Surfels, rays: LidarRays, recipe: ResidualRecipe, far_m: float,
     generator: torch.Generator,
-) -> LossBreakdown:
+) -> LossBreakdown:  # fmt: skip
     """The loss of a batch of rays, sampled from all training scans.
 
     Args:

@@ -16,6 +16,7 @@ from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.lidar import recorded_pano
 from nvsf_core.models.residual.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.models.residual.pano_neighbours import (
     PARTS,
@@ -239,13 +240,11 @@ def leave_out(
 
 def recorded_panos(lidar: LidarRecording) -> RecordedPanos:
     """All training scans projected to panos as the papers do."""
-    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
-    pano = LinearPano(reference_quirks=True)
+    sweeps = lidar.sweeps
     training = np.flatnonzero(sweeps.is_training)
-    parts = [sweeps.returns_of(int(scan)) for scan in training]
-    images = [pano.project(a["points_m"][part], a["intensity"][part]) for part in parts]
+    images = [recorded_pano(lidar, number) for number in range(len(training))]
     return RecordedPanos(
-        time_s=a["time_s"][training].astype(np.float64),
+        time_s=sweeps.arrays["time_s"][training].astype(np.float64),
         range_m=np.stack([range_m for range_m, _ in images]),
         intensity=np.stack([intensity for _, intensity in images]),
         trajectory=sweeps.trajectory,
