@@ -146,7 +146,7 @@ def train(
     while state.step < spec.steps:
         _set_rates(state.optimiser, spec, state.step)
         state.optimiser.zero_grad(set_to_none=True)
-        drawn_from = state.generator.get_state()
+        generator_state = state.generator.get_state()
         is_due = state.step > first and time.perf_counter() - saved >= spec.checkpoint_s
         before = _copied(state) if is_due else None
         try:
@@ -154,7 +154,7 @@ def train(
         except DivergedError as error:
             raise DivergedError(f"step {state.step}: {error} ({_first_broken(state)})") from error
         if not _has_finite_gradients(state.model):
-            state.generator.set_state(drawn_from)
+            state.generator.set_state(generator_state)
             raise DivergedError(f"step {state.step}: {_blame(state, step)}")
         if before is not None:
             _require_finite(state)

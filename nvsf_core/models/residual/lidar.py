@@ -133,21 +133,21 @@ def lidar_step(
         generator: Samples the rays.
     """
     spec = recipe.lidar_training
-    drawn = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
+    sampled = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
     most = recipe.evidence.lidar_candidates
     batch = surface_batch(
-        surfels, rays.origin_m[drawn], rays.direction[drawn], most=most, near_m=NEAR_M, far_m=far_m,
-        objects=None if rays.objects is None else rays.objects.of(drawn),
+        surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,
+        objects=None if rays.objects is None else rays.objects.of(sampled),
     )  # fmt: skip
-    rendered = render_lidar(field, batch, torch.from_numpy(rays.hit_prior[drawn]))
-    true_range_m = torch.from_numpy(rays.range_m[drawn])
+    rendered = render_lidar(field, batch, torch.from_numpy(rays.hit_prior[sampled]))
+    true_range_m = torch.from_numpy(rays.range_m[sampled])
     returned = (true_range_m > 0) & batch.is_there[:, 0]
     seen = batch.is_there[:, 0]
     terms = {
         "depth": _depth(rendered, batch, returned, true_range_m),
         "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
         "intensity": intensity_loss(
-            rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[drawn])[returned]
+            rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[sampled])[returned]
         ),
     }
     return total_loss(terms, asdict(recipe.losses))

@@ -36,7 +36,7 @@ def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
         halves = _half_way(recording.cameras[name].training_time_s)
         for number, instant_s in enumerate(halves.tolist()):
             views.append(_depths(recording, name, instant_s, highest))
-            say(f"above the lasers, {name} {number + 1}/{len(halves)}")
+            say(f"outside the field of view, {name} {number + 1}/{len(halves)}")
     shine = lidar.evidence.static.intensity
     surfels = image_surfels(views, far_m=lidar.far_m, intensity=float(shine.mean()), threads=_THREADS)
     if surfels is None:

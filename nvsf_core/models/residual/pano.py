@@ -106,7 +106,7 @@ def train_pano(
     left_out = []
     for scan in scans.tolist():
         left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
-        session.say("pano", f"expected {len(left_out)} of {len(scans)}")
+        session.say("pano", f"training pano {len(left_out)} of {len(scans)} estimated")
     validation = validation_numbers(len(left_out), spec.judge_every, spec.judge_every // 2)
     examples = [one.example() for number, one in enumerate(left_out) if number not in validation]
     state = fresh_state(network, training, session.seed * 5 + 3)

@@ -26,7 +26,7 @@ class RecordedPanos:
     time_s: np.ndarray
     """(n,) float64."""
     range_m: np.ndarray
-    """(n, h, w) float32, 0 = empty."""
+    """(n, h, w) float32, metres, 0 = empty."""
     intensity: np.ndarray
     """(n, h, w) float32."""
     trajectory: Trajectory

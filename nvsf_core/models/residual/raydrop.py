@@ -101,7 +101,7 @@ def train_hits(
     examples = []
     for index in chosen.tolist():
         examples.append(_example(field, recipe, lidar, scan_grids, learned[index]))
-        session.say("hits", f"expected {len(examples)} of {len(chosen)}")
+        session.say("hits", f"training scan {len(examples)} of {len(chosen)} simulated")
     preparation = time.perf_counter() - started
     state = fresh_state(network, spec.training, session.seed * 5 + 4)
     fit(

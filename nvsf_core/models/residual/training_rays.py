@@ -21,11 +21,11 @@ class LidarRays:
     origin_m: np.ndarray
     """(n, 3) float32."""
     direction: np.ndarray
-    """(n, 3) float32."""
+    """(n, 3) float32, unit."""
     range_m: np.ndarray
-    """(n,) float32; 0 where nothing returned."""
+    """(n,) float32, metres; 0 = dropped."""
     intensity: np.ndarray
-    """(n,) float32; 0 where nothing returned."""
+    """(n,) float32, 0..1; 0 = dropped."""
     hit_prior: np.ndarray
     """(n,) float32: share of the nearest other training scans that have a return there."""
     objects: ObjectSurfaces | None = None

@@ -21,7 +21,7 @@ class Panos:
     frame: np.ndarray
     """(k,) float64 frame coordinates: 0 for the scene's first frame, n - 1 for its last."""
     pose: np.ndarray
-    """(k, 4, 4) float64 LiDAR to scene-local."""
+    """(k, 4, 4) float64, LiDAR to scene-local."""
     range_m: Tensor
     """(k, h, w) float32, metres; 0 = no return."""
     intensity: Tensor
