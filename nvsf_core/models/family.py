@@ -1,4 +1,4 @@
-"""Families of recipes: what each can do, and the one place where a recipe's family is chosen.
+"""Families of recipes: the interface of each, and the choice of a recipe's family.
 
 A new family is a folder with a module `family` and a line in `_MODULES`.
 """
@@ -15,6 +15,7 @@ from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import Recipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.training.loop import TrainingState
 from nvsf_core.training.session import TrainingSession
 
 _MODULES = {
@@ -25,43 +26,55 @@ _MODULES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
-    """What training a scene gave, whatever family of recipes it was."""
+    """A trained model of a scene, of any family."""
 
     tensors: dict[str, Tensor]
     """All weights."""
     curves: dict[str, list[dict[str, float]]]
-    """Part of the model (a sensor, a phase) to its training curve."""
+    """The training curve of each part of the model (a sensor, a phase)."""
     seconds: float
-    """All that it took, preparation included."""
+    """Total time, preparation included."""
     metadata: dict[str, Scalar]
-    """What else is worth knowing, units in the keys."""
+    """Figures for the stage's record, units in the keys."""
     facts: dict[str, object] = field(default_factory=dict)
-    """What rendering needs beside the weights."""
+    """What rendering needs besides the weights, as JSON values."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedPart:
+    """The result of training one part of a model, besides its weights; fields as in `Trained`."""
+
+    states: dict[str, TrainingState]
+    """The final state of each training, by the name of its curve."""
+    preparation_seconds: float
+    """Time besides the training steps, scoring on validation data included."""
+    metadata: dict[str, Scalar]
+    facts: dict[str, object]
 
 
 class Weights(Protocol):
-    """A trained model's weights and facts, wherever they are kept."""
+    """A trained model's stored weights and facts."""
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """As of `Trained`."""
+        """`Trained.facts`."""
 
     def has(self, prefix: str, /) -> bool:
-        """Whether any weight's name begins so."""
+        """Whether any weight's name begins with the prefix."""
 
     def load_into(self, model: nn.Module, prefix: str, /) -> None:
-        """Give a network the weights whose names begin with a prefix, which is taken off.
+        """Load the weights whose names begin with the prefix into a network, the prefix removed.
 
         Raises:
-            StoreError: Names or shapes are not the network's, or a weight is not finite.
+            StoreError: Names or shapes do not fit the network, or a weight is not finite.
         """
 
 
 class Family(Protocol):
-    """How the recipes of one family are trained and rendered; a module with these functions is one."""
+    """How the recipes of one family are trained and rendered. A module with these functions is a family."""
 
     def needs(self, recipe: Any, recording: Recording, /) -> dict[str, Scalar]:
-        """What the recipe allocates for a scene, before it is trained; empty where no size is the scene's."""
+        """The sizes a recipe allocates for a scene; empty if they do not depend on the scene."""
 
     def train(self, recipe: Any, recording: Recording, session: TrainingSession, /) -> Trained:
         """Train, resuming from the session's checkpoints.
@@ -73,10 +86,10 @@ class Family(Protocol):
     def load(
         self, recipe: Any, weights: Weights, recording: Recording, /, *, with_camera: bool = True
     ) -> SceneModel:
-        """A trained model, ready to render; without its cameras where only the LiDAR is asked.
+        """A trained model, ready to render; without its cameras if only the LiDAR is needed.
 
         Raises:
-            StoreError: The weights are not the recipe's.
+            StoreError: The weights do not fit the recipe.
         """
 
 
@@ -84,7 +97,7 @@ def family_of(recipe: Recipe) -> Family:
     """The family that trains and renders a recipe.
 
     Raises:
-        RecipeError: Nothing here trains such a recipe.
+        RecipeError: No family trains such a recipe.
     """
     if recipe.family not in _MODULES:
         known = " or ".join(_MODULES)

@@ -1,4 +1,4 @@
-"""What a drive's training sweeps prove: static and moving surfaces, ray drop, the own vehicle."""
+"""Builds the evidence of a drive from its training scans: static surfaces, moving objects, hit priors."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ _THREADS = 2
 
 
 def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
-    """The evidence, and how well each size of voxel answered training scans that were left out."""
+    """The evidence, and as metadata the validation scans' range error with each voxel size that was tried."""
     a = sweeps.arrays
     lengths = np.diff(a["offsets"])
     of_training = np.repeat(sweeps.is_training, lengths)
@@ -62,9 +62,9 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
         dynamic=dynamic,
-        stationary=_keep_at_rest(sweeps, of_training, prior),
+        stationary=_stationary_scans(sweeps, of_training, prior),
         rendered=rays.surfels(best_m, _THREADS, shaped=True),
-        left_out=None if choice is None else _without_judges(choice, training),
+        left_out=None if choice is None else _left_out(choice, training),
         unobserved=unobserved_beside(static, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
@@ -73,8 +73,8 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     return evidence, tried
 
 
-def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:
-    """What stays without the judges, in the fields' voxels and in the chosen ones; `training` (n,) scans."""
+def _left_out(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:
+    """Static surfaces without the validation scans, for the field and `reproject`; `training` (n,) scans."""
     return LeftOutEvidence(
         validation=np.searchsorted(training, choice.validation),
         static=choice.static,
@@ -82,8 +82,8 @@ def _without_judges(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidenc
     )
 
 
-def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> StationaryScans | None:
-    """What was measured where the sensor stood or crawled, by known lasers; None where it never did."""
+def _stationary_scans(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> StationaryScans | None:
+    """The training scans recorded while the sensor stood or crawled, with known lasers; None if none."""
     scans = find_stationary_scans(prior.time_s, sweeps.trajectory)
     scans = scans[~prior.is_unidentified[scans]]
     if len(scans) == 0:
@@ -102,14 +102,14 @@ def _keep_at_rest(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> 
 def _prove_motion(
     sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects, of_training: np.ndarray, rays: ScanRays
 ) -> DynamicEvidence:
-    """What moves and the scene without it.
+    """The moving objects, and the static surfaces without their returns.
 
     Args:
         sweeps: All scans.
         returns: Of the training scans.
-        moving: Which of them are of which moving object.
+        moving: The moving object of each of these returns.
         of_training: (N,) bool, returns of training scans.
-        rays: Those that evidence is made of.
+        rays: Returns that the static surfaces are built of.
     """
     a = sweeps.arrays
     objects = prove_objects(

@@ -1,4 +1,4 @@
-"""The weights' running average, which is what is evaluated."""
+"""Exponential moving average of a model's weights; a recipe that keeps one renders with it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +17,7 @@ class WeightAverage:
     """
 
     def __init__(self, model: nn.Module, decay: float) -> None:
-        """Begin at the model's present weights; a decay of 0 keeps no average at all."""
+        """Start from the model's present weights; with a decay of 0 no average is kept."""
         self.decay = decay
         self.updates = 0
         self._model = model
@@ -25,7 +25,7 @@ class WeightAverage:
 
     @torch.no_grad()
     def update(self) -> None:
-        """Take in the model's weights, at the end of an epoch."""
+        """Add the model's present weights to the average; call it at the end of an epoch."""
         self.updates += 1
         decay = min(self.decay, (1.0 + self.updates) / (10.0 + self.updates))
         for average, parameter in zip(self._average, self._model.parameters(), strict=False):
@@ -33,9 +33,10 @@ class WeightAverage:
 
     @contextmanager
     def in_place(self) -> Iterator[None]:
-        """For the time of a `with`, the model has the averaged weights; its own come back in any case.
+        """Inside the `with` block the model has the averaged weights; afterwards, also on errors, its own.
 
-        Nothing is copied. Without an average (decay 0) or before the first update the model keeps its own.
+        The two are swapped, not copied. Without an average (decay 0) or before the first update nothing is
+        swapped.
         """
         swapped = self.updates > 0 and bool(self._average)
         if swapped:
@@ -47,13 +48,13 @@ class WeightAverage:
                 self._swap()
 
     def tensors(self) -> dict[str, Tensor]:
-        """The average by the parameters' names, each with `ema.` in front, and `ema_updates`."""
+        """The averaged parameters, named `ema.<parameter>`, and the number of updates, `ema_updates`."""
         names = [name for name, _ in self._model.named_parameters()]
         named = {f"ema.{name}": value for name, value in zip(names, self._average, strict=False)}
         return named | {"ema_updates": torch.tensor(self.updates)}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Go back to where `tensors` were taken; other names in it are ignored.
+        """Restore the average from `tensors()` of an earlier run; other names are ignored.
 
         Raises:
             StoreError: The average of a parameter is absent or has another shape.

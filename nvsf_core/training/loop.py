@@ -1,4 +1,4 @@
-"""The resumable loop: the same bits whether or not it was killed in between."""
+"""The training loop. A training that is killed and resumed gives the same bits as one that is not."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -17,13 +17,13 @@ _RECORD_EVERY = 10
 _ADAM_KEYS = ("step", "exp_avg", "exp_avg_sq")
 
 Step = Callable[[int, torch.Generator], Iterable[LossBreakdown]]
-"""From the step's number to its loss, in parts whose gradients add up."""
+"""Given a step's number and the generator, the loss of that step, in parts whose gradients are added."""
 Save = Callable[[dict[str, Tensor], dict[str, object]], None]
 
 
 @dataclass(slots=True)
 class TrainingState:
-    """Everything that decides how training goes on."""
+    """All state of a training: what a checkpoint holds."""
 
     model: nn.Module
     optimiser: torch.optim.Adam
@@ -32,7 +32,7 @@ class TrainingState:
     seconds: float = 0.0
     curve: list[dict[str, float]] = field(default_factory=list)
     average: WeightAverage | None = None
-    """Of the model's weights, where a recipe renders with averaged ones."""
+    """Of the model's weights; None where the recipe renders with the weights themselves."""
 
     def tensors(self) -> dict[str, Tensor]:
         """Model, optimiser and generator as named tensors."""
@@ -44,14 +44,14 @@ class TrainingState:
         return named if self.average is None else named | self.average.tensors()
 
     def facts(self) -> dict[str, object]:
-        """What is no tensor."""
+        """Step, seconds and training curve: the part of a checkpoint that is not tensors."""
         return {"step": self.step, "seconds": self.seconds, "curve": self.curve}
 
     def restore(self, tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
-        """Go back to where `tensors` and `facts` were taken.
+        """Restore what `tensors()` and `facts()` gave.
 
         Raises:
-            StoreError: They are no state of this training; nothing of it has changed.
+            StoreError: They do not fit this model and optimiser; the state is unchanged then.
         """
         fault = self._fault(tensors, facts)
         if fault is not None:
@@ -72,7 +72,7 @@ class TrainingState:
         self.curve = list(facts["curve"])  # type: ignore[call-overload]
 
     def _fault(self, tensors: dict[str, Tensor], facts: dict[str, object]) -> str | None:
-        """What keeps a checkpoint from being gone on from."""
+        """Why training cannot continue from a checkpoint; None if it can."""
         expected = {
             name: value.shape for name, value in self.tensors().items() if not name.startswith("adam.")
         }
@@ -99,13 +99,18 @@ class TrainingState:
 
 
 def make_optimiser(model: nn.Module, spec: TrainingSpec) -> torch.optim.Adam:
-    """Adam with one rate for hash tables and one for networks."""
+    """Adam with one learning rate for hash tables (parameters named `grid.*`) and one for networks."""
     tables = [p for name, p in model.named_parameters() if name.startswith("grid.")]
     networks = [p for name, p in model.named_parameters() if not name.startswith("grid.")]
     groups = [{"params": tables, "lr": spec.table_rate}, {"params": networks, "lr": spec.network_rate}]
     for group in groups:
         group["initial_lr"] = group["lr"]
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+
+def fresh_state(model: nn.Module, spec: TrainingSpec, seed: int) -> TrainingState:
+    """The state of a model before its first step; the seed decides what its steps sample."""
+    return TrainingState(model, make_optimiser(model, spec), torch.Generator().manual_seed(seed))
 
 
 def train(
@@ -116,16 +121,22 @@ def train(
     say: Callable[[str], None],
     observe: Callable[[TrainingState], None] | None = None,
 ) -> None:
-    """Run the steps that are left; save every `checkpoint_s` seconds and at the end.
+    """Run the remaining steps; save every `checkpoint_s` seconds and at the end.
 
-    Between two steps only weights are saved that the second found a finite loss and finite gradients with:
-    what is about to diverge never replaces the last good checkpoint.
+    Weights are saved only after the next step's loss and gradients with them were finite, so that a training
+    that is about to diverge never replaces the last good checkpoint.
 
-    `observe` sees the state after each step; the training's clock stands still meanwhile.
+    Args:
+        state: Is changed in place.
+        spec: Steps, learning rates and their decay, seconds between checkpoints, threads.
+        step: Gives the loss of a step.
+        save: Writes a checkpoint of tensors and facts.
+        say: Prints a line of progress, every few seconds.
+        observe: Called with the state after each step; its time does not count as training.
 
     Raises:
         DivergedError: A loss term, a gradient, a parameter or Adam's statistics are not finite; names the
-            step, the term and the tensor. The last checkpoint stays, and no weight has taken the step.
+            step, the term and the tensor. The last checkpoint is kept, and no weight was updated.
     """
     torch.set_num_threads(spec.threads)
     began = time.perf_counter() - state.seconds
@@ -135,19 +146,18 @@ def train(
     while state.step < spec.steps:
         _set_rates(state.optimiser, spec, state.step)
         state.optimiser.zero_grad(set_to_none=True)
-        drawn_from = state.generator.get_state()
+        generator_state = state.generator.get_state()
         is_due = state.step > first and time.perf_counter() - saved >= spec.checkpoint_s
         before = _copied(state) if is_due else None
         try:
             loss, terms = _descend(step(state.step, state.generator))
         except DivergedError as error:
-            raise DivergedError(f"step {state.step}: {error} ({first_broken(state)})") from error
-        if not has_finite_gradients(state.model):
-            state.generator.set_state(drawn_from)
+            raise DivergedError(f"step {state.step}: {error} ({_first_broken(state)})") from error
+        if not _has_finite_gradients(state.model):
+            state.generator.set_state(generator_state)
             raise DivergedError(f"step {state.step}: {_blame(state, step)}")
         if before is not None:
-            require_finite_parameters(state.model, state.step)
-            _require_finite_moments(state)
+            _require_finite(state)
             save(*before)
             saved = time.perf_counter()
         state.optimiser.step()
@@ -156,15 +166,8 @@ def train(
         state.seconds = now - began
         rays_per_s = (state.step - first) * spec.rays / (now - started)
         if state.step % _RECORD_EVERY == 0 or state.step == spec.steps:
-            state.curve.append(
-                {
-                    "step": state.step,
-                    "seconds": state.seconds,
-                    "loss": loss,
-                    "rays_per_s": rays_per_s,
-                }
-                | terms
-            )
+            point = {"step": state.step, "seconds": state.seconds, "loss": loss, "rays_per_s": rays_per_s}
+            state.curve.append(point | terms)
         if now - said >= _SAY_EVERY_S:
             said = now
             left_s = (spec.steps - state.step) * spec.rays / rays_per_s
@@ -173,8 +176,7 @@ def train(
                 f"{rays_per_s:,.0f} rays/s, {left_s:.0f} s left"
             )
         if state.step == spec.steps:
-            require_finite_parameters(state.model, state.step)
-            _require_finite_moments(state)
+            _require_finite(state)
             save(state.tensors(), state.facts())
         if observe is not None:
             paused = time.perf_counter()
@@ -184,13 +186,13 @@ def train(
 
 
 def _copied(state: TrainingState) -> tuple[dict[str, Tensor], dict[str, object]]:
-    """What a checkpoint holds, as it is now: a step changes weights, averages and the generator in place."""
+    """A copy of what a checkpoint holds: a step changes weights, averages and the generator in place."""
     tensors = {name: value.detach().clone() for name, value in state.tensors().items()}
     return tensors, state.facts() | {"curve": list(state.curve)}
 
 
 def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
-    """Add up the gradients of a step's parts; its loss and its terms."""
+    """Add up the gradients of a step's parts; returns the step's loss and its terms."""
     loss, terms = 0.0, dict[str, float]()
     for part in parts:
         part.total.backward()  # type: ignore[no-untyped-call]
@@ -200,8 +202,8 @@ def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
     return loss, terms
 
 
-def has_finite_gradients(model: nn.Module) -> bool:
-    """Whether no gradient is NaN or infinite: one quick pass, and a second only where a sum is not finite."""
+def _has_finite_gradients(model: nn.Module) -> bool:
+    """Whether all gradients are finite. Only if one of their sums is not is every value looked at."""
     gradients = [p.grad for p in model.parameters() if p.grad is not None]
     if not gradients or bool(torch.stack([g.sum() for g in gradients]).isfinite().all()):
         return True
@@ -209,7 +211,7 @@ def has_finite_gradients(model: nn.Module) -> bool:
 
 
 def _blame(state: TrainingState, step: Step) -> str:
-    """Take the gradients of a step again, one term at a time, to name the first that is not finite."""
+    """Repeat a step one loss term at a time, and name the first whose gradient is not finite."""
     named = [(name, p) for name, p in state.model.named_parameters() if p.requires_grad]
     advice = "is not finite; lower the step size or look at its input"
     for part in step(state.step, state.generator):
@@ -220,22 +222,17 @@ def _blame(state: TrainingState, step: Step) -> str:
             for (name, _), gradient in zip(named, found, strict=True):
                 if gradient is not None and not torch.isfinite(gradient).all():
                     return f"loss term {term!r}: its gradient by weights {name!r} {advice}"
-    return f"all terms together: {first_broken(state)} although each term's own is finite"
+    return f"all terms together: {_first_broken(state)} although each term's own is finite"
 
 
-def require_finite_parameters(model: nn.Module, step: int) -> None:
-    """Refuse to save weights that are not finite.
+def _require_finite(state: TrainingState) -> None:
+    """Check weights and Adam's running statistics before they are saved.
 
-    Raises:
-        DivergedError: Names the first such tensor.
+    A weight whose statistics overflowed is never updated again.
     """
-    for name, parameter in model.named_parameters():
+    for name, parameter in state.model.named_parameters():
         if not torch.isfinite(parameter).all():
-            raise DivergedError(f"step {step}: weights {name!r} are not finite; lower the step size")
-
-
-def _require_finite_moments(state: TrainingState) -> None:
-    """Refuse to save an optimiser whose running statistics overflowed: such a weight never moves again."""
+            raise DivergedError(f"step {state.step}: weights {name!r} are not finite; lower the step size")
     for name, parameter in state.model.named_parameters():
         for key, value in state.optimiser.state.get(parameter, {}).items():
             if not torch.isfinite(value).all():
@@ -245,8 +242,8 @@ def _require_finite_moments(state: TrainingState) -> None:
                 )
 
 
-def first_broken(state: TrainingState) -> str:
-    """What is not finite besides the loss: the weights, their gradients, or what came in."""
+def _first_broken(state: TrainingState) -> str:
+    """In words, the first weight or gradient that is not finite, or that it must be the batch."""
     broken = [name for name, p in state.model.named_parameters() if not torch.isfinite(p).all()]
     if broken:
         return f"weights {broken[0]!r} are not finite"

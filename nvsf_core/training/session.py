@@ -1,4 +1,4 @@
-"""What a training needs of whoever runs it: a seed, checkpoints, and somebody to tell how far it is."""
+"""What the caller of a training provides: the seed, checkpoints and progress lines."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -12,13 +12,14 @@ from nvsf_core.training.loop import Save, Step, TrainingState, train
 
 @dataclass(frozen=True, slots=True)
 class ResumedPart:
-    """One part of a model, ready to go on from where its training was killed."""
+    """One part of a model, restored from its checkpoint if it has one."""
 
     save: Save
     """Writes a checkpoint."""
     say: Say
+    """Prints a line of progress."""
     observe: Callable[[TrainingState], None] | None
-    """Sees the state after each step; None where nobody watches."""
+    """Called with the state after each step, or None."""
 
 
 class TrainingSession(Protocol):
@@ -26,23 +27,30 @@ class TrainingSession(Protocol):
 
     @property
     def seed(self) -> int:
-        """Of the weights' first values and of what a step learns from."""
+        """Decides the initial weights and what each step samples."""
 
     def say(self, part: str, line: str, /) -> None:
-        """Tell the person who waits."""
+        """Print a line of progress of a part."""
 
     def resumed(self, part: str, state: TrainingState, /) -> AbstractContextManager[ResumedPart]:
-        """Around a part's training: `state` goes on from the part's checkpoint where there is one.
+        """Context of a part's training; restores `state` from the part's checkpoint if there is one.
 
         Raises:
-            DivergedError: What diverged inside, with the names of scene, recipe and part.
+            DivergedError: Training inside diverged; scene, recipe and part are added to the message.
         """
 
 
 def fit(
     session: TrainingSession, part: str, state: TrainingState, spec: TrainingSpec, step: Step
 ) -> TrainingState:
-    """Train one part of a scene's model, from its checkpoint where there is one.
+    """Train one part of a scene's model, from its checkpoint if there is one; returns `state`.
+
+    Args:
+        session: Holds the checkpoints.
+        part: Name of the part, for checkpoints and progress lines.
+        state: Before the first step.
+        spec: Of the loop.
+        step: Gives the loss of a step.
 
     Raises:
         DivergedError: A loss, gradient or weight is not finite; scene, recipe, part and step are named.

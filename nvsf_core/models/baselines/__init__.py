@@ -1,1 +1,1 @@
-"""What learning must beat: the nearest recording copied, evidence alone, a Poisson mesh."""
+"""Baselines that learning must beat: the nearest recording copied, the evidence alone, a Poisson mesh."""

@@ -1,14 +1,15 @@
-"""The cheapest baseline: the nearest training scan or image, as it is, not moved."""
+"""The baseline `copy_nearest`: the training scan or image nearest in time, unchanged."""
 
 import numpy as np
 
 _CLOCK_JITTER_S = 0.005
-"""Two recordings whose distances in time differ by less are equally near: recorded clocks jitter."""
+"""Two recordings whose time differences differ by less count as equally near: clocks jitter."""
 _SAME_RAY_RAD = np.deg2rad(0.18)
+"""Largest azimuth between a ray and the return copied to it: one of 2000 steps of a rotation."""
 
 
 def nearest_earlier(time_s: np.ndarray, wanted_s: float) -> int:
-    """Index of the recording nearest in time to `wanted_s`, the earlier of two that are equally near."""
+    """Index of the recording, of times (n,) s, nearest to `wanted_s`; the earlier of two equally near."""
     apart = np.abs(time_s - wanted_s)
     return int(np.flatnonzero(apart <= apart.min() + _CLOCK_JITTER_S)[0])
 
@@ -21,10 +22,18 @@ def copied_ranges(
     points_m: np.ndarray,
     laser: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Range and intensity (r,) that the copied scan gives along recorded rays.
+    """Range (r,) float32 in metres and intensity (r,) float32 of r rays, copied from another scan.
 
-    It answers with the same laser's return within 0.18 degrees; infinite range and 0 intensity where
-    there is none.
+    A ray gets the return of the same laser that is nearest in azimuth, within 0.18 degrees; without one its
+    range is infinite and its intensity 0.
+
+    Args:
+        copied_points_m: (n, 3) returns of the copied scan, in the sensor's frame.
+        copied_laser: (n,) laser of each.
+        copied_range_m: (n,).
+        copied_intensity: (n,).
+        points_m: (r, 3) points on the rays, in the sensor's frame; only their azimuth is used.
+        laser: (r,) laser of each ray; -1 = unknown.
     """
     range_m = np.full(len(points_m), np.inf, np.float32)
     intensity = np.zeros(len(points_m), np.float32)

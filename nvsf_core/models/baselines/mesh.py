@@ -1,4 +1,4 @@
-"""The baseline `mesh`: what a user builds today with a library, a Poisson mesh and rays cast against it."""
+"""The baseline `mesh`: a Poisson mesh of the returns, and rays cast against it (open3d)."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneMo
 
 
 def mesh_baseline(mesh: Mesh | None, recording: Recording) -> SceneModel | None:
-    """The baseline of a scene; None where the stage `mesh` made none (its record says why).
+    """The baseline of a scene; None if the stage `mesh` made no mesh (its record says why).
 
     Raises:
         MissingLibraryError: The mesh was made elsewhere and open3d cannot be loaded here.
@@ -29,7 +29,7 @@ def mesh_baseline(mesh: Mesh | None, recording: Recording) -> SceneModel | None:
 
 
 def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
-    """A ray returns where it meets the mesh and the nearest scans' votes say so; motion is unknown to it."""
+    """Range from the mesh, hit probability from `hit_prior`; the mesh does not move."""
 
     def render(
         origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
@@ -48,7 +48,7 @@ def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
 
 
 def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:
-    """The two nearest training images, warped by the mesh's depth and averaged; no plane sweep."""
+    """The two nearest training images, warped by the mesh's depth and averaged; without a plane sweep."""
 
     def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         del time_s

@@ -1,4 +1,4 @@
-"""The baseline `reproject`: nothing is learned, recorded scans and images are carried into the view."""
+"""The baseline `reproject`: the evidence ray-cast, and recorded images warped; nothing is learned."""
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from nvsf_core.simulation.ray_renderers import evidence_renderer
 from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
 
 _DEPTH_SCANS = 10
-"""Training scans around a view whose returns give the warped images their depth."""
+"""Training scans nearest to a view in time, whose returns give the warped images their depth."""
 SAME_INSTANT_S = 0.03
-"""A scan nearer than this to an image is of the same frame."""
+"""A scan nearer in time than this to an image is of the same frame."""
 
 
 def reprojection(recording: Recording) -> SceneModel:
@@ -26,14 +26,14 @@ def reprojection(recording: Recording) -> SceneModel:
 
 
 def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
-    """Renders rays by evidence alone: static surfaces, and moving objects where they are at a ray's time."""
+    """Renders LiDAR rays by evidence alone: static surfaces, and moving objects at each ray's time."""
     return evidence_renderer(
         lidar.evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
     )
 
 
 def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
-    """Renders rays by unobserved voxels; None where the scene has none."""
+    """Renders LiDAR rays by unobserved voxels; None if the scene has none."""
     unobserved = lidar.evidence.unobserved
     if unobserved is None:
         return None
@@ -41,7 +41,7 @@ def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
 
 
 def warping_renderer(recording: Recording) -> ImageRenderer:
-    """The two nearest training images, warped by the LiDAR's depth and averaged."""
+    """Renders images: the two nearest training images, warped by the LiDAR's depth and averaged."""
 
     def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         images = recording.cameras[camera].training
@@ -52,7 +52,7 @@ def warping_renderer(recording: Recording) -> ImageRenderer:
 
 
 def depth_points(recording: Recording, instant_s: float, *, leave_out: bool = False) -> np.ndarray:
-    """Points (m, 3) float32 scene-local that are known around an instant; none without LiDAR.
+    """Returns (m, 3) float32, scene-local, metres, of the scans nearest to an instant; none without LiDAR.
 
     Args:
         recording: The drive.
@@ -67,7 +67,7 @@ def depth_points(recording: Recording, instant_s: float, *, leave_out: bool = Fa
 
 
 def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) -> list[int]:
-    """Training scans around an instant that give images their depth, the nearest first.
+    """Numbers of the training scans nearest to an instant, at most 10, the nearest first.
 
     Args:
         sweeps: Of the drive.
@@ -83,7 +83,7 @@ def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) ->
 
 
 def returns_of_scan(sweeps: Sweeps, scan: int) -> tuple[np.ndarray, np.ndarray]:
-    """A scan's returns (m, 3) scene-local, without the own vehicle's, and when each was fired (m,)."""
+    """A scan's returns (m, 3), scene-local, metres, without the own vehicle's, and their times (m,) in s."""
     a, part = sweeps.arrays, sweeps.returns_of(scan)
     seen = sweeps.is_of_world(part)
     points = a["origin_m"][part][seen] + a["direction"][part][seen] * a["range_m"][part][seen, None]

@@ -1,4 +1,4 @@
-"""The family `paper` (recipes `paper`, `paper_cpu`, ...), as `Family` asks for it."""
+"""The family `paper` (recipes `paper`, `paper_cpu`, ...); implements `Family`."""
 
 from nvsf_core._types import Scalar
 from nvsf_core.models.paper.scene import load
@@ -10,6 +10,6 @@ __all__ = ["load", "needs", "train"]
 
 
 def needs(recipe: PaperRecipe, recording: Recording) -> dict[str, Scalar]:
-    """Nothing: every scene gets the recipe's whole field."""
+    """Nothing: the recipe's field has the same size for every scene."""
     del recipe, recording
     return {}

@@ -1,38 +1,34 @@
-"""The last phase: a U-Net corrects the hit probabilities of whole panos."""
+"""Trains the paper's ray-drop U-Net, which corrects the hit probabilities of whole panos."""
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from nvsf_core.errors import DivergedError, ShapeError
+from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.recipe import TrainingSpec
 from nvsf_core.recipe.paper import RefinementSpec
-from nvsf_core.training.loop import (
-    Save,
-    TrainingState,
-    first_broken,
-    has_finite_gradients,
-    require_finite_parameters,
-)
+from nvsf_core.training.loop import Save, TrainingState, train
 
 _MOST_BOXES = 31
 _BOX_PX = (5, 102)
-"""Largest height and width of a blanked box, in panos of the size below; smaller in smaller ones."""
+"""Largest height and width of a blanked box in a pano of the size below; in proportion in others."""
 _PANO_PX = (66, 1030)
 _WARM_SHARE = 0.3
 _FIRST_DIVISOR = 25.0
 _LAST_DIVISOR = 1e4
 _LEAST_BETA, _MOST_BETA = 0.85, 0.95
-_SAY_EVERY_S = 4.0
 _SEED_RANGE = 2**62
 
 
 def refinement_state(unet: nn.Module, spec: RefinementSpec, generator: torch.Generator) -> TrainingState:
-    """A U-Net before its first step; also what a checkpoint is restored into."""
-    optimiser = torch.optim.Adam(unet.parameters(), lr=spec.rate, fused=True)
+    """The state of a U-Net before its first step; a checkpoint is restored into it."""
+    groups = [{"params": list(unet.parameters()), "lr": spec.rate, "initial_lr": spec.rate}]
+    optimiser = torch.optim.Adam(groups, fused=True)
     return TrainingState(unet, optimiser, generator)
 
 
@@ -45,29 +41,27 @@ def refine(
     say: Callable[[str], None],
     *,
     checkpoint_s: float = 60.0,
-    frames_at_once: int = 1,
 ) -> None:
-    """Run the steps that are left: cross-entropy between the U-Net's logits and what returned.
+    """Run the remaining steps; the loss is the cross-entropy between the U-Net's logits and recorded returns.
 
-    A step sees all frames (or `spec.frames_a_step` of them in turn); the gradients of parts of
-    `frames_at_once` frames add up to that of the mean over all their pixels. Batch statistics are those of a
-    part, the one difference to all frames at once. Each step blanks 0 to 31 random boxes of the input, so
-    that the U-Net learns to close gaps. The same state, stopped anywhere and restored, gives the same bits.
+    A step uses all frames (or the next `spec.frames_a_step` of them), one at a time to save memory: their
+    gradients add up to that of the mean over all pixels, and batch statistics are those of one frame. Each
+    step blanks 0 to 31 random boxes of the input, so that the U-Net learns to close gaps. The same state,
+    stopped anywhere and restored, gives the same bits.
 
     Args:
-        state: Of `refinement_state`; its generator (on the CPU) decides boxes and dropout.
-        spec: Steps, highest rate, frames a step.
-        renders: (n, 3, H, W) hit probability, intensity, range in scaled units of all training frames; on
-            any device, parts go to the model's.
-        is_return: (n, H, W) whether each pixel returned, bool or 0 and 1.
-        save: Is given tensors and facts every `checkpoint_s` seconds and at the end.
-        say: Is told how it goes.
+        state: Of `refinement_state`, changed in place; its generator decides boxes and dropout.
+        spec: Steps, highest learning rate, frames a step.
+        renders: (n, 3, H, W) hit probability, intensity, range in scaled units of all training frames, on
+            any device.
+        is_return: (n, H, W) whether each pixel has a recorded return, bool or 0 and 1.
+        save: Writes a checkpoint of tensors and facts, every `checkpoint_s` seconds and at the end.
+        say: Prints a line of progress, every few seconds.
         checkpoint_s: Seconds between two checkpoints.
-        frames_at_once: Frames held in memory together.
 
     Raises:
         ShapeError: There is no frame, or renders and returns differ in size.
-        DivergedError: The loss, a render or a weight is not finite; names the step.
+        DivergedError: A render is not finite, or as `train`.
     """
     n = len(renders)
     if n == 0 or renders.ndim != 4 or is_return.shape != (n, *renders.shape[2:]):
@@ -77,41 +71,21 @@ def refine(
         )
     if not bool(torch.isfinite(renders).all()):
         raise DivergedError("refine: expected finite renders, found NaN or infinity; render them again")
-    began = time.perf_counter() - state.seconds
-    saved = said = time.perf_counter()
+    loop = TrainingSpec(
+        steps=spec.steps, rays=_frames_a_step(spec, renders) * is_return[0].numel(), final_share=1.0,
+        checkpoint_s=checkpoint_s, threads=torch.get_num_threads(),
+    )  # fmt: skip
     state.model.train()
-    while state.step < spec.steps:
-        loss = _step(state, spec, renders, is_return, frames_at_once)
-        state.step += 1
-        now = time.perf_counter()
-        state.seconds = now - began
-        state.curve.append({"step": state.step, "seconds": state.seconds, "loss": loss})
-        if now - said >= _SAY_EVERY_S:
-            said = now
-            say(f"refinement step {state.step}/{spec.steps}, loss {loss:.4f}")
-        if now - saved >= checkpoint_s or state.step == spec.steps:
-            require_finite_parameters(state.model, state.step)
-            save(state.tensors(), state.facts())
-            saved = time.perf_counter()
+    train(state, loop, lambda step, _: _step(state, spec, step, renders, is_return), save, say)
     state.model.eval()
 
 
-@torch.no_grad()
-def refined_hit_probability(unet: nn.Module, renders: Tensor) -> Tensor:
-    """Corrected hit probability (n, H, W) 0..1 of renders (n, 3, H, W), one frame at a time, no dropout."""
-    device = next(unet.parameters()).device
-    was_training = unet.training
-    unet.eval()
-    found = [torch.sigmoid(unet(render[None].to(device)))[0].to(renders.device) for render in renders]
-    unet.train(was_training)
-    return torch.stack(found) if found else renders.new_zeros(renders[:, 0].shape)
-
-
 def one_cycle(step: int, steps: int, highest: float) -> tuple[float, float]:
-    """Adam's step size and beta_1 at a step: Smith's one cycle, with cosines, as a function of the step.
+    """Adam's learning rate and beta_1 at a step of Smith's one-cycle schedule with cosines.
 
-    From highest / 25 up to `highest` in the first 30 % and down to highest / 250,000 in the rest, beta_1 the
-    other way from 0.95 to 0.85 and back: torch's OneCycleLR with its defaults, but without a state.
+    The rate rises from highest / 25 to `highest` in the first 30 % of the steps and falls to highest /
+    250,000 in the rest; beta_1 goes from 0.95 to 0.85 and back: torch's OneCycleLR with its defaults, but
+    without a state.
     """
     peak, last = _WARM_SHARE * steps - 1.0, steps - 1.0
     first, final = highest / _FIRST_DIVISOR, highest / _FIRST_DIVISOR / _LAST_DIVISOR
@@ -123,9 +97,10 @@ def one_cycle(step: int, steps: int, highest: float) -> tuple[float, float]:
 
 
 def blanked_boxes(height: int, width: int, generator: torch.Generator) -> Tensor:
-    """(H, W) bool, True in 0 to 31 random boxes 1 to 5 pixels high and 1 to 102 wide on panos of 66 x 1030.
+    """(H, W) bool, True in 0 to 31 random boxes.
 
-    On other panos the largest box is in the same proportion, at least 1 pixel.
+    In a pano of 66 x 1030 they are 1 to 5 pixels high and 1 to 102 wide; in others the largest box is in the
+    same proportion, at least 1 pixel.
     """
     blank = torch.zeros(height, width, dtype=torch.bool)
     most = [
@@ -141,44 +116,30 @@ def blanked_boxes(height: int, width: int, generator: torch.Generator) -> Tensor
     return blank
 
 
+def _frames_a_step(spec: RefinementSpec, renders: Tensor) -> int:
+    return min(len(renders), spec.frames_a_step) or len(renders)
+
+
 def _step(
-    state: TrainingState, spec: RefinementSpec, renders: Tensor, is_return: Tensor, frames_at_once: int
-) -> float:
-    """One optimiser step; its loss, nats a pixel."""
+    state: TrainingState, spec: RefinementSpec, step: int, renders: Tensor, is_return: Tensor
+) -> Iterator[LossBreakdown]:
+    """The loss of one step, frame by frame, in nats a pixel; sets the optimiser's rates."""
     device = next(state.model.parameters()).device
-    n = len(renders)
-    count = min(n, spec.frames_a_step) or n
-    frames = [(state.step * count + k) % n for k in range(count)]
+    n, count = len(renders), _frames_a_step(spec, renders)
     blank = blanked_boxes(renders.shape[2], renders.shape[3], state.generator).to(device)
-    rate, beta = one_cycle(state.step, spec.steps, spec.rate)
+    rate, beta = one_cycle(step, spec.steps, spec.rate)
     for group in state.optimiser.param_groups:
         group["lr"], group["betas"] = rate, (beta, group["betas"][1])
-    state.optimiser.zero_grad(set_to_none=True)
-    total = 0.0
-    # Dropout draws from torch's global generators: seeded here, or a resumed run would draw otherwise.
+    # Dropout samples from torch's global generators: seeded here, so that a resumed run samples the same.
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(int(torch.randint(_SEED_RANGE, (1,), generator=state.generator)))
-        for first in range(0, count, frames_at_once):
-            part = frames[first : first + frames_at_once]
-            images = renders[part].to(device).masked_fill(blank, 0.0)
-            logits = state.model(images)
-            loss = binary_cross_entropy_with_logits(logits, is_return[part].to(device, logits.dtype))
-            if not torch.isfinite(loss):
-                raise DivergedError(
-                    f"refinement step {state.step}: loss term 'hit' is {loss.item()}; lower the rate "
-                    f"({first_broken(state)})"
-                )
-            share = len(part) / count
-            (share * loss).backward()  # type: ignore[no-untyped-call]
-            total += share * float(loss.detach())
-    if not has_finite_gradients(state.model):
-        raise DivergedError(
-            f"refinement step {state.step}: loss term 'hit': {first_broken(state)}; lower the rate"
-        )
-    state.optimiser.step()
-    return total
+        for frame in ((step * count + k) % n for k in range(count)):
+            logits = state.model(renders[[frame]].to(device).masked_fill(blank, 0.0))
+            truth = is_return[[frame]].to(device, logits.dtype)
+            hit = binary_cross_entropy_with_logits(logits, truth)
+            yield replace(total_loss({"hit": hit}, {"hit": 1.0 / count}), terms={})
 
 
 def _between(start: float, end: float, share: float) -> float:
-    """From start to end along half a cosine."""
+    """Value between start and end at a share 0..1 of half a cosine."""
     return end + 0.5 * (start - end) * (1.0 + math.cos(math.pi * share))

@@ -1,4 +1,4 @@
-"""The paper's trained field as a scene model: LiDAR rays, its own panos, and images."""
+"""Renders LiDAR rays, panos and images by the paper's trained field."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
 from nvsf_core.sensors.linear_pano import LinearPano
 
 _SAMPLES_AT_ONCE = {"cpu": 1 << 16, "cuda": 1 << 20}
-"""Points in memory together, about a kilobyte each: more would leave the processor's caches for nothing."""
+"""Samples in memory at once, about a kilobyte each; more would not fit the processor's caches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,14 +28,14 @@ class PaperModel:
     field: SceneField
     bounds: Bounds
     frame_at: Callable[[float], float]
-    """Seconds since the first frame to the field's frame coordinate."""
+    """Converts seconds since the first frame to the field's frame coordinate."""
     unet: nn.Module | None
-    """Corrects the hit probabilities of panos; None where there is none, or before it is trained."""
+    """Corrects the hit probabilities of panos; None if the recipe has none or it is not trained yet."""
 
     def render_rays(
         self, origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
-        """Answer LiDAR rays; all at the mean of their times, because the field has one time a batch."""
+        """Render LiDAR rays, all at the mean of their times, because the field takes one time a batch."""
         frame = self.frame_at(float(time_s.mean())) if len(time_s) else 0.0
         range_m, intensity, hit = self._lidar(origin_m, direction, frame)
         return RenderedRays(range_m=range_m.numpy(), hit=hit.numpy(), intensity=intensity.numpy())
@@ -43,12 +43,12 @@ class PaperModel:
     def render_pano(
         self, pose: np.ndarray, time_s: float, *, column_step: int = 1
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Range in metres, intensity and hit probability (h, w) along the pano's own rays from one pose.
+        """Render a pano: range in metres, intensity and hit probability (h, w) along its own rays.
 
         Args:
             pose: (4, 4) LiDAR to scene-local.
             time_s: Seconds since the first frame.
-            column_step: Render every so many columns only; more than the U-Net was trained on skips none.
+            column_step: Render every `column_step`-th column only.
         """
         image = self.raw_pano(pose, self.frame_at(time_s), column_step)
         range_m, intensity, hit = image[2] * self.bounds.half_m, image[1], image[0]
@@ -57,7 +57,7 @@ class PaperModel:
         return range_m.numpy(), intensity.numpy(), hit.numpy()
 
     def raw_pano(self, pose: np.ndarray, frame: float, column_step: int = 1) -> Tensor:
-        """What the U-Net is given: hit probability, intensity, range in scaled units (3, h, w)."""
+        """The U-Net's input (3, h, w): hit probability, intensity, range in scaled units."""
         direction = LinearPano().directions()[:, ::column_step] @ pose[:3, :3].T
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
         found = self._lidar(origin.reshape(-1, 3), direction.reshape(-1, 3), frame)
@@ -65,7 +65,7 @@ class PaperModel:
         return torch.stack([hit, intensity, range_m / self.bounds.half_m])
 
     def render_image(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
-        """The view of a camera at `pose` (4, 4), camera to scene-local; ray lengths as the LiDAR's ranges."""
+        """Render a camera at `pose` (4, 4), camera to scene-local; its ranges are ray lengths in metres."""
         direction = (pinhole.rays(pinhole.pixels()) @ pose[:3, :3].T).reshape(-1, 3)
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
         rays = camera_rays(self.bounds, origin, direction, near_m=self.recipe.sampling.near_m)
@@ -82,7 +82,7 @@ class PaperModel:
     def _lidar(
         self, origin_m: np.ndarray, direction: np.ndarray, frame: float
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Range in metres, intensity, hit probability (r,)."""
+        """Range in metres, intensity and hit probability (r,) of LiDAR rays (r, 3), scene-local."""
         spec = self.recipe.sampling
         rays = lidar_rays(self.bounds, origin_m, direction, near_m=spec.near_m, far_m=spec.far_m)
         found = self._in_parts(
@@ -101,7 +101,7 @@ class PaperModel:
         attributes: Callable[[Tensor, Tensor], Tensor],
         result: Callable[[VolumeRender], Tensor],
     ) -> Tensor:
-        """Results (r, c) on the CPU, rendered in bounded memory."""
+        """Volume-render rays in parts of bounded memory; returns `result` of all rays (r, c) on the CPU."""
         device = next(self.field.parameters()).device
         samples = self.recipe.sampling.samples
         at_once = max(1, _SAMPLES_AT_ONCE[device.type] // samples)
@@ -120,7 +120,7 @@ class PaperModel:
 
     @torch.no_grad()
     def _refined(self, image: Tensor, phases: int) -> Tensor:
-        """The U-Net's hit probability (h, w); it sees columns as far apart as those it was trained on."""
+        """The U-Net's hit probability (h, w), by `phases` images of every `phases`-th column (as trained)."""
         assert self.unet is not None
         device = next(self.unet.parameters()).device
         self.unet.eval()

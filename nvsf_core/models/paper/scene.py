@@ -1,4 +1,4 @@
-"""The family of the paper's recipes: its training data from what was published, and its trained model."""
+"""Prepares the paper's training data from a recording, and loads its trained model."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +11,7 @@ from nvsf_core.errors import DataError
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
-from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.metrics.depth import lidar_depth_images
 from nvsf_core.models.family import Weights
 from nvsf_core.models.paper.render import PaperModel
@@ -23,18 +23,18 @@ from nvsf_core.recording.images import CameraRecording
 from nvsf_core.simulation.scene_model import SceneModel
 
 CAMERA_REACH_M = 60.0
-"""Half an edge of the cube around the cameras' path where no LiDAR says how far the scene reaches."""
+"""Half an edge of the cube around the cameras' path, for drives without LiDAR."""
 _BOX_POINTS_STEP = 7
-"""Every seventh return decides the box: its quantiles are those of all."""
+"""Every seventh return is enough for the quantiles that decide the box."""
 
 
 def device() -> torch.device:
-    """CUDA where there is any."""
+    """CUDA if there is any, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def needed(recipe: PaperRecipe, recording: Recording) -> PaperRecipe:
-    """The recipe without what a drive of one sensor never asks: the other's encoder, and colours."""
+    """The recipe without the encoder and losses of a sensor that the drive does not have."""
     if recording.lidar is not None and recording.cameras:
         return recipe
     sampling = replace(recipe.sampling, camera=recipe.sampling.camera and bool(recording.cameras))
@@ -42,18 +42,18 @@ def needed(recipe: PaperRecipe, recording: Recording) -> PaperRecipe:
 
 
 def frame_count(recording: Recording) -> int:
-    """N of the paper: frames from the first to the last, held-out ones and gaps included."""
+    """N of the paper: number of frames from the first to the last, held-out ones and gaps included."""
     return int(recording.posed_frame[-1] - recording.posed_frame[0]) + 1
 
 
 def frame_at(recording: Recording) -> Callable[[float], float]:
-    """Seconds since the first frame to frame coordinates 0..n-1, held at both ends."""
+    """A function from seconds since the first frame to frame coordinates 0..n-1, clamped at both ends."""
     known_s, frame = recording.posed_time_s, recording.posed_frame - recording.posed_frame[0]
     return lambda time_s: float(np.interp(time_s, known_s, frame))
 
 
 def scene_bounds(recipe: PaperRecipe, recording: Recording) -> Bounds:
-    """The cube around the training scans' returns; without LiDAR, around the cameras' path."""
+    """The cube around the training scans' returns, or without LiDAR around the cameras' path."""
     share = 0.0 if recipe.slips.minmax_box else OUTERMOST_SHARE
     if recording.lidar is not None:
         scans = _training_scans(recording.lidar)
@@ -68,7 +68,7 @@ def training_frames(recipe: PaperRecipe, recording: Recording) -> PaperFrames:
     """Panos, flow clouds and images of the training frames.
 
     Raises:
-        DataError: The recording has scans, but nobody projected them.
+        DataError: The scans were not projected to panos.
     """
     bounds = scene_bounds(recipe, recording)
     number = frame_at(recording)
@@ -95,13 +95,11 @@ def _panos(recipe: PaperRecipe, recording: Recording, bounds: Bounds) -> Panos:
     scans = _training_scans(lidar)
     frame = lidar.sweeps.arrays["frame"][scans]
     row = np.searchsorted(recorded.frame, frame)
-    rotation, position = lidar.sweeps.trajectory.at(lidar.sweeps.arrays["time_s"][scans])
-    pose = np.tile(np.eye(4), (len(scans), 1, 1))
-    pose[:, :3, :3], pose[:, :3, 3] = rotation, position
+    pose = pose_from_parts(*lidar.sweeps.trajectory.at(lidar.sweeps.arrays["time_s"][scans]))
     # The clouds are data: the same for every seed of training.
-    draws = np.random.default_rng(0)
+    generator = np.random.default_rng(0)
     clouds = [
-        flow_cloud(_points(lidar, int(scan)), pose[k], np.array(bounds.centre_m), draws) / bounds.half_m
+        flow_cloud(_points(lidar, int(scan)), pose[k], np.array(bounds.centre_m), generator) / bounds.half_m
         if recipe.aggregate
         else np.zeros((0, 3), np.float32)
         for k, scan in enumerate(scans)
@@ -116,7 +114,7 @@ def _panos(recipe: PaperRecipe, recording: Recording, bounds: Bounds) -> Panos:
 
 
 def _seen_by_lidar(camera: CameraRecording, lidar: LidarRecording | None) -> np.ndarray | None:
-    """Ray lengths (k, h, w) of the returns of each image's own scan; 0 where none falls, or there is none."""
+    """Ray lengths (k, h, w) float32 of the returns of the scan at each image's time, in metres; 0 = none."""
     if lidar is None:
         return None
     pinhole = camera.training.pinhole
@@ -136,7 +134,7 @@ def _training_scans(lidar: LidarRecording) -> np.ndarray:
 
 
 def _points(lidar: LidarRecording, scan: int) -> np.ndarray:
-    """Returns (m, 3) float64 of a scan, scene-local, each at its own time where that is known."""
+    """Returns (m, 3) float64 of a scan, scene-local, metres, each at its own time if that is known."""
     part, a = lidar.sweeps.returns_of(scan), lidar.sweeps.arrays
     kept = a["range_m"][part] < lidar.far_m
     origin, direction = a["origin_m"][part][kept], a["direction"][part][kept]
@@ -148,10 +146,10 @@ def _points(lidar: LidarRecording, scan: int) -> np.ndarray:
 def load(
     recipe: PaperRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
 ) -> SceneModel:
-    """The trained field, ready to render.
+    """The trained model, ready to render.
 
     Raises:
-        StoreError: The weights are not the recipe's.
+        StoreError: The weights do not fit the recipe.
     """
     recipe, facts = needed(recipe, recording), weights.facts
     torch.set_num_threads(recipe.optimiser.threads)

@@ -1,1 +1,1 @@
-"""Our family: small fields and networks that correct what the recording already proves."""
+"""The family `residual` (ours): small fields and networks that correct the evidence."""

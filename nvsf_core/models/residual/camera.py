@@ -1,8 +1,7 @@
-"""The residual recipes' camera: its networks trained by leaving images out, judged, and rendered with."""
+"""The camera networks of the residual family: training, comparison with `reproject`, rendering."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,12 +13,13 @@ from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
+from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.models.selection.holdout import compare, validation_numbers
-from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe import CameraSpec, ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import (
     CameraView,
@@ -35,36 +35,22 @@ from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
-from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.loop import fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
 _METRICS = {"psnr_db": True}
 LEARNED = "learned_cameras"
-"""Name of the fact: cameras whose networks beat `reproject` on left-out images."""
+"""Name of the fact: cameras whose networks beat `reproject` on validation images."""
 ALIGNED = "camera_corrections"
-"""Name of the fact: by how much the images' poses are off, see `facts_of`."""
+"""Name of the fact: corrections of the images' poses, see `facts_of`."""
 _FEWEST_IMAGES = 3
-"""With fewer, an image that is left out has no two others to be shown by."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrainedCamera:
-    """What training gave beside the networks' weights."""
-
-    states: dict[str, TrainingState]
-    preparation_seconds: float
-    """All that training took beside the networks' steps, the judges' verdict included."""
-    metadata: dict[str, Scalar]
-    learned: list[str]
-    """Cameras that the networks show; the others stay with `reproject`."""
-    corrections: dict[str, dict[str, object]]
-    """Of the images' poses, by camera."""
+"""With fewer, an image that is left out has no two others to be rendered from."""
 
 
 def train_camera(
     session: TrainingSession, networks: CameraEnsemble, recipe: ResidualRecipe, recording: Recording
-) -> TrainedCamera:
-    """Train all networks on every image that is not a judge, then ask the judges."""
+) -> TrainedPart:
+    """Train all networks on the training images, then decide on the validation images whether to use them."""
     started = time.perf_counter()
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     given = aligned_by(MovingWorld(recording), {})
@@ -77,35 +63,42 @@ def train_camera(
     ]
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
-        return TrainedCamera({}, time.perf_counter() - started, few, [], {})
+        return TrainedPart(
+            states={}, preparation_seconds=time.perf_counter() - started, metadata=few,
+            facts={LEARNED: [], ALIGNED: {}},
+        )  # fmt: skip
     session.say("camera", f"{len(examples)} images to learn from")
-    depth = _fresh(session, nn.ModuleList(one.depth for one in networks), recipe.depth_training, 1)
+    depths = nn.ModuleList(one.depth for one in networks)
+    depth = fresh_state(depths, recipe.depth_training, session.seed * 3 + 1)
     preparation = time.perf_counter() - started
     fit(
         session, "depth", depth, recipe.depth_training,
         lambda _, generator: (depth_step(one.depth, examples, recipe, generator) for one in networks),
     )  # fmt: skip
-    # Depths that planes alone are compared by start the networks well; both then learn for the image.
-    both = _fresh(session, networks, recipe.camera_training, 2)
+    # First the depth networks alone, by comparing planes; then all networks, for the image.
+    both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
         lambda _, generator: (camera_step(one, examples, recipe, generator) for one in networks),
     )  # fmt: skip
-    judging = time.perf_counter()
+    validating = time.perf_counter()
     verdict, learned, corrections = _verdict(networks, given, shown, recipe.camera)
-    preparation += time.perf_counter() - judging
-    metadata: dict[str, Scalar] = {"left_out_images": len(examples)} | verdict
-    states = {"depth": depth, "camera": both}
-    return TrainedCamera(states, preparation, metadata, learned, facts_of(corrections))
+    preparation += time.perf_counter() - validating
+    return TrainedPart(
+        states={"depth": depth, "camera": both}, preparation_seconds=preparation,
+        metadata={"left_out_images": len(examples)} | verdict,
+        facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
+    )  # fmt: skip
 
 
 def _verdict(
     networks: CameraEnsemble, given: AlignedDrive, shown: Mapping[str, ShownImages], spec: CameraSpec
 ) -> tuple[dict[str, Scalar], list[str], dict[str, PoseCorrection]]:
-    """What the judges say of cameras: figures, whom the networks show, and whose images are aligned how.
+    """Scores on the validation images, the cameras that use the networks, and the pose corrections to use.
 
-    Images stay as given where aligned ones do not show the judges better. For that question judges are not
-    aligned with the others, whose poses would know their pixels; afterwards all are.
+    A camera's images are aligned only if that raises the PSNR on its validation images. These take no part
+    in the alignment that is scored, or the other images' poses would depend on their pixels; the corrections
+    that are returned are of all images.
     """
     recording = given.given
     left_out = {name: validation_images(_images(recording, name), spec) for name in shown}
@@ -141,7 +134,15 @@ def camera_renderer(
     learned: Sequence[str],
     corrections: Mapping[str, PoseCorrection],
 ) -> ImageRenderer:
-    """Images by the networks where they beat `reproject`, else by that."""
+    """Renders images by the networks for the cameras in `learned`, by `reproject` for the others.
+
+    Args:
+        networks: Trained.
+        recording: The drive.
+        spec: Of the recipe.
+        learned: Names of cameras.
+        corrections: Of the images' poses, by camera.
+    """
     warp = warping_renderer(recording)
     drive = aligned_by(MovingWorld(recording), corrections)
     world = drive.world
@@ -161,14 +162,14 @@ def camera_renderer(
 
 
 def validation_images(images: int, spec: CameraSpec) -> range:
-    """Numbers of the training images that are never learned from; at least one, never all."""
+    """Numbers of the training images that are for validation; at least one, never all."""
     return validation_numbers(images, spec.judge_every, spec.judge_every // 3)
 
 
 def _by_networks(
     networks: CameraEnsemble, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
 ) -> Callable[[int], list[float]]:
-    """Scores of a left-out image as the networks show it."""
+    """Scores a left-out image as the networks render it."""
 
     def score(index: int) -> list[float]:
         view = _left_out_view(drive, camera, index, images_shown, spec)
@@ -178,7 +179,7 @@ def _by_networks(
 
 
 def _by_warping(recording: Recording, camera: str) -> Callable[[int], list[float]]:
-    """Scores of a left-out image as `reproject` shows it."""
+    """Scores a left-out image as `reproject` renders it."""
     one = recording.cameras[camera]
     images = one.training
 
@@ -195,7 +196,7 @@ def _by_warping(recording: Recording, camera: str) -> Callable[[int], list[float
 
 
 def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage) -> list[float]:
-    """PSNR in dB of a shown training image, where it was recorded."""
+    """PSNR in dB of a rendered training image over the valid pixels."""
     images = recording.cameras[camera].training
     return [psnr(shown.rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value]
 
@@ -203,7 +204,15 @@ def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage)
 def left_out(
     drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
 ) -> LeftOut:
-    """A training image as the others know it; `images_shown` are all of the camera's."""
+    """A training image as a held-out view that the other images render.
+
+    Args:
+        drive: With the images' poses.
+        camera: Name.
+        index: Of the image among the camera's training images.
+        images_shown: All of the camera's training images.
+        spec: Of the recipe.
+    """
     view = _left_out_view(drive, camera, index, images_shown, spec)
     truth = drive.given.cameras[camera].training.rgb[index]
     middle, small = (
@@ -235,9 +244,3 @@ def _shown(world: MovingWorld, camera: str, spec: CameraSpec) -> ShownImages:
 
 def _images(recording: Recording, camera: str) -> int:
     return len(recording.cameras[camera].training.rgb)
-
-
-def _fresh(session: TrainingSession, model: nn.Module, spec: TrainingSpec, number: int) -> TrainingState:
-    """A network before its first step; each of a scene draws windows of its own."""
-    generator = torch.Generator().manual_seed(session.seed * 3 + number)
-    return TrainingState(model, make_optimiser(model, spec), generator)

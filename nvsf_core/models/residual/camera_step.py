@@ -1,4 +1,4 @@
-"""Training steps of the camera's networks: each training image is shown by the others."""
+"""Training steps of the camera networks: each training image is rendered from the others."""
 
 import math
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from nvsf_core.rendering.learned_warp import blend_sources, planes_of, scaled
 from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses
 
 _MARGIN = 6
-"""Shrunk pixels at a window's rim whose depth is not looked through: their surroundings are cut off."""
+"""Shrunk pixels at a window's border that are not compared: the networks lack their surroundings."""
 
 
 def depth_step(
     network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
-    """Compare a window's planes, weighted by what is believed of them, with a left-out image."""
-    example = _drawn(examples, recipe.camera, generator)
+    """The loss of the depth planes, weighted by their probability, in a window of a left-out image."""
+    example = _sampled(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = sample_window(shape, recipe.depth_training.rays, generator)
     probability, colour = planes_of(network, example.view, recipe.camera, window)
@@ -34,8 +34,8 @@ def depth_step(
 def camera_step(
     networks: CameraNetworks, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
-    """Show a window of a left-out image by both networks, and compare; the planes go on being compared."""
-    example = _drawn(examples, recipe.camera, generator)
+    """The loss of a window of a left-out image, rendered by both networks, and that of its depth planes."""
+    example = _sampled(examples, recipe.camera, generator)
     view = example.view
     shape = (view.small.height, view.small.width)
     around = sample_window(shape, recipe.camera_training.rays, generator)
@@ -47,23 +47,23 @@ def camera_step(
     shown, refinement = blend.colour, blend.refinement
     truth = example.truth[:, *window].float() / 255.0
     difference = shown - truth
-    answered = _shown(view.images.full, window)
+    is_valid = _shown(view.images.full, window)
     terms = _plane_terms(example, around, probability, colour) | {
-        "colour": difference.square().mean(dim=0)[answered],
-        "colour_distance": difference.abs().mean(dim=0)[answered],
+        "colour": difference.square().mean(dim=0)[is_valid],
+        "colour_distance": difference.abs().mean(dim=0)[is_valid],
     }
     if refinement is not None:
         middle = scaled(around, view.factor // middle_factor(view.factor))
         finer = _believed_error(refinement.probability, refinement.colour, example.middle_truth[:, *middle])
         terms["refined"] = finer[_shown(view.images.middle, middle)]
     if recipe.losses.structure > 0.0:
-        blank = answered.logical_not().float()[None]
+        blank = is_valid.logical_not().float()[None]
         terms["structure"] = structure(shown * (1.0 - blank), truth * (1.0 - blank))
     return total_loss(terms, asdict(recipe.losses) | {"refined": recipe.losses.plane})
 
 
 def _plane_terms(example: LeftOut, window: Window, probability: Tensor, colour: Tensor) -> dict[str, Tensor]:
-    """What planes show against the left-out image: their mean, and each as far as it is believed."""
+    """Colour errors of the depth planes: of their mean, and of each, weighted by its probability."""
     truth = example.small_truth[:, *window]
     mean = (probability[:, None] * colour).sum(dim=0)
     shown = _shown(example.view.images.small, window)
@@ -74,12 +74,12 @@ def _plane_terms(example: LeftOut, window: Window, probability: Tensor, colour: 
 
 
 def _believed_error(probability: Tensor, colour: Tensor, truth: Tensor) -> Tensor:
-    """Absolute colour error (h, w) of depths (d, 3, h, w), each as far as it is believed (d, h, w)."""
+    """Absolute error (h, w) of the colours (d, 3, h, w) of d depths, weighted by probabilities (d, h, w)."""
     return (probability * (colour - truth).abs().mean(dim=1)).sum(dim=0)
 
 
 def _full_size(window: Window, shape: tuple[int, int], factor: int) -> Window:
-    """The window's pixels in the image, but for a margin where the networks lack a surrounding."""
+    """The window in full-size pixels, without a margin where the networks lack the surroundings."""
     sides = []
     for side, length in zip(window, shape, strict=True):
         margin = min(_MARGIN, (side.stop - side.start) // 4)
@@ -90,7 +90,7 @@ def _full_size(window: Window, shape: tuple[int, int], factor: int) -> Window:
 
 
 def sample_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:
-    """A window of about so many pixels, half as wide again as high, anywhere in an image (rows, columns)."""
+    """A random window of about `pixels` pixels, 1.5 times as wide as high, in an image of (rows, columns)."""
     height = min(shape[0], max(1, round(math.sqrt(pixels / 1.5))))
     width = min(shape[1], max(1, pixels // height))
     row = int(torch.randint(shape[0] - height + 1, (), generator=generator))
@@ -98,12 +98,11 @@ def sample_window(shape: tuple[int, int], pixels: int, generator: torch.Generato
     return slice(row, row + height), slice(column, column + width)
 
 
-def _drawn(examples: Sequence[LeftOut], spec: CameraSpec, generator: torch.Generator) -> LeftOut:
+def _sampled(examples: Sequence[LeftOut], spec: CameraSpec, generator: torch.Generator) -> LeftOut:
     example = examples[int(torch.randint(len(examples), (), generator=generator))]
     return example.varied(generator) if spec.varied else example
 
 
 def _shown(images: Tensor, window: Window) -> Tensor:
-    """(h, w) bool: pixels of the window at which the left-out image shows anything."""
-    # All images of a camera show the same pixels.
+    """(h, w) bool: valid pixels of the window; they are the same in all images of a camera."""
     return images[0, 3][window] > 0.999

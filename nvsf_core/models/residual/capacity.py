@@ -1,11 +1,11 @@
-"""The learned parts of one scene: which it has, how large they need to be, and what they allocate."""
+"""The learned parts of a scene's model, and the sizes that the scene needs."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.profile import motion_in_words, point_spacing_m, surface_m2
@@ -21,23 +21,24 @@ from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.reproject import NEAR_M
 
 _SPACINGS_A_CELL = 2.5
-"""Cells that are finer hold too few returns to learn from."""
+"""Edge of the finest cell in mean distances between returns; finer cells hold too few to learn from."""
 _CELLS_AN_ENTRY = 4.0
-"""Cells of the finest level on a surface that share an entry."""
+"""Cells of the finest level on a surface for each entry of the hash table."""
 _MOST_GROWTH = 1.9
-"""Between the cells of neighbouring levels."""
+"""Largest ratio of the cells of neighbouring levels."""
 _SMALLEST_LOG2 = 10
+_SAMPLED_RAYS = 4096
 
 
 def needed_field(most: FieldSpec, surfels: Surfels) -> FieldSpec:
-    """The recipe's field where the scene fills it, a smaller one where it does not.
+    """The recipe's field, or a smaller one if the scene needs no more.
 
-    finest cell = max(recipe's, 2.5 spacings); entries a level = surface / (4 finest cell^2) to the nearest
-    power of two, and as many levels as keep cells of neighbouring ones within a factor of 1.9; neither is
-    more than the recipe's. Decided by the evidence alone: the same scene gets the same field.
+    finest cell = max(recipe's, 2.5 mean distances between returns); entries a level = surface /
+    (4 finest cell^2), rounded to a power of two; levels = as many as keep the cells of neighbouring levels
+    within a factor of 1.9. No number exceeds the recipe's.
 
     Args:
-        most: The recipe's largest field.
+        most: The recipe's field.
         surfels: Of all returns.
     """
     finest_m = max(most.finest_cell_m, _SPACINGS_A_CELL * point_spacing_m(surfels))
@@ -53,33 +54,35 @@ def needed_field(most: FieldSpec, surfels: Surfels) -> FieldSpec:
     )
 
 
-_SAMPLED_RAYS = 4096
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualFields:
-    """What is learned of one scene, for each sensor that the drive has."""
+    """The learned parts of one scene's model."""
 
     lidar: LidarField | None
+    """None where the drive has no LiDAR."""
     camera: CameraEnsemble | None
+    """None where the drive has no camera."""
     hits: CellNetwork | None = None
-    """Corrects what returns in the LiDAR's own grid; None where the recipe has none."""
+    """The raydrop network; None where the recipe has none."""
     pano: CellNetwork | None = None
-    """Corrects the LiDAR's panos; None where the recipe has none."""
+    """Corrects panos; None where the recipe has none."""
+
+    def models(self) -> dict[str, nn.Module]:
+        """The parts that there are, by name."""
+        found = {"lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano}
+        return {part: model for part, model in found.items() if model is not None}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All weights, by sensor and name."""
-        models = {"lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano}
+        """All weights, named `<part>.<weight>`."""
         return {
-            f"{sensor}.{name}": value
-            for sensor, model in models.items()
-            if model is not None
+            f"{part}.{name}": value
+            for part, model in self.models().items()
             for name, value in model.state_dict().items()
         }
 
 
 def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
-    """Untrained fields of this scene's size."""
+    """Untrained parts of the size that the scene needs."""
     lidar = camera = hits = pano = None
     if recording.lidar is not None:
         surfels = recording.lidar.evidence.surfels
@@ -97,21 +100,13 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
 
 
 def needs(recipe: ResidualRecipe, recording: Recording) -> dict[str, Scalar]:
-    """Numbers, and `needs` in words.
-
-    Args:
-        recipe: To be trained.
-        recording: The drive with its evidence.
-    """
+    """The sizes of a scene's model as numbers, and in words under `needs`."""
     fields = make_fields(recipe, recording, 0)
     parameters = {
-        sensor: sum(value.numel() for value in model.state_dict().values())
-        for sensor, model in (
-            ("lidar", fields.lidar), ("camera", fields.camera), ("hits", fields.hits), ("pano", fields.pano),
-        )
-        if model is not None
-    }  # fmt: skip
-    found: dict[str, Scalar] = {f"{sensor}_parameters": count for sensor, count in parameters.items()}
+        part: sum(value.numel() for value in model.state_dict().values())
+        for part, model in fields.models().items()
+    }
+    found: dict[str, Scalar] = {f"{part}_parameters": count for part, count in parameters.items()}
     evidence, rays, size = None, "", ""
     if recording.lidar is not None and fields.lidar is not None:
         evidence, a = recording.lidar.evidence, recording.lidar.sweeps.arrays
@@ -137,7 +132,15 @@ def needs(recipe: ResidualRecipe, recording: Recording) -> dict[str, Scalar]:
 def samples_a_ray(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, *, most: int, far_m: float
 ) -> float:
-    """Mean surfaces that a LiDAR ray looks at, over an even choice of the rays (n, 3), scene-local."""
+    """Mean number of surfaces that a LiDAR ray is rendered from, over 4096 evenly chosen rays.
+
+    Args:
+        surfels: Of the static scene.
+        origin_m: (n, 3) scene-local.
+        direction: (n, 3) unit.
+        most: Surfaces a ray at most.
+        far_m: How far a ray is followed.
+    """
     chosen = np.unique(np.linspace(0, len(origin_m) - 1, _SAMPLED_RAYS).astype(np.int64))
     found = candidates_of(surfels, origin_m[chosen], direction[chosen], most=most, near_m=NEAR_M, far_m=far_m)
     return float((found.voxel >= 0).sum(axis=1).mean())

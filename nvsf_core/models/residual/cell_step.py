@@ -1,4 +1,4 @@
-"""One training step of a network over a turn's cells: those of the papers' pano, or the sensor's own."""
+"""One training step of a network over the cells of a pano or of the sensor's own grid."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,23 +14,23 @@ from nvsf_core.recipe import LossWeights, TrainingSpec
 
 @dataclass(frozen=True, slots=True)
 class CellExample:
-    """A training turn as the other scans lead to expect it, and as it was recorded."""
+    """A training scan on a grid (h, w): what the other scans lead to expect, and what was recorded."""
 
     features: Tensor
-    """(features, h, w)."""
+    """(features, h, w) float32: the network's input."""
     hit_logit: Tensor
-    """(h, w) of the expected hit."""
+    """(h, w) float32, of the expected hit probability."""
     intensity_logit: Tensor
-    """(h, w) of the expected intensity."""
+    """(h, w) float32, of the expected intensity."""
     weight: Tensor
-    """(h, w): what a wrong hit costs; 0 where none can be expected."""
+    """(h, w) float32: weight of a cell in the hit loss; 0 where no return can be expected."""
     returned: Tensor
-    """(h, w) bool: whether it was recorded."""
+    """(h, w) bool: whether a return was recorded."""
     true_intensity: Tensor
-    """(h, w)."""
+    """(h, w) float32 as recorded."""
 
     def columns(self, index: Tensor) -> "CellExample":
-        """Some columns of it."""
+        """The columns `index` (k,) of all arrays."""
         return CellExample(*(getattr(self, name)[..., index] for name in self.__slots__))
 
 
@@ -41,10 +41,17 @@ def cell_step(
     losses: LossWeights,
     generator: torch.Generator,
 ) -> LossBreakdown:
-    """Correct a strip of a training turn, as high as it, and compare with what was recorded.
+    """The loss of a strip of columns of one training scan.
 
-    hit: weighted cross-entropy; intensity, where the network has a second output: squared error where a
-    return was expected and recorded.
+    Term `hit`: weighted cross-entropy. Term `intensity`, if the network has a second output: squared error
+    where a return was both expected and recorded.
+
+    Args:
+        network: Adds to the logits of hit and intensity.
+        examples: Of which one is sampled.
+        training: Its `rays` is the number of cells in a strip.
+        losses: Weights of the terms.
+        generator: Samples the example and the strip.
     """
     example = examples[int(torch.randint(len(examples), (), generator=generator))]
     height, width = example.returned.shape

@@ -1,4 +1,4 @@
-"""What moves, as the cameras need it: depth without it, its points at an instant, its way to each image."""
+"""Moving objects for the cameras: static points without them, and their own points and motion."""
 
 import numpy as np
 
@@ -13,42 +13,42 @@ from nvsf_core.rendering.camera_view import MovingPoints, moving_pixels
 
 _MARGIN_M = 0.1
 _SHADOW_SCANS = 4
-"""Scans that tell an object in an image from what stands beside it: fewer than depth needs."""
+"""Scans of static points with which moving pixels are found; fewer than depth needs."""
 
 
 class MovingWorld:
-    """A drive as its cameras see it: what stands still, and what moves. A scan is sorted once."""
+    """The static points and moving objects of a drive. The points of a scan are divided once and kept."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         dynamic = None if recording.lidar is None else recording.lidar.evidence.dynamic
         self._objects = () if dynamic is None else dynamic.objects
-        self._still: dict[int, np.ndarray] = {}
+        self._static: dict[int, np.ndarray] = {}
 
     def static_points(
         self, instant_s: float, *, leave_out: bool = False, most: int | None = None
     ) -> np.ndarray:
-        """Points (m, 3) float32 scene-local of what stands still around an instant; none without LiDAR.
+        """Static points (m, 3) float32, scene-local, of the scans around an instant; none without LiDAR.
 
         Args:
             instant_s: Seconds since the first frame.
             leave_out: Do as if the scan of that instant were held out.
-            most: Scans that are used; None = as many as for any image's depth.
+            most: Number of scans at most; None = as many as for any image's depth.
         """
         if self.recording.lidar is None:
             return np.zeros((0, 3), np.float32)
         sweeps = self.recording.lidar.sweeps
         scans = depth_scans(sweeps, instant_s, leave_out=leave_out)[:most]
-        return np.concatenate([self._still_of(sweeps, scan) for scan in scans])
+        return np.concatenate([self._static_of(sweeps, scan) for scan in scans])
 
     def moving(
         self, instant_s: float, image_time_s: np.ndarray, *, leave_out: bool = False
     ) -> list[MovingPoints]:
-        """The objects that move and may be seen at an instant; none in a static scene.
+        """The moving objects that are present at an instant; none in a static scene.
 
         Args:
             instant_s: Seconds since the first frame.
-            image_time_s: (j,) of the images that a view is made of.
+            image_time_s: (j,) times of the images that a view is rendered from.
             leave_out: Do as if the scan of that instant were held out.
         """
         found = []
@@ -67,16 +67,16 @@ class MovingWorld:
         return found
 
     def shadows(self, camera: CameraRecording) -> np.ndarray | None:
-        """Pixels (j, H, W) bool of a camera's images that may show what moves; None if nothing does."""
+        """Pixels (j, H, W) bool of a camera's images that may show moving objects; None in a static scene."""
         if not self._objects:
             return None
         images, times = camera.training, camera.training_time_s
         found = np.zeros(images.rgb.shape[:3], np.bool_)
         for number, instant_s in enumerate(times.tolist()):
-            points = [thing.points_m for thing in self.moving(instant_s, times)]
+            points = [one.points_m for one in self.moving(instant_s, times)]
             if points:
-                still = self.static_points(instant_s, most=_SHADOW_SCANS)
-                found[number] = moving_pixels(images.pose[number], images.pinhole, still, points)
+                static = self.static_points(instant_s, most=_SHADOW_SCANS)
+                found[number] = moving_pixels(images.pose[number], images.pinhole, static, points)
         return found
 
     def _scan_at(self, instant_s: float) -> int | None:
@@ -86,29 +86,29 @@ class MovingWorld:
         sweeps = self.recording.lidar.sweeps
         return int(np.argmin(np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)))
 
-    def _still_of(self, sweeps: Sweeps, scan: int) -> np.ndarray:
-        if scan not in self._still:
+    def _static_of(self, sweeps: Sweeps, scan: int) -> np.ndarray:
+        if scan not in self._static:
             points, fired_s = returns_of_scan(sweeps, scan)
-            still = np.ones(len(points), np.bool_)
+            is_static = np.ones(len(points), np.bool_)
             for one in self._objects if len(points) else ():
-                still &= ~_holds(one.path, points, fired_s)
-            self._still[scan] = points[still].astype(np.float32)
-        return self._still[scan]
+                is_static &= ~_holds(one.path, points, fired_s)
+            self._static[scan] = points[is_static].astype(np.float32)
+        return self._static[scan]
 
 
 def _own_points(one: ObjectEvidence, instant_s: float, leave_out: int | None) -> np.ndarray | None:
-    """Returns (m, 3) of an object's nearest scans, in its frame, as it is at an instant; None without any."""
+    """Returns (m, 3) of an object in its own frame, from its scans nearest to an instant; None if none."""
     rays = one.rays_at(one.scans_near(instant_s, leave_out=leave_out), instant_s)
     return rays.point_m(rays.is_hit) if rays.is_hit.any() else None
 
 
 def _holds(path: MovingObject, points_m: np.ndarray, fired_s: np.ndarray) -> np.ndarray:
-    """(n,) bool: returns within an object's bounds when they were fired."""
+    """(n,) bool: returns, fired at times (n,) s, that lie within a moving object's bounds."""
     held = np.zeros(len(points_m), np.bool_)
     ends_s = np.array([fired_s.min(), fired_s.max()])
     if not path.is_there(ends_s).any():
         return held
-    # Few returns are anywhere near: the others need no look from the object's frame.
+    # Only the few returns near its path are transformed to its frame.
     way = path.pose_at(ends_s)[:, :3]
     reach_m = np.linalg.norm(np.maximum(np.abs(path.low_m), np.abs(path.high_m))) + _MARGIN_M
     near = ((points_m > way.min(axis=0) - reach_m) & (points_m < way.max(axis=0) + reach_m)).all(axis=1)

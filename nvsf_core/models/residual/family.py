@@ -1,4 +1,4 @@
-"""The family `residual` (recipes `lean`, `quick`, `smoke`), as `Family` asks for it."""
+"""The family `residual` (recipes `lean`, `quick`, `smoke`); implements `Family`."""
 
 from nvsf_core.models.residual.capacity import needs
 from nvsf_core.models.residual.render import load

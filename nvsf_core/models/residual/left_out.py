@@ -1,4 +1,4 @@
-"""A training image that the others show, and variants of it: a drive has few to learn from."""
+"""A left-out training image for the camera networks to learn from, and random variants of it."""
 
 from dataclasses import dataclass, replace
 
@@ -8,26 +8,26 @@ from torch import Tensor
 from nvsf_core.rendering.camera_view import CameraView, ShownImages
 
 _GAINS = (0.7, 1.3)
-"""From and to how much light, of the recorded one."""
+"""Range of the random factor on brightness."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A training image and what the others know of it."""
+    """A training image, and the view of it that is rendered from the other images."""
 
     view: CameraView
-    """Without the image itself, and without the scan of its instant."""
+    """The inputs of the view, without the image itself and without the scan of its instant."""
     truth: Tensor
     """(3, H, W) uint8."""
     middle_truth: Tensor
-    """(3, h, w) float32 in 0..1, of the size on which depths are refined."""
+    """(3, h, w) float32 in 0..1, at the size at which depths are refined."""
     small_truth: Tensor
-    """(3, h, w) float32 in 0..1, of the size on which planes are compared."""
+    """(3, h, w) float32 in 0..1, at the size at which depth planes are compared."""
 
     def varied(self, generator: torch.Generator) -> "LeftOut":
-        """The same in other colours and another light, sources alike, and as often as not in a mirror.
+        """A random variant: colour channels permuted, brightness scaled, and in half of the cases mirrored.
 
-        Nothing that says which depths agree and how to blend depends on either.
+        All images of the example are changed alike, so depths and blending weights stay right.
         """
         channels = torch.randperm(3, generator=generator)
         gain = _GAINS[0] + (_GAINS[1] - _GAINS[0]) * float(torch.rand((), generator=generator))
@@ -56,7 +56,7 @@ class LeftOut:
         return other.mirrored() if float(torch.rand((), generator=generator)) < 0.5 else other
 
     def mirrored(self) -> "LeftOut":
-        """The scene with left and right exchanged, as the same camera mirrored shows it."""
+        """The example with left and right exchanged."""
         return LeftOut(
             view=self.view.mirrored(),
             truth=self.truth.flip(-1),

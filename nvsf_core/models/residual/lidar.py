@@ -1,158 +1,162 @@
-"""The LiDAR field of the residual family: one training step, and whether it beats `reproject`."""
+"""The LiDAR field of the residual family: its training step, and its comparison with `reproject`."""
 
-from functools import partial
+from dataclasses import asdict
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.moving.objects import NearObjects
-from nvsf_core.evidence.scene_evidence import LeftOutEvidence
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
-from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.residual.training_rays import LidarRays
 from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.ray_renderers import evidence_renderer, field_renderer
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.scan import RenderedSweep
-from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
+from nvsf_core.simulation.scan import RenderedSweep, SweepRays
+from nvsf_core.simulation.scene_model import RayRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 
 SHOWS_FIELD = "lidar_shows_field"
-"""Name of the fact: whether the field beat `reproject` on left-out scans."""
+"""Name of the fact: whether the field beat `reproject` on the validation scans."""
 _METRICS = {
     "chamfer_m2": False, "f_score": True, "range_psnr_db": True, "intensity_psnr_db": True,
     "hit_accuracy": True,
 }  # fmt: skip
-"""As in `lidar4d_scan`, and whether higher is better; but hits are those of the firings: a pano's cells hide
-false returns behind nearer ones."""
+"""As in the protocol `lidar4d_scan`, and whether higher is better. But hit accuracy is that of the firings:
+in a pano's cells false returns are hidden behind nearer ones."""
 _PANO = LinearPano(reference_quirks=True)
 
 
 def choose(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording
 ) -> tuple[bool, dict[str, Scalar]]:
-    """Whether the field shows left-out scans better than `reproject` does, and the figures that say so.
+    """Whether the field renders the validation scans better than `reproject`, and the scores of both.
 
-    Neither renderer's evidence holds a return of a judge, neither its objects nor its votes, and the field
-    was not trained on one of its rays. Where no scan could be left out, the field is shown.
+    Nothing of a validation scan is in the surfaces, moving objects and hit priors that both render from, nor
+    in the field's training rays. Without validation scans the field is used.
     """
     left_out = lidar.evidence.left_out
     if left_out is None:
         return True, {"lidar_shows": "field: too few scans to judge it by"}
 
-    # What both candidates need of a scan is made once.
-    numbers = left_out.validation.tolist()
+    numbers, far_m = left_out.validation.tolist(), lidar.far_m
     moving = {number: lidar.moving(leave_out=number) for number in numbers}
-    truth = {number: _recorded(lidar, number) for number in numbers}
+    truth = {number: recorded_pano(lidar, number) for number in numbers}
 
-    def score(number: int, *, by_field: bool) -> list[float]:
-        render = _renderer(field, recipe, lidar, left_out, moving[number], by_field=by_field)
+    def by_field(number: int) -> list[float]:
+        most = recipe.evidence.lidar_candidates
+        render = field_renderer(field, left_out.static, moving[number], most=most, far_m=far_m)
         return _score(render, recipe, lidar, number, truth[number])
 
-    found = compare(
-        _METRICS,
-        numbers,
-        {"field": partial(score, by_field=True), "reproject": partial(score, by_field=False)},
-    )
+    def by_evidence(number: int) -> list[float]:
+        most = EvidenceSpec().lidar_candidates
+        render = evidence_renderer(left_out.for_rendering, moving[number], most=most, far_m=far_m)
+        return _score(render, recipe, lidar, number, truth[number])
+
+    found = compare(_METRICS, numbers, {"field": by_field, "reproject": by_evidence})
     shows_field = found.wins("field", "reproject")
     figures = found.figures({"field": "lidar_judged_", "reproject": "lidar_judged_reproject_"})
     shown = "field" if shows_field else "reproject: learning did not beat it"
     return shows_field, {"lidar_shows": shown, **figures}
 
 
-def _renderer(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, left_out: LeftOutEvidence,
-    moving: NearObjects | None, *, by_field: bool,
-) -> RayRenderer:  # fmt: skip
-    """The field's or the baseline's, as it would be without a training scan."""
-    if by_field:
-        most = recipe.evidence.lidar_candidates
-        return field_renderer(field, left_out.static, moving, most=most, far_m=lidar.far_m)
-    most = EvidenceSpec().lidar_candidates
-    return evidence_renderer(left_out.for_rendering, moving, most=most, far_m=lidar.far_m)
-
-
-def _recorded(lidar: LidarRecording, number: int) -> PanoImage:
-    """A training scan as it was recorded, on the papers' pano."""
+def recorded_pano(lidar: LidarRecording, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Range in metres and intensity (66, 1030) float32 of a training scan, projected as the papers do."""
     sweeps, a = lidar.sweeps, lidar.sweeps.arrays
     part = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[number]))
-    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    return project_scan(_PANO, scan)
+    return _PANO.project(a["points_m"][part], a["intensity"][part])
 
 
 def _score(
-    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int, truth: PanoImage
-) -> list[float]:
-    """The values of `_METRICS` of a training scan that is simulated without its own votes."""
-    sweeps, evidence = lidar.sweeps, lidar.evidence
-    time_s = float(evidence.prior.time_s[number])
-    plan = SweepPlan("judge", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
-    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes)
-    rays, rendered = fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
-    points_m, intensity, laser = RenderedSweep.of(rays, rendered).scan()
-    shown = project_scan(_PANO, Scan(points_m=points_m, intensity=intensity, laser=laser))
+    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int,
+    truth: tuple[np.ndarray, np.ndarray],
+) -> list[float]:  # fmt: skip
+    """The values of `_METRICS` of a training scan that is simulated as if it were held out."""
+    prior = lidar.evidence.prior
+    rays, rendered = fire_left_out(render, recipe, lidar, number)
+    points_m, intensity, _ = RenderedSweep.of(rays, rendered).scan()
+    shown = _PANO.project(points_m, intensity)
     found = {
-        **point_cloud_metrics(_PANO.points(shown.range_m), _PANO.points(truth.range_m)),
-        **range_image_metrics(shown.range_m, truth.range_m),
-        **intensity_image_metrics(shown.intensity, truth.intensity),
+        **point_cloud_metrics(_PANO.points(shown[0]), _PANO.points(truth[0])),
+        **range_image_metrics(shown[0], truth[0]),
+        **intensity_image_metrics(shown[1], truth[1]),
     }
     expected = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
-    returned = evidence.prior.is_hit[number, rays.laser, evidence.prior.nearest_firing(number, rays.fraction)]
+    returned = prior.is_hit[number, rays.laser, prior.nearest_firing(number, rays.fraction)]
     return [*(found[name].value for name in list(_METRICS)[:-1]), float((expected == returned).mean())]
 
 
-def lidar_step(
-    field: LidarField,
-    surfels: Surfels,
-    rays: LidarRays,
-    recipe: ResidualRecipe,
-    far_m: float,
-    generator: torch.Generator,
-) -> LossBreakdown:
-    """Draw rays from all training frames, render them, and compare with what was recorded.
+def fire_left_out(
+    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int,
+    correct: SweepCorrector | None = None,
+) -> tuple[SweepRays, RenderedRays]:  # fmt: skip
+    """Simulate a training scan as if it were held out.
 
-    The surfels are of what stands; what moves comes with the rays.
+    Args:
+        render: Without that scan's returns.
+        recipe: Says how many scans give the hit prior.
+        lidar: The recording.
+        number: Of the scan among the training scans.
+        correct: Corrects the rendered sweep, if any.
+    """
+    time_s = float(lidar.evidence.prior.time_s[number])
+    plan = SweepPlan("left_out", np.zeros(1, np.int64), np.array([time_s]), None, lidar.sweeps.table, True)
+    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes, correct=correct)
+    return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
+
+
+def lidar_step(
+    field: LidarField, surfels: Surfels, rays: LidarRays, recipe: ResidualRecipe, far_m: float,
+    generator: torch.Generator,
+) -> LossBreakdown:  # fmt: skip
+    """The loss of a batch of rays, sampled from all training scans.
+
+    Args:
+        field: Is trained.
+        surfels: Of the static scene; moving objects come with the rays.
+        rays: Of all training scans.
+        recipe: Rays a step, surfaces a ray, loss weights.
+        far_m: How far a ray is followed.
+        generator: Samples the rays.
     """
     spec = recipe.lidar_training
-    drawn = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
+    sampled = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
     most = recipe.evidence.lidar_candidates
     batch = surface_batch(
-        surfels, rays.origin_m[drawn], rays.direction[drawn], most=most, near_m=NEAR_M, far_m=far_m,
-        objects=None if rays.objects is None else rays.objects.of(drawn),
+        surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,
+        objects=None if rays.objects is None else rays.objects.of(sampled),
     )  # fmt: skip
-    rendered = render_lidar(field, batch, torch.from_numpy(rays.hit_prior[drawn]))
-    true_range_m = torch.from_numpy(rays.range_m[drawn])
+    rendered = render_lidar(field, batch, torch.from_numpy(rays.hit_prior[sampled]))
+    true_range_m = torch.from_numpy(rays.range_m[sampled])
     returned = (true_range_m > 0) & batch.is_there[:, 0]
     seen = batch.is_there[:, 0]
     terms = {
         "depth": _depth(rendered, batch, returned, true_range_m),
         "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
         "intensity": intensity_loss(
-            rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[drawn])[returned]
+            rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[sampled])[returned]
         ),
     }
-    weights = recipe.losses
-    return total_loss(terms, {"depth": weights.depth, "hit": weights.hit, "intensity": weights.intensity})
+    return total_loss(terms, asdict(recipe.losses))
 
 
 def _depth(rendered: LidarRender, batch: SurfaceBatch, returned: Tensor, true_range_m: Tensor) -> Tensor:
-    """Of each ray that `returned` (r,) bool: how far its surfaces are off, or on what moves how unlikely.
+    """Depth loss of each ray that `returned` (r,) bool: weighted range error, on moving objects a likelihood.
 
-    A moving object is thin, seen by few rays and mostly edge: there weights must stay shares of the rays.
+    A moving object is thin, met by few rays and mostly edges: there the weights must stay shares of rays.
     """
     of_returns = rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]
     off_m = depth_loss(*of_returns)

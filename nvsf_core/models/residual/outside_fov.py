@@ -1,4 +1,4 @@
-"""What images show above the recorded lasers, for sensors that look there: the LiDAR knows nothing of it."""
+"""Surfaces outside the recorded LiDAR's field of view, found by the images, for sensors that look there."""
 
 import numpy as np
 
@@ -15,18 +15,18 @@ from nvsf_core.simulation.sweep_simulation import highest_rad
 from nvsf_core.simulation.view_plan import SweepPlan
 
 _MOST_VIEWS = 24
-"""Views of a camera that are looked at; evenly spread over a longer drive."""
+"""Most views of a camera that are used; on longer drives they are evenly spread."""
 _THREADS = 2
 
 
 def looks_above(lidar: LidarRecording, plan: SweepPlan) -> bool:
-    """Whether a view's sensor has lasers above all that recorded the drive."""
+    """Whether a view's sensor has lasers above all lasers that recorded the drive."""
     highest = highest_rad(lidar.sweeps.table, lidar.evidence)
     return not plan.is_recorded_sensor and float(plan.table.elevation_rad.max()) > highest
 
 
 def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
-    """Answers by what views half-way between training images show up there; None where they show nothing."""
+    """Renders rays by surfaces found in views half-way between training images; None if there are none."""
     lidar = recording.lidar
     if lidar is None:
         return None
@@ -36,7 +36,7 @@ def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
         halves = _half_way(recording.cameras[name].training_time_s)
         for number, instant_s in enumerate(halves.tolist()):
             views.append(_depths(recording, name, instant_s, highest))
-            say(f"above the lasers, {name} {number + 1}/{len(halves)}")
+            say(f"outside the field of view, {name} {number + 1}/{len(halves)}")
     shine = lidar.evidence.static.intensity
     surfels = image_surfels(views, far_m=lidar.far_m, intensity=float(shine.mean()), threads=_THREADS)
     if surfels is None:
@@ -45,7 +45,7 @@ def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
 
 
 def _half_way(time_s: np.ndarray) -> np.ndarray:
-    """Instants half-way between images side by side in time."""
+    """Instants (h,) half-way between images that follow each other; at most 24."""
     ordered = np.sort(time_s)
     halves = 0.5 * (ordered[1:] + ordered[:-1])
     chosen = np.unique(
@@ -55,7 +55,7 @@ def _half_way(time_s: np.ndarray) -> np.ndarray:
 
 
 def _depths(recording: Recording, camera: str, instant_s: float, highest_rad: float) -> DepthRays:
-    """What a camera sees at an instant above that elevation over the LiDAR's own plane."""
+    """Depths that a camera sees at an instant above an elevation in the LiDAR's frame."""
     rotation, position_m = recording.trajectory.at(np.array([instant_s]))
     pose = pose_from_parts(rotation, position_m)[0] @ recording.cameras[camera].in_lidar
     images = recording.cameras[camera].training

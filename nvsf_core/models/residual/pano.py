@@ -1,4 +1,4 @@
-"""The residual recipes' pano: expected over the firings' phases, and corrected by a small network."""
+"""The residual recipes' pano: the mean over firing phases (`pano_estimate`), corrected by a small network."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -11,10 +11,12 @@ from nvsf_core._types import Scalar
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
+from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.lidar import recorded_pano
 from nvsf_core.models.residual.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.models.residual.pano_neighbours import (
     PARTS,
@@ -36,31 +38,31 @@ from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.training.loop import fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
 _METRICS = {"psnr_db": True, "hit_accuracy": True, "intensity_psnr_db": True}
 CORRECTED = "pano_corrected"
-"""Name of the fact: parts of the pano that the network shows better than the phases do."""
+"""Name of the fact: the outputs of the network (`PARTS`) that are used."""
 _TYPICAL_RANGE_M, _LEAST_COST = 20.0, 0.2
-"""A wrong hit costs its range in units of the first, and the second beside."""
+"""Weight of a wrong hit: its range divided by the first, plus the second."""
 _FEWEST_SCANS = 3
-"""With fewer, a pano that is left out has hardly others to be expected from."""
+"""With fewer training scans a pano that is left out has too few others to be estimated from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeftOutPano:
-    """A training pano as the other scans lead to expect it, and as it was recorded."""
+    """A training pano: its estimate without its own scan, and what was recorded."""
 
     estimate: PanoEstimate
     neighbours: Neighbours
     true_range_m: np.ndarray
-    """(66, 1030), 0 = empty."""
+    """(66, 1030) float32, 0 = empty."""
     true_intensity: np.ndarray
-    """(66, 1030)."""
+    """(66, 1030) float32."""
 
     def example(self) -> CellExample:
-        """For training: a wrong hit errs by its whole range."""
+        """The example to train on; a wrong hit has a weight by its range, because it is off by that."""
         returned, expected_m = self.true_range_m > 0.0, self.estimate.median_m
         cost = np.where(returned, self.true_range_m, expected_m) / _TYPICAL_RANGE_M + _LEAST_COST
         return CellExample(
@@ -73,27 +75,23 @@ class LeftOutPano:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedPano:
-    """What training gave beside the network's weights."""
-
-    states: dict[str, TrainingState]
-    preparation_seconds: float
-    """All that training took beside the network's steps, the judges' verdict included."""
-    metadata: dict[str, Scalar]
-    corrected: list[str]
-    """Parts of the pano that the network shows; the others stay as the phases have them."""
-
-
 def train_pano(
-    session: TrainingSession,
-    network: CellNetwork,
-    field: LidarField,
-    recipe: ResidualRecipe,
-    lidar: LidarRecording,
-    correct: SweepCorrector | None,
-) -> TrainedPano:
-    """Train on panos of training frames, each expected without its own scan's votes; then ask the judges."""
+    session: TrainingSession, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
+    lidar: LidarRecording, correct: SweepCorrector | None,
+) -> TrainedPart:  # fmt: skip
+    """Train on panos of training scans, each estimated without its own scan; then choose the outputs to use.
+
+    Args:
+        session: Of the scene.
+        network: Is trained.
+        field: Already trained.
+        recipe: With a pano and its training.
+        lidar: The recording.
+        correct: The raydrop network, if any.
+
+    Raises:
+        RecipeError: The recipe trains no pano.
+    """
     spec = recipe.pano
     training = None if spec is None else spec.training
     if spec is None or training is None:
@@ -103,34 +101,34 @@ def train_pano(
     if len(panos.time_s) < _FEWEST_SCANS:
         few: dict[str, Scalar] = {"pano_corrected": "nothing: too few scans to learn from"}
         prepared_s = time.perf_counter() - started
-        return TrainedPano(states={}, preparation_seconds=prepared_s, metadata=few, corrected=[])
+        return TrainedPart(states={}, preparation_seconds=prepared_s, metadata=few, facts={CORRECTED: []})
     scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
     left_out = []
     for scan in scans.tolist():
         left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
-        session.say("pano", f"expected {len(left_out)} of {len(scans)}")
-    judged = validation_numbers(len(left_out), spec.judge_every, spec.judge_every // 2)
-    examples = [one.example() for number, one in enumerate(left_out) if number not in judged]
-    generator = torch.Generator().manual_seed(session.seed * 5 + 3)
-    state = TrainingState(network, make_optimiser(network, training), generator)
+        session.say("pano", f"training pano {len(left_out)} of {len(scans)} estimated")
+    validation = validation_numbers(len(left_out), spec.judge_every, spec.judge_every // 2)
+    examples = [one.example() for number, one in enumerate(left_out) if number not in validation]
+    state = fresh_state(network, training, session.seed * 5 + 3)
     preparation = time.perf_counter() - started
     fit(
         session, "pano", state, training,
-        lambda _, drawn: [cell_step(network, examples, training, recipe.losses, drawn)],
+        lambda _, generator: [cell_step(network, examples, training, recipe.losses, generator)],
     )  # fmt: skip
-    judging = time.perf_counter()
-    verdict, corrected = choose(network, [left_out[number] for number in judged])
-    preparation += time.perf_counter() - judging
-    return TrainedPano(
-        states={"pano": state}, preparation_seconds=preparation, metadata=verdict, corrected=corrected
+    validating = time.perf_counter()
+    metadata, corrected = choose(network, [left_out[number] for number in validation])
+    preparation += time.perf_counter() - validating
+    facts: dict[str, object] = {CORRECTED: corrected}
+    return TrainedPart(
+        states={"pano": state}, preparation_seconds=preparation, metadata=metadata, facts=facts
     )
 
 
 def choose(network: CellNetwork, left_out: Sequence[LeftOutPano]) -> tuple[dict[str, Scalar], list[str]]:
-    """What the network does better than the phases, part by part, and the figures that say so.
+    """The scores on validation panos, and which outputs of the network are used, each decided by itself.
 
-    A corrected hit must raise the range image's PSNR without losing hits, a corrected intensity must raise
-    the intensity image's.
+    Hit is used if it raises the range image's PSNR and does not lower the hit accuracy; intensity if it
+    raises the intensity image's PSNR.
     """
 
     def corrects(*parts: str) -> Callable[[LeftOutPano], tuple[float, float, float]]:
@@ -161,26 +159,23 @@ def pano_renderer(
     network: CellNetwork | None,
     corrected: Sequence[str] = (),
 ) -> PanoRenderer:
-    """The pano of a pose and time: the phases', corrected where the network learned to and was never moved.
+    """Renders panos: the estimate, corrected by the network if the sensor is in its own place.
 
     Args:
-        model: Answers the sensor's rays.
+        model: Renders the sensor's rays.
         lidar: The recording.
         spec: Of the recipe.
-        network: Trained; None where there is none.
-        corrected: What it corrects.
+        network: Trained, or None.
+        corrected: The outputs of the network that are used.
     """
     panos = recorded_panos(lidar) if network is not None and corrected else None
 
     def show(pose: np.ndarray, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        rotation, position = lidar.sweeps.trajectory.at(np.array([time_s]))
-        recorded = np.eye(4)
-        recorded[:3, :3], recorded[:3, 3] = rotation[0], position[0]
+        recorded = pose_from_parts(*lidar.sweeps.trajectory.at(np.array([time_s])))[0]
         mount = invert_pose(recorded) @ pose
-        is_there = bool(np.allclose(mount, np.eye(4), atol=1e-6))
-        place = None if is_there else mount
-        estimate = expected_pano(model, lidar, spec, time_s, place)
-        if network is None or panos is None or not is_there:
+        is_in_place = bool(np.allclose(mount, np.eye(4), atol=1e-6))
+        estimate = expected_pano(model, lidar, spec, time_s, None if is_in_place else mount)
+        if network is None or panos is None or not is_in_place:
             return phases_alone(estimate)
         neighbours = _neighbours(lidar, panos, spec, estimate, time_s)
         return corrected_pano(network, estimate, neighbours, corrected)
@@ -197,7 +192,16 @@ def expected_pano(
     *,
     leave_out_s: float | None = None,
 ) -> PanoEstimate:
-    """The pano at a time, from the phases; the training scan at `leave_out_s` does not vote."""
+    """The estimate of the pano at a time.
+
+    Args:
+        model: Renders the sensor's rays.
+        lidar: The recording.
+        spec: Phases, and parts of a phase.
+        time_s: Seconds since the first frame.
+        mount: (4, 4) pose of the sensor in its recorded frame; None = in its own place.
+        leave_out_s: Time of a training scan that is treated as if it were held out.
+    """
     plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, lidar.sweeps.table, True)
     return estimate_pano(
         lambda phase: fire_sweep(model, lidar, plan, time_s, phase=phase, leave_out_s=leave_out_s),
@@ -209,7 +213,16 @@ def leave_out(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, panos: RecordedPanos, scan: int,
     correct: SweepCorrector | None,
 ) -> LeftOutPano:  # fmt: skip
-    """A training pano (`scan` counts training scans) as the field and all other scans' votes have it."""
+    """Estimate a training pano as if its scan were held out, but for the field and its surfaces.
+
+    Args:
+        field: Trained.
+        recipe: With a pano.
+        lidar: The recording.
+        panos: Of all training scans.
+        scan: Number of the scan among the training scans.
+        correct: The raydrop network, if any.
+    """
     assert recipe.pano is not None
     time_s, moving = float(panos.time_s[scan]), lidar.moving(leave_out=scan)
     render = field_renderer(
@@ -226,14 +239,12 @@ def leave_out(
 
 
 def recorded_panos(lidar: LidarRecording) -> RecordedPanos:
-    """All training scans as the papers project them."""
-    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
-    pano = LinearPano(reference_quirks=True)
+    """All training scans projected to panos as the papers do."""
+    sweeps = lidar.sweeps
     training = np.flatnonzero(sweeps.is_training)
-    parts = [sweeps.returns_of(int(scan)) for scan in training]
-    images = [pano.project(a["points_m"][part], a["intensity"][part]) for part in parts]
+    images = [recorded_pano(lidar, number) for number in range(len(training))]
     return RecordedPanos(
-        time_s=a["time_s"][training].astype(np.float64),
+        time_s=sweeps.arrays["time_s"][training].astype(np.float64),
         range_m=np.stack([range_m for range_m, _ in images]),
         intensity=np.stack([intensity for _, intensity in images]),
         trajectory=sweeps.trajectory,
@@ -258,10 +269,10 @@ def _neighbours(
 def _score(
     shown: tuple[np.ndarray, np.ndarray, np.ndarray], truth: LeftOutPano
 ) -> tuple[float, float, float]:
-    """Range PSNR in dB, hit accuracy and intensity PSNR in dB, as the protocol `lidar4d` has them."""
+    """Range PSNR in dB, hit accuracy and intensity PSNR in dB of a pano, by the protocol `lidar4d`."""
     range_m, intensity, hit = shown
-    answered = cells_return(hit)
-    ranges = range_image_metrics(np.where(answered, range_m, 0.0), truth.true_range_m)
+    shows_return = cells_return(hit)
+    ranges = range_image_metrics(np.where(shows_return, range_m, 0.0), truth.true_range_m)
     hits = hit_image_metrics(hit, truth.true_range_m > 0.0)
-    bright = intensity_image_metrics(np.where(answered, intensity, 0.0), truth.true_intensity)
+    bright = intensity_image_metrics(np.where(shows_return, intensity, 0.0), truth.true_intensity)
     return ranges["range_psnr_db"].value, hits["hit_accuracy"].value, bright["intensity_psnr_db"].value

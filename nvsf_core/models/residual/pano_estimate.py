@@ -1,9 +1,9 @@
-"""A range image expected over what nobody can know: where a turn starts against its firings.
+"""Estimates a pano as the mean over firing phases, because a sweep's firings start at a random azimuth.
 
 A recorded pano keeps the nearest return of each cell. Which rays fall into a cell depends on the phase of
-the firings, random from scan to scan. Rays i of one phase in a cell, by range, return with probability
-p_i; the cell then shows ray i with probability p_i prod_{j nearer} (1 - p_j), and nothing with
-prod (1 - p_i). Phases are equally likely: their mixture is averaged.
+the firings, which is random. Rays i of one phase in a cell, ordered by range, return with probability p_i;
+the cell then shows ray i with probability p_i prod_{j nearer} (1 - p_j), and nothing with prod (1 - p_i).
+All phases are equally likely.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,11 +16,11 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.scan import SweepRays
 
 QUANTILES = (0.15, 0.5, 0.85)
-"""Shares of a cell's mixture at which it is asked for a range: a near one, the median, a far one."""
+"""Quantiles of the range that are estimated for each cell: a near one, the median, a far one."""
 _MOST_HIT = 1.0 - 1e-7
 
 Fire = Callable[[float], tuple[SweepRays, RenderedRays]]
-"""From a phase of the firings, 0..1, to a turn's rays and their answers."""
+"""Given a phase of the firings, 0..1, the rays of a sweep, rendered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,39 +32,39 @@ class PanoRays:
     range_m: np.ndarray
     """(n,) float64 from the sensor's centre."""
     hit: np.ndarray
-    """(n,) float64: probability of a return."""
+    """(n,) float64: hit probability."""
     intensity: np.ndarray
     """(n,) float64, 0..1."""
 
 
 @dataclass(frozen=True, slots=True)
 class PanoEstimate:
-    """What is expected in each cell (h, w) of a pano; all float32."""
+    """The estimate of each cell of a pano; all arrays (h, w) float32 if not said otherwise."""
 
     hit: np.ndarray
     """Probability that the cell shows a return."""
     range_m: np.ndarray
-    """(3, h, w): ranges below which `QUANTILES` of what the cell shows lie; 0 where it shows nothing."""
+    """(3, h, w) metres: `QUANTILES` of the range that the cell shows; 0 where it shows nothing."""
     intensity: np.ndarray
-    """Mean intensity of what the cell shows, 0 where that is nothing."""
+    """Mean intensity that the cell shows; 0 where it shows nothing."""
     rays: np.ndarray
-    """Rays that fall into the cell, mean over phases."""
+    """Number of rays that fall into the cell, mean over phases."""
 
     @property
     def median_m(self) -> np.ndarray:
-        """(h, w) the range that errs least."""
+        """(h, w) median range in metres."""
         return np.asarray(self.range_m[1])
 
 
 def estimate_pano(fire: Fire, pano: LinearPano, phases: int, *, parts: int = 1) -> PanoEstimate:
-    """Fire turns at evenly spaced phases and combine what they show.
+    """Simulate sweeps at evenly spaced phases and combine them.
 
     Args:
-        fire: Answers a turn.
-        pano: Whose cells are asked about.
-        phases: How many turns are fired.
-        parts: Each turn stands for so many phases: its answers, turned about the sensor's axis by parts
-            of what lies between two phases, as if the scene were the same there.
+        fire: Simulates a sweep.
+        pano: Layout of the cells.
+        phases: Number of simulated sweeps.
+        parts: Number of phases that each sweep stands for. For the others its points are turned about the
+            sensor's axis by a part of the angle between two phases.
     """
     found = []
     for number in range(phases):
@@ -80,7 +80,7 @@ def estimate_pano(fire: Fire, pano: LinearPano, phases: int, *, parts: int = 1) 
 def rays_in_cells(
     pano: LinearPano, rays: SweepRays, rendered: RenderedRays, turn_rad: float = 0.0
 ) -> PanoRays:
-    """A turn's rays where its points would be recorded, turned to the left by an angle."""
+    """The rays of a sweep in the cells where their points would be recorded, turned left by `turn_rad`."""
     known = np.isfinite(rendered.range_m) & (rendered.hit > 0.0)
     points = rays.recorded_origin_m[known] + rays.recorded_direction[known] * rendered.range_m[known, None]
     if turn_rad != 0.0:
@@ -96,7 +96,7 @@ def rays_in_cells(
 
 
 def combine_phases(phases: Sequence[PanoRays], pano: LinearPano) -> PanoEstimate:
-    """The mixture of equally likely phases, as the module's head says."""
+    """The estimate from equally likely phases; formula in the module's docstring."""
     cells = pano.height * pano.width
     weighed = [_shown(rays) for rays in phases]
     cell, range_m, intensity, weight = (np.concatenate(columns) for columns in zip(*weighed, strict=True))
@@ -114,7 +114,7 @@ def combine_phases(phases: Sequence[PanoRays], pano: LinearPano) -> PanoEstimate
         last = np.append(cell[1:] != cell[:-1], True)
         for number, quantile in enumerate(QUANTILES):
             reached = np.flatnonzero((share >= quantile) | last)
-            # Written from the farthest to the nearest, so that the nearest that reaches it stays.
+            # Written from the farthest to the nearest, so that the nearest that reaches the quantile is kept.
             ranges[number, cell[reached[::-1]]] = range_m[reached[::-1]]
     bright = np.divide(bright, hit, out=np.zeros(cells), where=hit > 0.0)
     shape = (pano.height, pano.width)
@@ -127,7 +127,7 @@ def combine_phases(phases: Sequence[PanoRays], pano: LinearPano) -> PanoEstimate
 
 
 def _shown(rays: PanoRays) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cell, range, intensity and the probability that the cell shows it, of one phase's rays."""
+    """Cell, range, intensity and probability to be the one shown, each (n,), of the rays of one phase."""
     order = np.lexsort((rays.range_m, rays.cell))
     cell, hit = rays.cell[order], rays.hit[order]
     missed = np.cumsum(np.log1p(-hit))

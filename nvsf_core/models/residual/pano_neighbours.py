@@ -1,4 +1,4 @@
-"""What the nearest recorded panos show beside an estimated one, and the network that corrects it."""
+"""The pano network: corrects an estimated pano by comparing it with the nearest recorded ones."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -16,55 +16,55 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
 
 _SAME_M, _SAME_SHARE = 0.2, 0.01
-"""Two ranges show the same surface if they differ by less than the sum of a length and a share of it."""
+"""Two ranges are of the same surface if they differ by less than 0.2 m plus 1 % of the range."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedPanos:
-    """Panos of n training scans, projected as recorded, and where their sensor was."""
+    """Panos of n training scans, projected as recorded, and the sensor's poses."""
 
     time_s: np.ndarray
     """(n,) float64."""
     range_m: np.ndarray
-    """(n, h, w) float32, 0 = empty."""
+    """(n, h, w) float32, metres, 0 = empty."""
     intensity: np.ndarray
     """(n, h, w) float32."""
     trajectory: Trajectory
     """Of the sensor."""
     period_s: float
-    """Of a turn; 0 where all rays are fired at once."""
+    """Of a sweep; 0 where all rays are fired at once."""
     turn_up_rad: float
-    """How far recorded directions are turned up on their way into the world."""
+    """Angle by which recorded directions are turned up on their way into the world."""
 
 
 @dataclass(frozen=True, slots=True)
 class Neighbours:
-    """Means over the scans that were asked; all (h, w) float32."""
+    """The comparison of each cell with k recorded panos; all (h, w) float32."""
 
     filled: np.ndarray
-    """Share of the scans whose same cell is filled."""
+    """Share of the panos whose same cell is not empty."""
     same: np.ndarray
-    """Share of the scans that show the expected surface."""
+    """Share of the panos that show the expected surface."""
     through: np.ndarray
-    """Share of the scans that saw through it."""
+    """Share of the panos with a return behind it."""
     empty: np.ndarray
-    """Share of the scans with nothing there."""
+    """Share of the panos with an empty cell there."""
     intensity: np.ndarray
-    """Mean intensity of the scans that show the expected surface, 0 where none does."""
+    """Mean intensity of the panos that show the expected surface; 0 where none does."""
     offset_m: np.ndarray
-    """Mean of how much farther those scans have it, 0 where none does."""
+    """Mean of how much farther away these panos have it, metres; 0 where none does."""
 
 
 def ask_neighbours(
     panos: RecordedPanos, scans: np.ndarray, range_m: np.ndarray, time_s: float, pano: LinearPano
 ) -> Neighbours:
-    """Compare an expected pano at a time with some recorded ones.
+    """Compare an estimated pano with some recorded ones.
 
     Args:
         panos: Recorded.
-        scans: (k,) indices of those that are asked, k >= 1.
-        range_m: (h, w) expected ranges, 0 = nothing: only `filled` is told there.
-        time_s: Instant of the expected pano's pose.
+        scans: (k,) indices of those to compare with, k >= 1.
+        range_m: (h, w) expected ranges, 0 = empty: there only `filled` is computed.
+        time_s: Time of the estimated pano's pose.
         pano: Layout of all.
     """
     known = range_m > 0.0
@@ -99,7 +99,7 @@ def _to_scene(
     range_m: np.ndarray,
     time_s: float,
 ) -> np.ndarray:
-    """(n, 3) scene-local points of cells, each from where the sensor was when it looked there."""
+    """Scene-local points (n, 3) of cells at given ranges, each from the sensor's pose at the cell's time."""
     direction = pano.directions()
     azimuth = np.arctan2(direction[0, :, 1], direction[0, :, 0])
     points = direction[row, column] * range_m[:, None]
@@ -112,12 +112,12 @@ def _to_scene(
 def _cells_in(
     panos: RecordedPanos, scan: int, world: np.ndarray, pano: LinearPano
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cells (n,) int64 of a recorded scan that look at scene-local points, -1 outside, and ranges there."""
+    """Cells (n,) int64 of a recorded scan towards scene-local points (n, 3), -1 outside, and their ranges."""
     centre = np.arctan2(*np.swapaxes(pano.directions()[0, :, 1::-1], 0, 1))
     rotation, position = panos.trajectory.at(panos.time_s[scan] + sweep_fraction(centre) * panos.period_s)
     column = np.full(len(world), pano.width // 2)
     for _ in range(2):
-        # Where the sensor was when it looked there depends on where there is: the second pass is enough.
+        # Azimuth and the sensor's pose at that azimuth depend on each other; two passes are enough.
         points = np.einsum("nji,nj->ni", rotation[column], world - position[column])
         azimuth = np.arctan2(points[:, 1], points[:, 0])
         column = np.rint((np.pi - azimuth) / (2.0 * np.pi / pano.width)).astype(np.int64) % pano.width
@@ -127,20 +127,20 @@ def _cells_in(
 
 
 PARTS = ("hit", "intensity")
-"""What a network may correct, each by itself: its outputs."""
+"""The outputs of the network; each is used or not by itself."""
 FEATURES = 16
-"""Channels that describe a cell."""
+"""Input channels of the network."""
 _HIT_LIMIT = 0.01
 _INTENSITY_LIMIT = 0.01
 
 
 def pano_network(spec: PanoSpec, generator: torch.Generator) -> CellNetwork:
-    """Untrained; weights are drawn from `generator`."""
+    """The untrained network, with weights from `generator`."""
     return CellNetwork(FEATURES, len(PARTS), generator, channels=spec.channels, layers=spec.layers)
 
 
 def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:
-    """What the network is told of each cell, (FEATURES, h, w) float32, each about -1..1."""
+    """The network's input (FEATURES, h, w) float32, each channel about -1..1."""
     near_m, median_m, far_m = estimate.range_m
     height, width = estimate.hit.shape
     level = np.broadcast_to(np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None], (height, width))
@@ -168,12 +168,12 @@ def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:
 
 
 def hit_prior(estimate: PanoEstimate) -> Tensor:
-    """(h, w) logit of the expected hit; cells without any ray have no return to show."""
+    """Logit (h, w) of the expected hit probability, limited to 0.01..0.99."""
     return probability_logit(torch.from_numpy(estimate.hit), _HIT_LIMIT)
 
 
 def intensity_prior(estimate: PanoEstimate) -> Tensor:
-    """(h, w) logit of the expected intensity."""
+    """Logit (h, w) of the expected intensity, limited to 0.01..0.99."""
     return probability_logit(torch.from_numpy(estimate.intensity), _INTENSITY_LIMIT)
 
 
@@ -181,9 +181,9 @@ def intensity_prior(estimate: PanoEstimate) -> Tensor:
 def corrected_pano(
     network: CellNetwork, estimate: PanoEstimate, neighbours: Neighbours, parts: Collection[str] = PARTS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range in metres, intensity and hit probability (h, w) float32, some `parts` as the network has them.
+    """Range in metres, intensity and hit probability (h, w) float32, those in `parts` corrected.
 
-    The others are the phases': the expected hit, the mean intensity, and always the median range.
+    The range is always the estimate's median.
     """
     range_m, intensity, hit = phases_alone(estimate)
     hit_logit, intensity_logit = network(cell_features(estimate, neighbours)[None])[0]
@@ -196,5 +196,5 @@ def corrected_pano(
 
 
 def phases_alone(estimate: PanoEstimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range in metres, intensity and hit probability (h, w) without a network."""
+    """Median range in metres, intensity and hit probability (h, w) float32 of the estimate."""
     return estimate.median_m, estimate.intensity, estimate.hit

@@ -1,4 +1,4 @@
-"""Camera poses corrected so that LiDAR returns look alike in neighbouring images, and views moved along."""
+"""Corrects camera poses so that LiDAR returns look alike in neighbouring images, and views with them."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,37 +14,37 @@ from nvsf_core.rendering.image_alignment import PoseCorrection, align_images
 
 @dataclass(frozen=True, slots=True)
 class AlignedDrive:
-    """A drive with the recorded camera poses and with the corrected ones."""
+    """A drive with its recorded and with its corrected camera poses."""
 
     given: Recording
-    """With the poses as they were recorded."""
+    """With the recorded poses."""
     world: MovingWorld
-    """With the images' corrected ones."""
+    """With the corrected poses."""
     corrections: Mapping[str, PoseCorrection]
-    """By camera; one that is not named keeps its poses."""
+    """By camera; the poses of a camera that is not named are not corrected."""
 
     def pose_at(self, camera: str, pose: np.ndarray, time_s: float) -> np.ndarray:
-        """Pose (4, 4), camera to scene-local, of a view among the corrected images.
+        """The corrected pose (4, 4), camera to scene-local, of a view.
 
         The view is moved with the recording camera of its time, as if both were fixed to one vehicle: the
         correction is expressed in that camera's frame, not in the view's.
 
         Args:
-            camera: Whose corrections are used.
+            camera: Name of the camera whose corrections are used.
             pose: (4, 4) of the view before the correction, camera to scene-local.
             time_s: Of the view, seconds since the first frame.
         """
         correction = self.corrections.get(camera)
         if correction is None:
             return pose
-        # Mountings as files have them are rotations to 1e-10 only, so the inverse is no transpose.
+        # A mounting read from a file is a rotation only up to 1e-10, so its inverse is not its transpose.
         rotation, position = self.given.trajectory.at(np.array([time_s]))
         recorded = pose_from_parts(rotation[0], position[0]) @ self.given.cameras[camera].in_lidar
         corrected: np.ndarray = correction.at(recorded, time_s) @ (np.linalg.inv(recorded) @ pose)
         return corrected
 
     def left_out_pose(self, camera: str, index: int) -> np.ndarray:
-        """Pose (4, 4) that a training image would get if it were held out: from the others alone."""
+        """The corrected pose (4, 4) of a training image, from the other images' corrections alone."""
         one = self.given.cameras[camera]
         correction, pose = self.corrections.get(camera), one.training.pose[index]
         if correction is None:
@@ -60,7 +60,7 @@ def align_drive(
     Args:
         world: The drive with its recorded poses.
         cameras: Names.
-        left_out: By camera, numbers of training images that are used for nothing, not even others' poses.
+        left_out: By camera, numbers of training images that take no part.
     """
     if world.recording.lidar is None:
         return {}
@@ -78,7 +78,7 @@ def align_drive(
 
 
 def aligned_by(world: MovingWorld, corrections: Mapping[str, PoseCorrection]) -> AlignedDrive:
-    """A drive with corrections that are known already, for example from a file."""
+    """Apply known corrections to a drive."""
     given = world.recording
     if not corrections:
         return AlignedDrive(given, world, corrections)
@@ -99,7 +99,7 @@ def facts_of(corrections: Mapping[str, PoseCorrection]) -> dict[str, dict[str, o
 
 
 def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, PoseCorrection]:
-    """Read back what `facts_of` gave."""
+    """Corrections from the values of `facts_of`."""
     return {
         name: PoseCorrection(np.array(one["time_s"], np.float64), np.array(one["twist"], np.float64))
         for name, one in facts.items()
@@ -107,9 +107,9 @@ def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, Pos
 
 
 def _own_returns(world: MovingWorld, instant_s: float) -> np.ndarray:
-    """Static returns (m, 3) float32, scene-local, of the scan of an image's own instant; none without it.
+    """Static returns (m, 3) float32, scene-local, of the scan at an image's instant; none without one.
 
-    Only this scan shares the image's pose error: returns of other scans have errors of their own.
+    Only this scan has the image's pose error; other scans have errors of their own.
     """
     assert world.recording.lidar is not None
     sweeps = world.recording.lidar.sweeps

@@ -1,8 +1,8 @@
-"""The residual recipes' hits in the sensor's own grid: what trains the network there, and who judges it."""
+"""Trains the raydrop network on the sensor's own grid, and blends it with the field's ray head."""
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
@@ -12,7 +12,9 @@ from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.lidar import fire_left_out
 from nvsf_core.models.residual.raydrop_grid import (
     RecordedSweeps,
     SweepCells,
@@ -28,46 +30,41 @@ from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scan import SweepRays
-from nvsf_core.simulation.scene_model import SceneModel, SweepCorrector
-from nvsf_core.simulation.sweep_simulation import fire_sweep
-from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.training.loop import TrainingState, make_optimiser
+from nvsf_core.simulation.scene_model import SweepCorrector
+from nvsf_core.training.loop import fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
 HITS_BLEND = "hits_blend"
-"""Name of the fact: how network and ray head are blended; None where the ray head alone says what returns."""
+"""Name of the fact: the fields of `HitBlend`; None where the ray head alone gives the hit probability."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedHits:
-    """What training gave beside the network's weights."""
+class TrainedHits(TrainedPart):
+    """The trained part, and the network ready for use."""
 
-    states: dict[str, TrainingState]
-    preparation_seconds: float
-    metadata: dict[str, Scalar]
     correct: SweepRaydrop | None
     """None where the network is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidationSweep:
-    """A left-out scan's r firings, and what is said of them."""
+    """The r rays of a validation scan: what network and ray head predict, and what was recorded."""
 
     network_logit: np.ndarray
     """(r,) float32."""
     ray_head_logit: np.ndarray
     """(r,) float32."""
     is_met: np.ndarray
-    """(r,) bool: whether anything is there that could return."""
+    """(r,) bool: whether the ray meets a surface that it could return from."""
     returned: np.ndarray
-    """(r,) bool."""
+    """(r,) bool, as recorded."""
 
     def accuracy(self, logit: np.ndarray) -> float:
-        """Share of all firings whose return, or its absence, is expected by logits (r,)."""
+        """Share of all rays that are predicted correctly, return or dropped, by logits (r,)."""
         return float(((self.is_met & (logit >= 0.0)) == self.returned).mean())
 
     def nats(self, logit: np.ndarray) -> float:
-        """Mean cross-entropy of logits (r,), of the answered firings."""
+        """Mean cross-entropy of logits (r,) over the rays that meet a surface, in nats."""
         return nats(logit[self.is_met], self.returned[self.is_met])
 
     def scores(self, logit: np.ndarray) -> list[float]:
@@ -79,15 +76,24 @@ def train_hits(
     session: TrainingSession, network: CellNetwork, field: LidarField, recipe: ResidualRecipe,
     lidar: LidarRecording,
 ) -> TrainedHits:  # fmt: skip
-    """Train on scans that the field learned from, by the others' votes and turns; then ask the judges.
+    """Train the network on the field's training scans, then decide on the validation scans whether to use it.
 
-    Without judges nobody could say whether it helps: nothing is trained.
+    Without validation scans nothing is trained.
+
+    Args:
+        session: Of the scene.
+        network: Is trained.
+        field: Already trained.
+        recipe: With `hits`.
+        lidar: The recording.
     """
     spec, left_out = recipe.hits, lidar.evidence.left_out
     assert spec is not None
     if left_out is None:
         few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to judge a network by"}
-        return TrainedHits(states={}, preparation_seconds=0.0, metadata=few, correct=None)
+        return TrainedHits(
+            states={}, preparation_seconds=0.0, metadata=few, facts={HITS_BLEND: None}, correct=None
+        )
     started = time.perf_counter()
     scan_grids = recorded_sweeps(lidar)
     learned = [number for number, _ in learned_scans(lidar)]
@@ -95,31 +101,32 @@ def train_hits(
     examples = []
     for index in chosen.tolist():
         examples.append(_example(field, recipe, lidar, scan_grids, learned[index]))
-        session.say("hits", f"expected {len(examples)} of {len(chosen)}")
+        session.say("hits", f"training scan {len(examples)} of {len(chosen)} simulated")
     preparation = time.perf_counter() - started
-    generator = torch.Generator().manual_seed(session.seed * 5 + 4)
-    state = TrainingState(network, make_optimiser(network, spec.training), generator)
+    state = fresh_state(network, spec.training, session.seed * 5 + 4)
     fit(
         session, "hits", state, spec.training,
-        lambda _, drawn: [cell_step(network, examples, spec.training, recipe.losses, drawn)],
+        lambda _, generator: [cell_step(network, examples, spec.training, recipe.losses, generator)],
     )  # fmt: skip
-    judging = time.perf_counter()
+    validating = time.perf_counter()
     validated = [
-        _judged(field, recipe, lidar, scan_grids, network, number, left_out.static)
+        _validation_sweep(field, recipe, lidar, scan_grids, network, number, left_out.static)
         for number in left_out.validation.tolist()
     ]
     blend, metadata = blend_in_rotation(validated)
-    preparation += time.perf_counter() - judging
+    preparation += time.perf_counter() - validating
     return TrainedHits(
         states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
+        facts={HITS_BLEND: None if blend is None else asdict(blend)},
         correct=None if blend is None else SweepRaydrop(network, scan_grids, blend),
     )  # fmt: skip
 
 
 def blend_in_rotation(validated: Sequence[ValidationSweep]) -> tuple[HitBlend | None, dict[str, Scalar]]:
-    """How network and ray head are blended, None where the ray head alone is better, and figures.
+    """The blend of network and ray head, None where the ray head alone is better, and the scores.
 
-    Each of at least two judges is told by a blend that was fitted on the others; what is shown, on all.
+    Each of the scans, at least two, is scored with a blend that was fitted on the others; the blend that is
+    returned is fitted on all.
     """
 
     def blended(number: int) -> list[float]:
@@ -145,21 +152,21 @@ def blend_in_rotation(validated: Sequence[ValidationSweep]) -> tuple[HitBlend | 
 
 
 def _fitted(validated: Sequence[ValidationSweep]) -> HitBlend:
-    """On all answered firings of some judges."""
+    """The blend fitted on the rays of some scans that meet a surface."""
     parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_met) for one in validated]
-    network, ray_head, returned, answered = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return fit_blend(network[answered], ray_head[answered], returned[answered])
+    network, ray_head, returned, met = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return fit_blend(network[met], ray_head[met], returned[met])
 
 
 def raydrop_correction(
     network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]
 ) -> SweepRaydrop:
-    """A trained network, ready to correct turns; `blend` is the fact `HITS_BLEND`."""
+    """A trained network, ready to correct sweeps; `blend` is the fact `HITS_BLEND`."""
     return SweepRaydrop(network, recorded_sweeps(lidar), HitBlend(**blend))
 
 
 def recorded_sweeps(lidar: LidarRecording) -> RecordedSweeps:
-    """All training scans in the grid that the drop prior has."""
+    """All training scans in the grid of lasers and firings of the drop prior."""
     sweeps, a, prior = lidar.sweeps, lidar.sweeps.arrays, lidar.evidence.prior
     ranges, shine = (np.zeros(prior.is_hit.shape, np.float32) for _ in range(2))
     for number, scan in enumerate(np.flatnonzero(sweeps.is_training).tolist()):
@@ -181,18 +188,18 @@ def recorded_sweeps(lidar: LidarRecording) -> RecordedSweeps:
 def _example(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, scan_grids: RecordedSweeps, number: int
 ) -> CellExample:
-    """A training scan by the others' votes and turns, on surfaces that its own returns helped to prove.
+    """A training scan as the network learns it: hit prior and scan lookup without it, surfaces with it.
 
-    Where no surface was proven nothing is learned.
+    Cells whose ray meets no surface have no weight.
     """
-    listened: list[SweepCells] = []
+    found: list[SweepCells] = []
 
-    def listen(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
-        listened.append(sweep_cells(scan_grids, rays, rendered, near))
+    def keep(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
+        found.append(sweep_cells(scan_grids, rays, rendered, near))
         return rendered
 
-    rays, _ = _fire(field, recipe, lidar, lidar.evidence.static, number, listen)
-    (cells,), prior = listened, lidar.evidence.prior
+    rays, _ = _fire(field, recipe, lidar, lidar.evidence.static, number, keep)
+    (cells,), prior = found, lidar.evidence.prior
     lasers, firings = rays.shape
     recorded = prior.nearest_firing(number, rays.fraction[:firings])[cells.column.numpy()]
     is_hit = prior.is_hit[number, rays.laser[::firings, None], recorded]
@@ -206,19 +213,19 @@ def _example(
     )
 
 
-def _judged(
+def _validation_sweep(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, scan_grids: RecordedSweeps,
     network: CellNetwork, number: int, static: Surfels,
 ) -> ValidationSweep:  # fmt: skip
-    """A judge as others prove it, and whether its firings returned."""
-    listened: list[tuple[np.ndarray, np.ndarray]] = []
+    """A validation scan rendered from the surfaces `static` of the other scans, and its recorded hits."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def listen(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
-        listened.append(hit_logits(network, scan_grids, rays, rendered, near))
+    def keep(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
+        found.append(hit_logits(network, scan_grids, rays, rendered, near))
         return rendered
 
-    rays, rendered = _fire(field, recipe, lidar, static, number, listen)
-    ((network_logit, ray_head_logit),), prior = listened, lidar.evidence.prior
+    rays, rendered = _fire(field, recipe, lidar, static, number, keep)
+    ((network_logit, ray_head_logit),), prior = found, lidar.evidence.prior
     firing = prior.nearest_firing(number, rays.fraction)
     return ValidationSweep(
         network_logit, ray_head_logit, np.isfinite(rendered.range_m), prior.is_hit[number, rays.laser, firing]
@@ -229,11 +236,7 @@ def _fire(
     field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, static: Surfels, number: int,
     correct: SweepCorrector | None,
 ) -> tuple[SweepRays, RenderedRays]:  # fmt: skip
-    """A training scan as the field, some evidence of what stays, and all other scans have it."""
-    sweeps = lidar.sweeps
-    time_s = float(lidar.evidence.prior.time_s[number])
+    """A training scan rendered by the field as if it were held out, but for what of it is in `static`."""
     moving = lidar.moving(leave_out=number)
     render = field_renderer(field, static, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
-    plan = SweepPlan("hits", np.zeros(1, np.int64), np.array([time_s]), None, sweeps.table, True)
-    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes, correct=correct)
-    return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
+    return fire_left_out(render, recipe, lidar, number, correct)

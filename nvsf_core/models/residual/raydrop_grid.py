@@ -1,10 +1,9 @@
-"""What returns, in the recording sensor's own grid of lasers and firings, as the other scans lead to expect.
+"""The raydrop network: hit probabilities on the recording sensor's own grid of lasers and firings.
 
-The ray head of a field has seen the training scans: there its hits look better than elsewhere, and what
-learned to correct them would trust them too much. So the network here is not told the ray head's hits. It
-starts from the vote, and from what other turns recorded where a ray is expected to end: these are of other
-scans at training and at rendering alike. Where the ray ends, and how bright, is the field's answer, which
-knows a training scan's own returns. The two answers err differently, and are blended (`HitBlend`).
+Its inputs are the hit prior, a lookup in the nearest other scans at the point where a ray is expected to end,
+and the field's range and intensity. The hit probability of the field's ray head is not among them: it is too
+good on the training scans, and a network trained with it would trust it too much elsewhere. Network and ray
+head err differently, so their logits are blended (`HitBlend`).
 """
 
 from dataclasses import dataclass, replace
@@ -36,33 +35,36 @@ from nvsf_core.simulation.raydrop import HitBlend
 from nvsf_core.simulation.scan import SweepRays
 
 FEATURES = 14
-"""Channels that describe a cell."""
-_BESIDE = 2
-"""Of the scans that are asked, those nearest in time: told by themselves, too."""
-_VOTE_LIMIT, _HIT_LIMIT = 0.02, 0.003
+"""Input channels of the network."""
+_NEAREST = 2
+"""Of the scans that are looked up, those nearest in time, which have channels of their own too."""
+_PRIOR_LIMIT, _HIT_LIMIT = 0.02, 0.003
 _MOMENTS = 256
-"""Parts of a turn at which the sensor's pose is looked up."""
+"""Equal parts of a sweep at which the sensor's pose is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedSweeps:
-    """The training scans in the grid of lasers and firings, and how their sensor moved."""
+    """The n training scans in the grid of lasers and firings, and how their sensor moved."""
 
     prior: DropPrior
     lasers: np.ndarray
-    """(l,) int64: those that ever returned, from the top."""
+    """(l,) int64: lasers with any return, from the top."""
     range_m: np.ndarray
-    """(n, lasers, f) float32 along the laser's ray, without its bias; 0 = no return."""
+    """(n, lasers, f) float32 metres along the laser's ray, without its range bias; 0 = no return."""
     intensity: np.ndarray
     """(n, lasers, f) float32 as recorded."""
     trajectory: Trajectory
     table: LaserTable
     period_s: float
     turn_up_rad: float
-    """How far recorded directions are turned up on their way into the world."""
+    """Angle by which recorded directions are turned up on their way into the world."""
 
     def ask(self, points_m: np.ndarray, scans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sums (r, 5) float32 of what scans say of points (r, 3) float32, of the first two and of all."""
+        """Look up points (r, 3) float32, scene-local, in scans (k,), nearest in time first.
+
+        Returns the counts (r, 5) float32 of `look_up_scans`, summed over the first two scans and over all.
+        """
         table, rows = self.table, self.lasers
         shift_rad = (table.phase_steps - table.firing_shift_steps)[rows] * table.step_rad
         lasers = Lasers(
@@ -71,25 +73,25 @@ class RecordedSweeps:
         )  # fmt: skip
         moments = (np.arange(_MOMENTS) + 0.5) / _MOMENTS - 0.5
         found = np.zeros((len(points_m), 5), np.float32)
-        beside = found
+        nearest = found
         for number, scan in enumerate(scans.tolist()):
-            if number == _BESIDE:
-                beside = found.copy()
+            if number == _NEAREST:
+                nearest = found.copy()
             rotation, position = self.trajectory.at(self.prior.time_s[scan] + moments * self.period_s)
             fraction = self.prior.fraction[scan][: self.prior.firings_of(scan)]
-            turn = SweepGrid(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
-            look_up_scans(points_m, lasers, turn, found)
-        return beside, found
+            sweep = SweepGrid(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
+            look_up_scans(points_m, lasers, sweep, found)
+        return nearest, found
 
 
 def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
-    """Untrained; weights are drawn from `generator`."""
+    """The untrained network, with weights from `generator`."""
     return CellNetwork(FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
 
 
 @dataclass(frozen=True, slots=True)
 class SweepRaydrop:
-    """Corrects the hits of the recording sensor's own turns."""
+    """Corrects the hit probabilities of sweeps of the recording sensor in its own place."""
 
     network: CellNetwork
     """Trained."""
@@ -97,7 +99,7 @@ class SweepRaydrop:
     blend: HitBlend
 
     def __call__(self, rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
-        """The same answers with other hits; `near` (k,) are the scans that vote, nearest in time first."""
+        """The same rays with new hit probabilities; `near` (k,) are the nearest scans, the nearest first."""
         both = hit_logits(self.network, self.scan_grids, rays, rendered, near)
         hit = expit(self.blend.logit(*both)).astype(np.float32)
         return replace(rendered, hit=np.where(np.isfinite(rendered.range_m), hit, rendered.hit))
@@ -111,7 +113,15 @@ def hit_logits(
     rendered: RenderedRays,
     near: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What network and ray head say of each ray of a turn: logits (r,) float32 of a return."""
+    """Logits (r,) float32 of a return for each ray of a sweep, by the network and by the ray head.
+
+    Args:
+        network: Trained.
+        scan_grids: The training scans.
+        rays: Of one sweep of the recording sensor.
+        rendered: By the field.
+        near: (k,) numbers of the scans that are looked up, nearest in time first.
+    """
     cells = sweep_cells(scan_grids, rays, rendered, near)
     learned = cells.prior_logit + network(cells.features[None])[0, 0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
@@ -120,25 +130,25 @@ def hit_logits(
 
 @dataclass(frozen=True, slots=True)
 class SweepCells:
-    """A turn of the recording sensor, as the network is told of it; one azimuth is one column."""
+    """The network's inputs for one sweep of the recording sensor; a column is an azimuth."""
 
     column: Tensor
-    """(l, f) int64: which firing of its laser a cell is."""
+    """(l, f) int64: number of the firing that each cell is."""
     features: Tensor
     """(FEATURES, l, f) float32, each about -1..1."""
     prior_logit: Tensor
-    """(l, f) float32: of the share of scans that returned."""
+    """(l, f) float32: logit of the hit prior."""
     is_met: Tensor
-    """(l, f) bool: whether a return can be expected at all."""
+    """(l, f) bool: whether the ray meets a surface that it could return from."""
 
 
 def sweep_cells(
     scan_grids: RecordedSweeps, rays: SweepRays, rendered: RenderedRays, near: np.ndarray
 ) -> SweepCells:
-    """What is told of a turn's cells; arguments as of `SweepRaydrop`. The ray head's hits are not asked.
+    """The network's inputs; arguments as of `hit_logits`. The ray head's hit probabilities are not used.
 
     Raises:
-        ShapeError: The answers do not tell the votes.
+        ShapeError: The rendered rays have no hit prior.
     """
     if rendered.hit_prior is None:
         raise ShapeError(
@@ -148,14 +158,14 @@ def sweep_cells(
     is_met = np.isfinite(rendered.range_m)
     range_m = np.where(is_met, rendered.range_m, 0.0).astype(np.float32)
     points_m = rays.origin_m + rays.direction * rendered.range_m[:, None]
-    beside, asked = scan_grids.ask(points_m.astype(np.float32), near)
+    nearest, asked = scan_grids.ask(points_m.astype(np.float32), near)
     share = asked / np.float32(len(near))
-    share_beside = beside / np.float32(min(len(near), _BESIDE))
+    share_nearest = nearest / np.float32(min(len(near), _NEAREST))
     shine = asked[:, SHINE] / np.maximum(asked[:, SAME], 1.0)
     level = np.repeat(np.linspace(-1.0, 1.0, lasers, dtype=np.float32), firings)
     channels = (
         rendered.hit_prior - 0.5,
-        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:_BESIDE]) - 0.5,
+        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:_NEAREST]) - 0.5,
         is_met - 0.5,
         np.log1p(range_m) / 2.0 - 1.0,
         range_m / 40.0,
@@ -163,8 +173,8 @@ def sweep_cells(
         share[:, THROUGH],
         share[:, EMPTY],
         share[:, BESIDE] - 0.5,
-        share_beside[:, SAME] - 0.5,
-        share_beside[:, EMPTY],
+        share_nearest[:, SAME] - 0.5,
+        share_nearest[:, EMPTY],
         shine,
         rendered.intensity,
         level,
@@ -176,15 +186,15 @@ def sweep_cells(
     return SweepCells(
         column=column,
         features=torch.gather(stacked, 2, column.expand(FEATURES, -1, -1)),
-        prior_logit=probability_logit(torch.gather(hit_prior, 1, column), _VOTE_LIMIT),
+        prior_logit=probability_logit(torch.gather(hit_prior, 1, column), _PRIOR_LIMIT),
         is_met=torch.gather(torch.from_numpy(is_met).reshape(lasers, firings), 1, column),
     )
 
 
 def _upright(table: LaserTable, rays: SweepRays) -> np.ndarray:
-    """(l, f) int64: each laser's firings in the order that puts one azimuth into one column.
+    """(l, f) int64: each laser's firings, shifted so that a column is one azimuth.
 
-    Lasers that fire together look apart, by up to a twentieth of a turn.
+    Lasers that fire together differ in azimuth by up to a twentieth of a rotation.
     """
     _, firings = rays.shape
     shift_steps = (table.phase_steps - table.firing_shift_steps)[rays.laser[::firings]]

@@ -1,4 +1,4 @@
-"""The residual recipes: small fields that correct what the LiDAR proves, or replace what it lacks."""
+"""Loads a trained residual model as a scene model that can be rendered."""
 
 from dataclasses import replace
 
@@ -21,12 +21,12 @@ from nvsf_core.simulation.scene_model import SceneModel
 def load(
     recipe: ResidualRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
 ) -> SceneModel:
-    """Trained fields, ready to render; without cameras nothing of images is prepared.
+    """A trained model, ready to render; without cameras no image is prepared.
 
-    What did not beat `reproject` when it was judged is shown by that.
+    A part that did not beat `reproject` on the validation data is rendered by `reproject`.
 
     Raises:
-        StoreError: The weights are not the recipe's.
+        StoreError: The weights do not fit the recipe.
     """
     torch.set_num_threads(recipe.lidar_training.threads)
     facts = weights.facts
@@ -35,7 +35,7 @@ def load(
     if recording.lidar is not None:
         model = replace(model, unobserved=unobserved_renderer(recording.lidar))
         if not facts.get(SHOWS_FIELD, True):
-            # Its pano is the projection of its scan, as the baseline's.
+            # Without a pano renderer its pano is the projection of its scan, as for the baseline.
             model = replace(model, lidar=carrying_renderer(recording.lidar))
         elif fields.lidar is not None:
             model = _with_lidar(model, recipe, fields, weights, recording.lidar)
@@ -50,7 +50,7 @@ def load(
 def _with_lidar(
     model: SceneModel, recipe: ResidualRecipe, fields: ResidualFields, weights: Weights, lidar: LidarRecording
 ) -> SceneModel:
-    """The model with the trained field, and with what corrects its hits and its panos."""
+    """The model with the trained field, its raydrop network and its pano."""
     assert fields.lidar is not None
     facts = weights.facts
     weights.load_into(fields.lidar, "lidar.")

@@ -1,4 +1,4 @@
-"""LiDAR rays to train on: returns and dropped rays, each with what the other scans show there."""
+"""LiDAR rays that a field is trained on: returns and dropped rays of the training scans."""
 
 from dataclasses import dataclass, replace
 
@@ -6,15 +6,12 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.moving.objects import objects_at
-from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import ObjectSurfaces, join_surfaces, object_surfaces
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.tables import LaserTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +21,15 @@ class LidarRays:
     origin_m: np.ndarray
     """(n, 3) float32."""
     direction: np.ndarray
-    """(n, 3) float32."""
+    """(n, 3) float32, unit."""
     range_m: np.ndarray
-    """(n,) float32; 0 where nothing returned."""
+    """(n,) float32, metres; 0 = dropped."""
     intensity: np.ndarray
-    """(n,) float32; 0 where nothing returned."""
+    """(n,) float32, 0..1; 0 = dropped."""
     hit_prior: np.ndarray
-    """(n,) float32: share of the nearest other training scans that returned here."""
+    """(n,) float32: share of the nearest other training scans that have a return there."""
     objects: ObjectSurfaces | None = None
-    """Moving objects as the other scans prove them, at these rays' times; None where nothing moves."""
+    """Surfaces of moving objects, from the other scans, at these rays' times; None in a static scene."""
 
     def __len__(self) -> int:
         """Number of rays."""
@@ -40,7 +37,7 @@ class LidarRays:
 
 
 def join_rays(parts: list[LidarRays]) -> LidarRays:
-    """One after the other."""
+    """Rays of several parts, one after the other."""
     names = ("origin_m", "direction", "range_m", "intensity", "hit_prior")
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     objects = [part.objects for part in parts if part.objects is not None]
@@ -48,28 +45,20 @@ def join_rays(parts: list[LidarRays]) -> LidarRays:
     return LidarRays(**columns, objects=joined)
 
 
-def dropped_rays(
-    table: LaserTable,
-    prior: DropPrior,
-    scan: int,
-    lasers: np.ndarray,
-    trajectory: Trajectory,
-    period_s: float,
-    near_scans: np.ndarray,
-) -> tuple[LidarRays, np.ndarray]:
-    """Rays that a training scan fired without a return: the empty cells of its lasers and firings.
+def _dropped_rays(lidar: LidarRecording, number: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
+    """Dropped rays of a training scan (empty cells of lasers and firings), and their times (n,) in s.
 
-    Their angles are the lasers' nominal ones at the firing's own time (n,), which is returned with them.
+    They have their lasers' nominal angles at the time of the firing.
     """
-    fraction = prior.fraction[scan]
-    count = int(np.isfinite(fraction).sum())
-    laser_row, firing = np.nonzero(~prior.is_hit[scan][lasers][:, :count])
+    sweeps, prior, lasers = lidar.sweeps, lidar.evidence.prior, lidar.evidence.lasers
+    table = sweeps.table
+    laser_row, firing = np.nonzero(~prior.is_hit[number][lasers][:, : prior.firings_of(number)])
     laser = lasers[laser_row].astype(np.int64)
-    when = fraction[firing].astype(np.float64)
+    when = prior.fraction[number][firing].astype(np.float64)
     shift = (table.phase_steps - table.firing_shift_steps)[laser] * table.step_rad
     origin, direction = corrected_rays(table, -2.0 * np.pi * when + shift, laser)
-    fired_s = prior.time_s[scan] + when * period_s
-    origin, direction = trajectory.move_rays(origin, direction, fired_s)
+    fired_s = prior.time_s[number] + when * sweeps.period_s
+    origin, direction = sweeps.trajectory.move_rays(origin, direction, fired_s)
     nothing = np.zeros(len(laser), np.float32)
     hit_prior = prior.hit_prior(laser, when, near_scans)
     rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, hit_prior)
@@ -77,10 +66,10 @@ def dropped_rays(
 
 
 def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarField) -> LidarRays:
-    """Returns and drops of `learned_scans`, each with the others' vote and their objects.
+    """Returns and dropped rays of `learned_scans`, with hit priors and moving objects of the other scans.
 
     Raises:
-        DataError: There is no ray at all.
+        DataError: There is no ray.
     """
     sweeps, evidence = lidar.sweeps, lidar.evidence
     alone = int((~evidence.prior.is_unidentified).sum()) == 1
@@ -90,13 +79,7 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
         prior_scans = evidence.prior.nearest_scans(
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
         )
-        both = (
-            _returned_rays(lidar, scan, prior_scans),
-            dropped_rays(
-                sweeps.table, evidence.prior, number, evidence.lasers, sweeps.trajectory, sweeps.period_s,
-                prior_scans,
-            ),
-        )  # fmt: skip
+        both = (_returned_rays(lidar, scan, prior_scans), _dropped_rays(lidar, number, prior_scans))
         parts += [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
     joined = join_rays(parts)
     if len(joined) == 0:
@@ -108,9 +91,9 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
 
 
 def learned_scans(lidar: LidarRecording) -> list[tuple[int, int]]:
-    """Training scans but the judges and the silent: the number among training scans, and among all.
+    """Training scans to learn from: the number among training scans, and among all scans.
 
-    Where no laser is known, a firing without a return is no drop.
+    Validation scans are left out, and scans without known lasers, whose dropped rays are not known.
     """
     left_out, is_learned = lidar.evidence.left_out, ~lidar.evidence.prior.is_unidentified
     if left_out is not None:
@@ -120,7 +103,7 @@ def learned_scans(lidar: LidarRecording) -> list[tuple[int, int]]:
 
 
 def _returned_rays(lidar: LidarRecording, scan: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
-    """A scan's returns but for the own vehicle's, and when each was fired."""
+    """A scan's returns without the own vehicle's, and their times (n,) in s."""
     sweeps, a = lidar.sweeps, lidar.sweeps.arrays
     part = sweeps.returns_of(scan)
     kept = lidar.sweeps.is_of_world(part) & (a["laser"][part] >= 0)
@@ -136,7 +119,7 @@ def _returned_rays(lidar: LidarRecording, scan: int, near_scans: np.ndarray) -> 
 def _meet(
     lidar: LidarRecording, field: LidarField, number: int, both: tuple[tuple[LidarRays, np.ndarray], ...]
 ) -> list[LidarRays]:
-    """Rays of a training scan with the moving objects that they meet, as all scans but theirs prove them."""
+    """Rays of a training scan with the moving objects on their way, from the evidence of the other scans."""
     evidence = lidar.evidence
     assert evidence.dynamic is not None
     objects, places = evidence.dynamic.objects, field.places(evidence.dynamic.objects)

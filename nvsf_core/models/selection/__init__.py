@@ -1,1 +1,1 @@
-"""What training scans that were left out decide."""
+"""Choices made on validation data: training scans and images that were left out."""

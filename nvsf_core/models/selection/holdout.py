@@ -1,7 +1,6 @@
-"""Training data kept out to choose by: candidates show the same scans or images, and the better one is shown.
+"""Compares candidates on validation data: scans or images of the training frames that were left out.
 
-Whatever is learned is asked here whether it beats what needs no learning. Held-out (test) frames are never
-among the data.
+A learned part is used only where it beats its baseline here. Test frames are never among the data.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,7 +13,7 @@ from nvsf_core._types import Scalar
 
 Left = TypeVar("Left")
 _SURE = 2.0
-"""Standard errors by which a mean gain must exceed none."""
+"""Standard errors by which a mean gain must exceed zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,17 +21,17 @@ class Comparison:
     """Mean scores of candidates on the same validation data."""
 
     metrics: tuple[str, ...]
-    """Their names, units in them."""
+    """Names, with their units."""
     higher_is_better: tuple[bool, ...]
     means: Mapping[str, tuple[float, ...]]
-    """Candidate to its means, in the order of the metrics."""
+    """The means of each candidate, in the order of the metrics."""
 
     def of(self, candidate: str, metric: str) -> float:
-        """One mean."""
+        """The mean of a candidate in a metric."""
         return self.means[candidate][self.metrics.index(metric)]
 
     def is_better(self, candidate: str, metric: str, other: str) -> bool:
-        """Whether a candidate is better than another in a metric; what is undefined is not better."""
+        """Whether a candidate is better than another in a metric; NaN is never better."""
         ours, theirs = self.of(candidate, metric), self.of(other, metric)
         return ours > theirs if self.higher_is_better[self.metrics.index(metric)] else ours < theirs
 
@@ -42,7 +41,7 @@ class Comparison:
         return better > len(self.metrics) // 2
 
     def figures(self, prefixes: Mapping[str, str]) -> dict[str, Scalar]:
-        """All means for a table; `prefixes` (candidate to what its keys begin with) says which and how."""
+        """Means as metadata, under the metric's name after the candidate's prefix in `prefixes`."""
         return {
             f"{prefix}{metric}": "undefined" if np.isnan(value) else value
             for candidate, prefix in prefixes.items()
@@ -55,12 +54,12 @@ def compare(
     validation: Iterable[Left],
     candidates: Mapping[str, Callable[[Left], Sequence[float]]],
 ) -> Comparison:
-    """Score candidates on validation data.
+    """Score candidates on validation data and take the means.
 
     Args:
-        metrics: Name, with its unit, to whether higher is better.
-        validation: At least one scan or image that was kept out.
-        candidates: Name to a function that shows one of them and gives its scores, in the metrics' order.
+        metrics: For each metric (its name with its unit), whether higher is better.
+        validation: At least one scan or image.
+        candidates: For each name, a function that scores one of them, in the order of the metrics.
     """
     kept_out = list(validation)
     means = {
@@ -71,10 +70,10 @@ def compare(
 
 
 def validation_numbers(count: int, every: int, first: int) -> range:
-    """Which of `count` are kept out: every so many-th, from the first on; at least one, never all."""
+    """Which of `count` items are for validation: every `every`-th from `first`; at least one, never all."""
     return range(min(first, count // 2), count, every)
 
 
 def is_sure(gains: Sequence[float]) -> bool:
-    """Whether the mean of at least two gains exceeds none by two standard errors."""
+    """Whether the mean of at least two gains is above zero by more than two standard errors."""
     return bool(np.mean(gains) > _SURE * np.std(gains, ddof=1) / np.sqrt(len(gains)))

@@ -1,4 +1,4 @@
-"""The voxel size of `reproject`, chosen by the range error on training scans that were left out."""
+"""Chooses the voxel size of `reproject` by its range error on validation scans."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,21 @@ from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.rendering.reproject import reproject_rays
 
 FIELD_VOXEL_M = 0.2
-"""Edge of the voxels that a field corrects: it makes nothing of finer ones, and its steps take longer."""
+"""Edge of the voxels that a field corrects: finer ones do not lower its error and make its steps longer."""
 CANDIDATES_M = (0.2, 0.3)
-"""From the finest with which a 64-laser sweep stays near 0.2 s on 2 cores. Where voxels' returns have shapes
-finer ones give little: 0.15 m 1 to 2 % of the error, for 1.4 times the seconds."""
-_JUDGES = 2
-"""Training scans that are left out to judge."""
+"""Tried in this order. With the first a sweep of 64 lasers takes about 0.2 s on 2 cores; 0.15 m would lower
+the error by 1 to 2 % for 1.4 times the time."""
+_VALIDATION_SCANS = 2
 _FEWEST_SCANS = 6
-"""With fewer training scans, two less are another scene: nothing is chosen."""
-_RAYS_A_JUDGE = 20_000
+"""With fewer training scans none can be spared for validation."""
+_RAYS_A_SCAN = 20_000
 _WORST_M = 1.0
-"""What a ray is at most off by in the score."""
+"""Largest error of a ray in the score."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanRays:
-    """Returns of the training scans, but for the own vehicle's, scene-local."""
+    """Returns of the training scans, without the own vehicle's, scene-local."""
 
     origin_m: np.ndarray
     """(n, 3) float32."""
@@ -42,7 +41,7 @@ class ScanRays:
     def surfels(
         self, voxel_m: float, threads: int, chosen: slice | np.ndarray = slice(None), *, shaped: bool
     ) -> Surfels:
-        """Of what stays, proven by chosen returns."""
+        """Static surfels of the chosen returns; `shaped` as in `build_surfels`."""
         return build_surfels(
             self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
             voxel_m=voxel_m, threads=threads, is_surface=self.is_static[chosen], shaped=shaped,
@@ -51,17 +50,17 @@ class ScanRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VoxelChoice:
-    """What the judges say of each size that was tried."""
+    """The sizes that were tried: their errors, and the static surfels of all but the validation scans."""
 
     errors_m: dict[float, float]
-    """Size to mean absolute range error along the judges' recorded rays, metres, each ray's at most 1 m and
-    1 m where there is no answer."""
+    """For each size, the mean absolute range error along the validation scans' rays, metres; a ray counts at
+    most 1 m, and 1 m if nothing is met."""
     validation: np.ndarray
-    """(2,) int64 numbers of the scans that judged."""
+    """(2,) int64 numbers of the validation scans."""
     static: Surfels
-    """What stays, as all other scans prove it, for a field."""
+    """For a field."""
     rendered: dict[float, Surfels]
-    """Size to the same for the renderer that learns nothing."""
+    """For `reproject`, for each size."""
 
     @property
     def best_m(self) -> float:
@@ -72,26 +71,29 @@ class VoxelChoice:
 def choose_voxel_m(
     rays: ScanRays, *, unidentified: np.ndarray, far_m: float, threads: int
 ) -> VoxelChoice | None:
-    """Score sizes on two training scans that the evidence is built without; coarser while it gets better.
+    """Score voxel sizes on two training scans that the surfels are built without.
+
+    Sizes are tried from the finest on; the first that is worse than one before it ends the search.
 
     Args:
         rays: Of the training scans.
-        unidentified: (s,) numbers of scans that are never left out: their lasers are not known.
+        unidentified: (s,) numbers of scans that are never left out, because their lasers are unknown.
         far_m: How far a ray is followed.
-        threads: Of the walk.
+        threads: For building the surfels.
 
     Returns:
-        Only sizes that were tried. None where there is too little to judge.
+        The sizes that were tried; None if there are fewer than six scans or no static return to compare.
     """
     scans = np.setdiff1d(np.flatnonzero(np.bincount(rays.scan)), unidentified)
     if len(scans) < _FEWEST_SCANS:
         return None
-    validation = scans[(np.arange(1, _JUDGES + 1) * len(scans)) // (_JUDGES + 1)]
+    validation = scans[(np.arange(1, _VALIDATION_SCANS + 1) * len(scans)) // (_VALIDATION_SCANS + 1)]
     is_validation = np.isin(rays.scan, validation)
     asked = np.flatnonzero(is_validation & rays.is_static)
     if len(asked) == 0:
         return None
-    asked = asked[np.unique(np.linspace(0, len(asked) - 1, _JUDGES * _RAYS_A_JUDGE).astype(np.int64))]
+    most = _VALIDATION_SCANS * _RAYS_A_SCAN
+    asked = asked[np.unique(np.linspace(0, len(asked) - 1, most).astype(np.int64))]
     errors_m: dict[float, float] = {}
     rendered: dict[float, Surfels] = {}
     for voxel_m in CANDIDATES_M:
@@ -115,15 +117,15 @@ def mean_range_error_m(
     far_m: float,
     worst_m: float,
 ) -> float:
-    """Mean absolute error of the ranges that surfels answer along rays (r, 3) that returned at (r,).
+    """Mean absolute range error in metres of surfels, rendered as `reproject` does along r recorded returns.
 
     Args:
         surfels: In the rays' frame.
         origin_m: (r, 3).
         direction: (r, 3) unit.
-        range_m: (r,) to the return.
+        range_m: (r,) recorded range.
         far_m: How far a ray is followed.
-        worst_m: Most that a ray counts as off, and what one without an answer counts: beyond, wrong is wrong.
+        worst_m: Largest error of a ray; also the error of one that meets nothing.
     """
     rendered = reproject_rays(
         surfels, origin_m, direction, np.ones(len(range_m), np.float32),

@@ -13,7 +13,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
-from nvsf_core.models.residual.camera import train_camera
+from nvsf_core.models.residual.camera import ALIGNED, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.pose_refinement import align_drive, aligned_by, corrections_from, facts_of
 from nvsf_core.recipe import preset
@@ -161,5 +161,5 @@ def test_the_seconds_of_training_the_camera_are_all_that_it_took(
     assert f"{CAMERA}_judged_aligned_gain_db" in trained.metadata
     counted_s = trained.preparation_seconds + sum(state.seconds for state in trained.states.values())
     assert 0.85 * took_s < counted_s <= took_s
-    for known in corrections_from(trained.corrections).values():
+    for known in corrections_from(trained.facts[ALIGNED]).values():
         assert np.array_equal(known.time_s, drive.cameras[CAMERA].training_time_s)

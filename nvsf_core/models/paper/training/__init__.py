@@ -1,1 +1,1 @@
-"""What the paper's family learns from, and its steps (paper, Sec. III)."""
+"""The training of the paper's family (paper, Sec. III)."""

@@ -1,4 +1,4 @@
-"""A camera's part of a step: L_rgb on pixels of one image."""
+"""The camera's part of a training step: L_rgb on pixels of one image."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -26,11 +26,20 @@ def camera_losses(
     epoch: int,
     generator: torch.Generator,
 ) -> Iterator[LossBreakdown]:
-    """The loss of the pixels drawn from image `row`, in parts; then the error map learns."""
+    """The losses of sampled pixels of one image, in parts to save memory; then the error map is updated.
+
+    Args:
+        trainee: Field and error maps.
+        frames: All training data.
+        camera: Whose image.
+        row: Number of the image.
+        epoch: From 0; decides how pixels are sampled.
+        generator: Samples pixels and points on the rays.
+    """
     recipe, errors = trainee.recipe, trainee.image_errors[camera.name]
     assert isinstance(errors, ErrorMap)
-    drawn = sample_camera_pixels(recipe.sampling, epoch, row, errors, generator)
-    rows, columns = drawn.rows.numpy(), drawn.columns.numpy()
+    pixels = sample_camera_pixels(recipe.sampling, epoch, row, errors, generator)
+    rows, columns = pixels.rows.numpy(), pixels.columns.numpy()
     pose, frame = camera.images.pose[row], float(camera.frame[row])
     direction = camera.images.pinhole.rays(np.stack([columns, rows], axis=1)) @ pose[:3, :3].T
     origin = np.broadcast_to(pose[:3, 3], direction.shape)
@@ -52,17 +61,17 @@ def camera_losses(
         colour = on_white(render)
         terms = {"colour": squared_colour_error(colour, truth[part])}
         if known is not None:
-            # Rays without a return are not compared: a pixel between two beams is no drop.
+            # Rays without a return are not compared: a pixel between two lasers is not a dropped ray.
             terms["camera_depth"] = absolute_range_error(render.range_scaled, known[part])
         error.append(terms["colour"].sum(dim=1).detach().cpu())
         yield total_loss(terms, asdict(recipe.losses), SUMS)
-    errors.update(row, drawn.rows, drawn.columns, torch.cat(error))
+    errors.update(row, pixels.rows, pixels.columns, torch.cat(error))
 
 
 def _known_range(
     camera: Images, row: int, rows: np.ndarray, columns: np.ndarray, half_m: float, device: torch.device
 ) -> Tensor | None:
-    """Ranges (r,) in scaled units that the LiDAR saw along pixels, 0 = none; None where nobody asks."""
+    """LiDAR ranges (r,) in scaled units at pixels, 0 = none; None if no loss needs them."""
     if camera.range_m is None:
         return None
     return torch.from_numpy(camera.range_m[row, rows, columns] / np.float32(half_m)).to(device)

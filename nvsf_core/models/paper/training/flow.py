@@ -1,4 +1,4 @@
-"""Training of the paper's scene flow: the point clouds it compares, one step, and the flow by itself."""
+"""Trains the paper's scene flow: its point clouds, its loss, and training of the flow alone."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
@@ -25,24 +25,24 @@ def flow_loss(
     t: float,
     generator: torch.Generator,
 ) -> LossBreakdown:
-    """L_flow of one frame towards those of its two neighbours that are there; empty without a cloud.
+    """L_flow from one frame to its neighbours before and after, if there; no term if its cloud is empty.
 
     Args:
-        flow: Learns.
+        flow: Is trained.
         recipe: Points a cloud, weights, and the unit cube's bound.
         clouds: Each (m, 3) float32, scaled units, without ground.
         frame: (k,) frame coordinate of each cloud.
-        row: Which cloud is moved.
+        row: Number of the cloud that is moved.
         t: Its time in [0, 1].
-        generator: Draws points where a cloud has more than `recipe.flow.points`.
+        generator: Samples points of a cloud with more than `recipe.flow.points`.
     """
     device = next(flow.parameters()).device
-    here = _drawn(clouds[row], recipe.flow.points, generator, device)
+    here = _sampled(clouds[row], recipe.flow.points, generator, device)
     if not len(here):
         return total_loss({}, {})
     forward, backward = flow(here / (2.0 * recipe.slips.bound) + 0.5, t)
     after, before = (
-        _drawn(clouds[int(found[0])], recipe.flow.points, generator, device)
+        _sampled(clouds[int(found[0])], recipe.flow.points, generator, device)
         if len(found := np.flatnonzero(frame == frame[row] + step))
         else None
         for step in (1.0, -1.0)
@@ -71,8 +71,8 @@ def train_flow(
         frame: (k,) frame coordinates 0..count - 1 of the clouds.
         count: Frames of the scene, those without a cloud included.
         steps: Optimiser steps.
-        seed: Of the weights and of all draws.
-        say: Takes a line now and then.
+        seed: Of the weights and of all samples.
+        say: Prints a line of progress, every few seconds.
 
     Returns:
         The state after the last step; its `model` is the `FlowField`.
@@ -99,8 +99,8 @@ def train_flow(
     return state
 
 
-def _drawn(cloud: np.ndarray, most: int, generator: torch.Generator, device: torch.device) -> Tensor:
-    """At most that many points of a cloud (m, 3), without replacement."""
+def _sampled(cloud: np.ndarray, most: int, generator: torch.Generator, device: torch.device) -> Tensor:
+    """At most `most` points of a cloud (m, 3), without replacement."""
     points = torch.from_numpy(cloud)
     if len(points) > most:
         points = points[torch.randperm(len(points), generator=generator)[:most]]
@@ -108,47 +108,47 @@ def _drawn(cloud: np.ndarray, most: int, generator: torch.Generator, device: tor
 
 
 NEAREST_M, FARTHEST_M = 1.0, 60.0
-"""Kept distances from the sensor, both included; the authors': 0.75 times the longest range."""
+"""Bounds of the distance of kept points from the sensor; the authors': 0.75 times the longest range."""
 LOWEST_M, HIGHEST_M = -2.5, 4.0
-"""Kept heights over the sensor, both excluded."""
+"""Bounds of the height of kept points over the sensor, excluded."""
 OWN_VEHICLE_M = (2.0, 1.0, 2.0)
-"""Half edges of the box around the sensor in which the recording car lies: forward, left, up."""
+"""Half edges of the box around the sensor that holds the own vehicle: forward, left, up."""
 
 _NEIGHBOURS = 64
 _OUTLIER_SIGMAS = 3.0
 _THIN_ABOVE = 16_384
-"""Larger clouds are compared with a random quarter of themselves and a quarter of the neighbours."""
+"""In larger clouds neighbours are sought in a random quarter of the points, and a quarter as many."""
 _THIN = 4
 
 _PLANES = 6
 _INLIER_M = 0.15
 _GROUND_BELOW_M = -1.0
-"""Ground lies lower than this under the sensor (on KITTI-360 it is 1.73 m above it)."""
+"""Ground lies lower than this in the sensor's frame (KITTI-360's sensor is 1.73 m above it)."""
 _LEAST_UPRIGHT = np.cos(np.deg2rad(20.0))
-"""Of a ground plane's normal: no street is steeper."""
+"""Least z of a ground plane's normal: streets are not steeper than 20 degrees."""
 _HYPOTHESES = 128
-_JUDGED = 4096
-"""Points on which hypotheses are counted; the best is then fitted to all."""
+_COUNTED = 4096
+"""Points that hypotheses are compared on; the best is then fitted to all."""
 _LEAST_SHARE = 0.02
-"""Of the low points: a plane with fewer is not looked for."""
+"""Least share of the low points on a plane."""
 _FLAT_SHARE = 0.45
-"""Of a plane's inliers, how many must lie within a third of the inlier distance. A slab through walls and
-cars, which is no surface, holds a third; a street holds nearly all."""
+"""Least share of a plane's inliers within a third of the inlier distance. In a slab through walls and cars a
+third are; on a street nearly all."""
 
 
 def flow_cloud(
     points_m: np.ndarray, sensor_to_scene: np.ndarray, centre_m: np.ndarray, generator: np.random.Generator
 ) -> np.ndarray:
-    """The returns of one scan whose motion the flow is fitted to.
+    """The returns of one scan that the flow is fitted to.
 
-    In turn: kept by distance, height and own vehicle's box in the sensor's frame; stray points out; ground
-    out; stray points out again, because without ground others stand alone.
+    Points too far, too high, too low or of the own vehicle are removed, then stray points, then the ground,
+    then stray points again, because without ground others are stray.
 
     Args:
         points_m: (n, 3) float64, scene-local.
         sensor_to_scene: (4, 4) rigid pose of the sensor.
         centre_m: (3,) scene-local point that becomes the origin, so that float32 is exact to a micrometre.
-        generator: Draws the hypotheses for the ground: the same generator state gives the same cloud.
+        generator: Samples hypotheses of the ground; the same state gives the same cloud.
 
     Returns:
         (m, 3) float32, metres from `centre_m` along the scene's axes, in the order of `points_m`; m may be 0.
@@ -174,11 +174,11 @@ def flow_cloud(
 
 
 def is_stray(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Whether each point (n,) is farther from its 64 nearest than others are from theirs.
+    """Whether each point of (n, 3) is a statistical outlier (Rusu et al. 2008), (n,) bool.
 
-    Its mean distance to them is above the cloud's mean of that by more than three standard deviations
-    (statistical outliers, Rusu et al. 2008). Of a cloud above 16,384 points a random quarter stands for all:
-    the mean distance to the 16 nearest in it. With fewer than 65 points, all others are the nearest.
+    The mean distance of an outlier to its 64 nearest points is above the mean of that over the cloud by more
+    than three standard deviations. In clouds above 16,384 points the 16 nearest in a random quarter are used;
+    with fewer than 65 points, all others.
     """
     n = len(points_m)
     thin = _THIN if n > _THIN_ABOVE else 1
@@ -197,11 +197,11 @@ def is_stray(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray
 
 
 def is_ground(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Whether each point (n,), in the sensor's frame, lies on one of up to six nearly level planes below it.
+    """Whether each point of (n, 3), in the sensor's frame, lies on one of up to six nearly level planes.
 
-    Each plane is the one of 128 random hypotheses with the most points within 0.15 m, fitted anew to those;
-    its points are taken out before the next is sought. It ends when a plane holds too few points, or holds
-    them as a slab through upright things does.
+    Each plane is the one of 128 random hypotheses with the most points within 0.15 m, fitted again to those;
+    its points are removed before the next is sought. The search ends with a plane that has too few points, or
+    whose points are spread over its whole thickness, as those of upright objects are.
     """
     ground = np.zeros(len(points_m), bool)
     low = np.flatnonzero(points_m[:, 2] < _GROUND_BELOW_M)
@@ -230,7 +230,7 @@ def _is_in_reach(points_m: np.ndarray) -> np.ndarray:
 
 def _most_supported_plane(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray | None:
     """(4,) unit normal and offset of the nearly level plane with the most inliers; None if there is none."""
-    judged = points_m[generator.integers(len(points_m), size=min(_JUDGED, len(points_m)))]
+    counted = points_m[generator.integers(len(points_m), size=min(_COUNTED, len(points_m)))]
     corners = points_m[generator.integers(len(points_m), size=(_HYPOTHESES, 3))]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
@@ -239,13 +239,13 @@ def _most_supported_plane(points_m: np.ndarray, generator: np.random.Generator) 
         return None
     normal, corner = normal[level] / length[level, None], corners[level, 0]
     offset = -(normal * corner).sum(axis=1)
-    counts = (np.abs(judged @ normal.T + offset) < _INLIER_M).sum(axis=0)
+    counts = (np.abs(counted @ normal.T + offset) < _INLIER_M).sum(axis=0)
     best = int(counts.argmax())
     return _fitted(points_m, np.append(normal[best], offset[best]))
 
 
 def _fitted(points_m: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """The plane through the inliers of `plane` with the least squared distances, twice over."""
+    """Fit a plane (4,) to its inliers by least squares, twice."""
     for _ in range(2):
         inliers = points_m[np.abs(points_m @ plane[:3] + plane[3]) < _INLIER_M]
         if len(inliers) < 3:

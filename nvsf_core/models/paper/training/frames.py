@@ -1,4 +1,4 @@
-"""What the paper's training sees, scaled to the unit cube, and all that one of its steps changes."""
+"""The paper's training data, scaled to the unit cube, and the trainee: field and error maps."""
 
 from dataclasses import dataclass
 
@@ -16,18 +16,18 @@ from nvsf_core.sampling.error_map import CAMERA_CELL_PX, LIDAR_CELL_PX, ErrorMap
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panos:
-    """Range images of k training scans, each seen from its frame's one pose, as the paper does."""
+    """Panos of k training scans, each from one pose a frame, as in the paper."""
 
     frame: np.ndarray
     """(k,) float64 frame coordinates: 0 for the scene's first frame, n - 1 for its last."""
     pose: np.ndarray
-    """(k, 4, 4) float64 LiDAR to scene-local."""
+    """(k, 4, 4) float64, LiDAR to scene-local."""
     range_m: Tensor
-    """(k, h, w) float32; 0 where nothing returned."""
+    """(k, h, w) float32, metres; 0 = no return."""
     intensity: Tensor
     """(k, h, w) float32; 0 where nothing returned."""
     clouds: tuple[np.ndarray, ...]
-    """Scaled points (m, 3) float32 of each scan without ground: what the flow is compared on."""
+    """Points (m, 3) float32 of each scan in scaled units, without ground, for the flow loss."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class Images:
     frame: np.ndarray
     """(k,) float64 frame coordinates."""
     range_m: np.ndarray | None = None
-    """(k, h, w) float32 ray lengths to the frame's own returns, 0 = none; None where no loss asks."""
+    """(k, h, w) float32 ray lengths of the frame's own returns, metres, 0 = none; None if not needed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,32 +48,32 @@ class PaperFrames:
 
     bounds: Bounds
     count: int
-    """n: frames of the scene, held-out ones included; time runs from 0 to n - 1 in frame coordinates."""
+    """n: number of frames of the scene, held-out ones included; frame coordinates are 0 to n - 1."""
     panos: Panos | None
     cameras: tuple[Images, ...]
 
     def __post_init__(self) -> None:
-        """Refuse a scene without anything to learn from."""
+        """Check that there is something to learn from."""
         if not len(self.frames):
             raise DataError("expected at least one training scan or image, found none; look at `frames`")
 
     @property
     def frames(self) -> np.ndarray:
-        """Frame coordinates that have a scan or an image, ascending: one is drawn a step."""
+        """Frame coordinates with a scan or an image, ascending."""
         scans = np.zeros(0) if self.panos is None else self.panos.frame
         return np.unique(np.concatenate([scans, *(camera.frame for camera in self.cameras)]))
 
 
 class PaperTrainee(nn.Module):
-    """The field, and the error maps that decide where it is trained next."""
+    """The field, and the error maps that decide which rays are sampled."""
 
     field: SceneField
     pano_errors: ErrorMap | None
     image_errors: nn.ModuleDict
-    """By camera; empty where only the LiDAR is trained on."""
+    """By camera; empty if only the LiDAR is trained on."""
 
     def __init__(self, recipe: PaperRecipe, frames: PaperFrames, generator: torch.Generator) -> None:
-        """Draw the field's weights; the error maps know nothing yet."""
+        """Initialise the field's weights and empty error maps."""
         super().__init__()
         self.recipe = recipe
         self.field = SceneField(recipe, frames.count, generator)
@@ -87,11 +87,11 @@ class PaperTrainee(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the field lives."""
+        """The device that the field is on."""
         return next(self.field.parameters()).device
 
     def lidar_attributes(self, direction: Tensor, geometry: Tensor) -> Tensor:
-        """Intensity and hit probability (m, 2)."""
+        """Intensity and hit probability (m, 2) of samples with directions (m, 3) and geometry features."""
         return torch.stack(self.field.lidar(direction, geometry), dim=1)
 
 

@@ -1,4 +1,4 @@
-"""The LiDAR's part of a step: L_depth, L_intensity, L_raydrop and L_grad on the rays of one pano."""
+"""The LiDAR's part of a training step: L_depth, L_intensity, L_raydrop, L_grad on rays of one pano."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -21,15 +21,15 @@ from nvsf_core.sampling.pixels import SampledPixels, sample_lidar_pixels
 from nvsf_core.sensors.linear_pano import LinearPano
 
 SUMS = ("depth", "intensity", "raydrop", "gradient", "colour", "camera_depth", "line_of_sight")
-"""Terms that the paper adds up over rays."""
+"""Terms that are summed over rays, as in the paper."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Truth:
-    """What was recorded along r rays."""
+    """The recorded values of r rays."""
 
     range_m: Tensor
-    """(r,), 0 = no return."""
+    """(r,) metres, 0 = no return."""
     intensity: Tensor
     """(r,)."""
     mask_x: Tensor
@@ -50,16 +50,26 @@ def lidar_losses(
     epoch: int,
     generator: torch.Generator,
 ) -> Iterator[LossBreakdown]:
-    """The loss of the rays drawn from pano `row`, in parts for memory's sake; then its error map learns."""
+    """The losses of sampled rays of one pano, in parts to save memory; then the error map is updated.
+
+    Args:
+        trainee: Field and error maps.
+        frames: All training data.
+        panos: Of `frames`.
+        row: Number of the pano.
+        step: From 0; decides the width of the line-of-sight loss.
+        epoch: From 0; decides how rays are sampled.
+        generator: Samples rays and points on them.
+    """
     recipe, errors = trainee.recipe, trainee.pano_errors
     assert errors is not None  # a scene with panos has their map
-    drawn = sample_lidar_pixels(recipe.sampling, epoch, row, errors, generator)
-    rays, truth = _rays(recipe, frames, panos, row, drawn, trainee.device)
-    frame, patch = float(panos.frame[row]), drawn.patch or (1, 1)
+    pixels = sample_lidar_pixels(recipe.sampling, epoch, row, errors, generator)
+    rays, truth = _rays(recipe, frames, panos, row, pixels, trainee.device)
+    frame, patch = float(panos.frame[row]), pixels.patch or (1, 1)
     at_once = max(1, recipe.sampling.rays_at_once // (patch[0] * patch[1])) * patch[0] * patch[1]
     error: list[Tensor] = []
     for first in range(0, len(rays), at_once):
-        part, seen = rays.part(slice(first, first + at_once)), truth.part(slice(first, first + at_once))
+        part, true = rays.part(slice(first, first + at_once)), truth.part(slice(first, first + at_once))
         render = render_volume(
             lambda x01: trainee.field.density(x01, frame, "lidar"),
             trainee.lidar_attributes,
@@ -69,13 +79,13 @@ def lidar_losses(
             generator=generator,
             optical_factor=2.0 if recipe.slips.active_sensor else 1.0,
         )
-        terms = _terms(recipe, render, part, seen, frames.bounds.half_m, drawn.patch, step)
+        terms = _terms(recipe, render, part, true, frames.bounds.half_m, pixels.patch, step)
         if "chamfer" in terms:
             # A mean over the step's rays, of which this part is a share.
             terms["chamfer"] = terms["chamfer"] * (len(part) / len(rays))
         error.append(_ray_error(recipe, terms))
         yield total_loss(terms, asdict(recipe.losses), SUMS)
-    errors.update(row, drawn.rows, drawn.columns, torch.cat(error))
+    errors.update(row, pixels.rows, pixels.columns, torch.cat(error))
 
 
 def _rays(
@@ -83,19 +93,19 @@ def _rays(
     frames: PaperFrames,
     panos: Panos,
     row: int,
-    drawn: SampledPixels,
+    pixels: SampledPixels,
     device: torch.device,
 ) -> tuple[ScaledRays, _Truth]:
-    """Rays through the drawn cells of a pano and what they saw."""
+    """Rays through the sampled cells of a pano, and their recorded values."""
     height, width = panos.range_m.shape[1:]
-    direction = LinearPano(height=height, width=width).directions()[drawn.rows.numpy(), drawn.columns.numpy()]
+    cells = (pixels.rows, pixels.columns)
+    direction = LinearPano(height=height, width=width).directions()[tuple(one.numpy() for one in cells)]
     rotation, position = panos.pose[row][:3, :3], panos.pose[row][:3, 3]
     origin, spec = np.broadcast_to(position, direction.shape), recipe.sampling
     rays = lidar_rays(frames.bounds, origin, direction @ rotation.T, near_m=spec.near_m, far_m=spec.far_m)
     pano_m = panos.range_m[row]
-    # On the whole pano, or a patch's border would have no second difference.
+    # Of the whole pano: at a patch's border there is no second difference.
     masks = gradient_mask(pano_m, recipe.gradient.mask, recipe.gradient.threshold_m)
-    cells = (drawn.rows, drawn.columns)
     truth = (pano_m[cells], panos.intensity[row][cells], masks[0][cells], masks[1][cells])
     return rays.to(device), _Truth(*(value.to(device) for value in truth))
 
@@ -137,7 +147,7 @@ def _terms(
 
 
 def _ray_error(recipe: PaperRecipe, terms: dict[str, Tensor]) -> Tensor:
-    """What the error map is told of each ray: its weighted depth, intensity and ray-drop loss."""
+    """Weighted depth, intensity and ray-drop loss of each ray, for the error map."""
     weights = recipe.losses
     error = weights.depth * terms["depth"] + weights.intensity * terms["intensity"]
     return (error + weights.raydrop * terms["raydrop"]).detach().cpu()

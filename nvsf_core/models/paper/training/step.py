@@ -1,4 +1,4 @@
-"""One step of the paper's training."""
+"""One step of the paper's training: LiDAR, flow and camera losses of one frame."""
 
 from collections.abc import Iterator
 
@@ -19,8 +19,15 @@ def paper_step(
 ) -> Iterator[LossBreakdown]:
     """Eq. 10: l1 L_flow + l2 L_depth + l3 L_intensity + l4 L_raydrop + l5 L_grad + l6 L_rgb, of one frame.
 
-    In parts whose gradients add up: 2048 rays of 768 samples need not fit into memory together. Every epoch
-    shows each frame once, in an order of its own that seed and epoch decide.
+    In parts whose gradients are added, because 2048 rays of 768 samples may not fit into memory. An epoch
+    has each frame once, in an order that seed and epoch decide.
+
+    Args:
+        trainee: Field and error maps.
+        frames: All training data.
+        seed: Of the training.
+        step: From 0.
+        generator: Samples rays, pixels, points and the camera.
     """
     frame, epoch = frame_of_step(frames, seed, step)
     panos = frames.panos
@@ -33,14 +40,14 @@ def paper_step(
     shown = [camera for camera in frames.cameras if camera.name in trainee.image_errors]
     shown = [camera for camera in shown if frame in camera.frame]
     if shown:
-        # With several cameras each step looks through one of them, so that a step costs the same.
+        # Of several cameras each step uses one, so that a step costs the same.
         camera = shown[int(torch.randint(len(shown), (1,), generator=generator))]
         row = int(np.flatnonzero(camera.frame == frame)[0])
         yield from camera_losses(trainee, frames, camera, row, epoch, generator)
 
 
 def frame_of_step(frames: PaperFrames, seed: int, step: int) -> tuple[float, int]:
-    """Which frame a step learns from, and its epoch, counted from 0."""
+    """Frame coordinate of a step, and its epoch, counted from 0."""
     known = frames.frames
     epoch, place = divmod(step, len(known))
     order = torch.Generator().manual_seed(seed * _EPOCH_SEED + epoch)

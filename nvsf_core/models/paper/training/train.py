@@ -1,4 +1,4 @@
-"""Training the paper's system: the field on rays of one frame a step, then the U-Net on whole panos."""
+"""Trains the paper's system: the field on rays of one frame a step, then the U-Net on whole panos."""
 
 import time
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from nvsf_core.models.family import Trained
 from nvsf_core.models.paper.refine import refine, refinement_state
 from nvsf_core.models.paper.render import PaperModel
 from nvsf_core.models.paper.scene import device, frame_at, needed, training_frames
-from nvsf_core.models.paper.training.frames import Panos, PaperFrames, PaperTrainee
+from nvsf_core.models.paper.training.frames import PaperFrames, PaperTrainee
 from nvsf_core.models.paper.training.step import paper_step
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
@@ -37,7 +37,7 @@ def train(recipe: PaperRecipe, recording: Recording, session: TrainingSession) -
 def train_on_frames(
     recipe: PaperRecipe, recording: Recording, frames: PaperFrames, session: TrainingSession
 ) -> Trained:
-    """Train on frames that are in memory; many runs may share them."""
+    """Train on prepared frames, which several runs may share."""
     torch.set_num_threads(recipe.optimiser.threads)
     seed = session.seed
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(device())
@@ -45,7 +45,7 @@ def train_on_frames(
     state = fit(session, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
     assert state.average is not None
     if state.step % len(frames.frames) == 0:
-        # The last epoch has no next step that would take its average.
+        # The average is else updated at the first step of the next epoch.
         state.average.update()
     curves, seconds = {"field": state.curve}, state.seconds
     tensors: dict[str, Tensor] = {}
@@ -69,7 +69,7 @@ def train_on_frames(
 
 
 def _state(trainee: PaperTrainee, recipe: PaperRecipe, seed: int) -> TrainingState:
-    """Adam with the paper's groups, and the average that is rendered with."""
+    """The state before the first step: Adam with the paper's groups, and the weight average."""
     groups = trainee.field.parameter_groups(recipe.optimiser)
     for group in groups:
         group["initial_lr"] = group["lr"]
@@ -91,7 +91,7 @@ def _loop_spec(recipe: PaperRecipe) -> TrainingSpec:
 
 def _step(state: TrainingState, trainee: PaperTrainee, frames: PaperFrames, seed: int) -> Step:
     def step(number: int, generator: torch.Generator) -> Iterable[LossBreakdown]:
-        # Before the first step of an epoch, so that a run resumed there takes the average once.
+        # Before the first step of an epoch, so that a run resumed there updates the average once.
         if number and number % len(frames.frames) == 0 and state.average is not None:
             state.average.update()
         return paper_step(trainee, frames, seed, number, generator)
@@ -132,16 +132,15 @@ def _refine(
 
 
 def _evenly(count: int, wanted: int) -> np.ndarray:
-    """`wanted` of `count` numbers, evenly spread; 0 = all."""
+    """`wanted` of the numbers below `count`, evenly spread; 0 = all."""
     if wanted == 0 or wanted >= count:
         return np.arange(count)
     return np.round(np.linspace(0, count - 1, wanted)).astype(np.int64)
 
 
 def _metadata(frames: PaperFrames, state: TrainingState) -> dict[str, Scalar]:
-    panos: Panos | None = frames.panos
     found: dict[str, Scalar] = {
-        "training_panos": 0 if panos is None else len(panos.frame),
+        "training_panos": 0 if frames.panos is None else len(frames.panos.frame),
         "training_images": sum(len(camera.frame) for camera in frames.cameras),
         "scene_half_edge_m": frames.bounds.half_m,
         "seconds_a_step": state.seconds / max(1, state.step),
