@@ -34,7 +34,7 @@ from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.family import Trained
 from nvsf_core.models.paper.render import PaperModel
-from nvsf_core.models.paper.scene import device, frame_at, frame_count, training_frames
+from nvsf_core.models.paper.scene import frame_at, frame_count, training_frames
 from nvsf_core.models.paper.training.train import train_on_frames
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
 from nvsf_core.recording.drive import Recording
@@ -52,6 +52,7 @@ from nvsf_core.stages.runner.run import (
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.moving_boxes import read_moving_boxes
 from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.training.device import training_device
 
 PLAN: tuple[tuple[str, tuple[PaperRecipe, ...]], ...] = (
     ("demo", ABLATION),
@@ -136,8 +137,8 @@ def _model(recipe: PaperRecipe, scene: Scene, trained: Trained) -> PaperModel:
     unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
     unet.load_state_dict(_named(trained, "unet."))
     return PaperModel(
-        recipe=recipe, field=field.to(device()), bounds=scene.frames.bounds,
-        frame_at=frame_at(scene.recording), unet=unet.to(device()),
+        recipe=recipe, field=field.to(training_device()), bounds=scene.frames.bounds,
+        frame_at=frame_at(scene.recording), unet=unet.to(training_device()),
     )  # fmt: skip
 
 

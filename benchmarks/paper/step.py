@@ -15,10 +15,12 @@ from benchmarks.common import places
 from benchmarks.common.commit import commit
 from benchmarks.common.markers import write_between
 from benchmarks.paper.ablation import prepared_recording
-from nvsf_core.models.paper.scene import device, training_frames
-from nvsf_core.models.paper.training.frames import PaperTrainee, paper_step
+from nvsf_core.models.paper.scene import training_frames
+from nvsf_core.models.paper.training.frames import PaperTrainee
+from nvsf_core.models.paper.training.step import paper_step
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
+from nvsf_core.training.device import training_device
 
 RESULTS = places.RESULTS / "paper_step.json"
 DOCUMENT = places.DOCS / "paper_fidelity.md"
@@ -29,7 +31,7 @@ def measure(scene: str, steps: int) -> dict[str, object]:
     recipe = PaperRecipe(name="paper")
     _, recording = prepared_recording(scene, recipe)
     frames = training_frames(recipe, recording)
-    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).to(device())
+    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).to(training_device())
     groups = trainee.field.parameter_groups(recipe.optimiser)
     optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
     generator = torch.Generator().manual_seed(0)

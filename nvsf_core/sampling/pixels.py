@@ -13,7 +13,7 @@ from nvsf_core.sampling.patches import patch_pixels, uniform_corners
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledPixels:
-    """The pixels of one step."""
+    """The pixels of one step, on the CPU, where recordings lie, wherever the error map learns."""
 
     rows: Tensor
     """(r,) int64 pixel rows."""
@@ -90,7 +90,7 @@ def sample_lidar_pixels(
     else:
         corners = uniform_corners((height, width), within, count, generator)
     rows, columns = patch_pixels(*corners, patch, (height, width), wrap=wrap)
-    return SampledPixels(rows.flatten(), columns.flatten(), patch)
+    return SampledPixels(rows.flatten().cpu(), columns.flatten().cpu(), patch)
 
 
 def sample_camera_pixels(
@@ -117,4 +117,4 @@ def _single_pixels(
     else:
         height, width = error_map.drawable.shape
         rows, columns = uniform_pixels((height, width), count, generator, error_map.drawable)
-    return SampledPixels(rows, columns, None)
+    return SampledPixels(rows.cpu(), columns.cpu(), None)

@@ -16,7 +16,7 @@ from nvsf_core.rendering.scaled_rays import ScaledRays, camera_rays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
 from nvsf_core.sensors.linear_pano import LinearPano
 
-_SAMPLES_AT_ONCE = {"cpu": 1 << 16, "cuda": 1 << 20}
+_SAMPLES_AT_ONCE, _SAMPLES_AT_ONCE_ON_CPU = 1 << 20, 1 << 16
 """Samples in memory at once, about a kilobyte each; more would not fit the processor's caches."""
 
 
@@ -104,7 +104,8 @@ class PaperModel:
         """Volume-render rays in parts of bounded memory; returns `result` of all rays (r, c) on the CPU."""
         device = next(self.field.parameters()).device
         samples = self.recipe.sampling.samples
-        at_once = max(1, _SAMPLES_AT_ONCE[device.type] // samples)
+        most = _SAMPLES_AT_ONCE_ON_CPU if device.type == "cpu" else _SAMPLES_AT_ONCE
+        at_once = max(1, most // samples)
         parts = []
         for first in range(0, max(1, len(rays)), at_once):
             render = render_volume(

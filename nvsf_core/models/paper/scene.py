@@ -21,16 +21,12 @@ from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.training.device import training_device
 
 CAMERA_REACH_M = 60.0
 """Half an edge of the cube around the cameras' path, for drives without LiDAR."""
 _BOX_POINTS_STEP = 7
 """Every seventh return is enough for the quantiles that decide the box."""
-
-
-def device() -> torch.device:
-    """CUDA if there is any, else the CPU."""
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def needed(recipe: PaperRecipe, recording: Recording) -> PaperRecipe:
@@ -158,7 +154,11 @@ def load(
     weights.load_into(field, "field.")
     unet = _load_unet(recipe, weights)
     model = PaperModel(
-        recipe=recipe, field=field.to(device()), bounds=bounds, frame_at=frame_at(recording), unet=unet
+        recipe=recipe,
+        field=field.to(training_device()),
+        bounds=bounds,
+        frame_at=frame_at(recording),
+        unet=unet,
     )
     has_lidar, has_camera = recording.lidar is not None, recipe.sampling.camera and bool(recording.cameras)
     return SceneModel(
@@ -174,4 +174,4 @@ def _load_unet(recipe: PaperRecipe, weights: Weights) -> nn.Module | None:
         return None
     unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
     weights.load_into(unet, "unet.")
-    return unet.to(device()).eval()
+    return unet.to(training_device()).eval()

@@ -14,11 +14,12 @@ from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.models.family import Trained
 from nvsf_core.models.paper.refine import refine, refinement_state
 from nvsf_core.models.paper.render import PaperModel
-from nvsf_core.models.paper.scene import device, frame_at, needed, training_frames
+from nvsf_core.models.paper.scene import frame_at, needed, training_frames
 from nvsf_core.models.paper.training.frames import PaperFrames, PaperTrainee
 from nvsf_core.models.paper.training.step import paper_step
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
+from nvsf_core.training.device import training_device
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Step, TrainingState
 from nvsf_core.training.session import TrainingSession, fit
@@ -40,7 +41,7 @@ def train_on_frames(
     """Train on prepared frames, which several runs may share."""
     torch.set_num_threads(recipe.optimiser.threads)
     seed = session.seed
-    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(device())
+    trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(training_device())
     state = _state(trainee, recipe, seed)
     state = fit(session, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
     assert state.average is not None
@@ -119,7 +120,7 @@ def _refine(
         session.say("refinement", f"pano {len(renders)} of {len(chosen)} rendered for the U-Net")
     generator = torch.Generator().manual_seed(session.seed)
     is_return = panos.range_m[chosen][:, :, :: spec.column_step] > 0
-    unet = RaydropUnet(spec.channels, generator).to(device())
+    unet = RaydropUnet(spec.channels, generator).to(training_device())
     unet.expect(float(is_return.float().mean()))
     state = refinement_state(unet, spec, generator)
     with session.resumed("refinement", state) as part:
