@@ -17,7 +17,7 @@ PIP   := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version
 TRAIN := $(BIN)/dagster job execute -j train_all_scenes
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo train test test-fast check docs bench ablation stability contract ui clean
+.PHONY: help install demo train test test-fast check docs bench ablation stability gpu contract ui clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  \1\t/' | expand -t 14
@@ -73,6 +73,9 @@ ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md
 
 stability: $(DEV) ## hard numerical cases, measured; docs/numerical_stability.md
 	$(BIN)/python -m benchmarks.numerics.stability
+
+gpu: install ## on a machine with a GPU: its tests, kernels and `paper`, measured; docs/gpu.md
+	$(BIN)/python -m benchmarks.gpu
 
 contract: install ## write docs/data_contract.md from nvsf_core/stores/schemas.py
 	$(BIN)/python -m nvsf_core.stores.schemas > docs/data_contract.md

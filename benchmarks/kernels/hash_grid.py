@@ -39,7 +39,7 @@ def _machine() -> str:
     )
 
 
-def _samples_on_rays(points: int, generator: torch.Generator) -> Tensor:
+def samples_on_rays(points: int, generator: torch.Generator) -> Tensor:
     """Positions in runs of near neighbours, as rays make them."""
     rays = points // SAMPLES_PER_RAY
     origins = torch.rand(rays, 1, 3, generator=generator)
@@ -61,7 +61,7 @@ def _seconds(
 
 def _compare(name: str, layout: GridLayout, points: int, repeats: int) -> None:
     generator = torch.Generator().manual_seed(0)
-    positions = _samples_on_rays(points, generator)
+    positions = samples_on_rays(points, generator)
     table = HashGrid(layout, generator).table
     with torch.no_grad():
         table.mul_(1e4)

@@ -27,7 +27,7 @@ from benchmarks.paper.ablation_scoring import (
     score_pano,
 )
 from benchmarks.paper.ablation_table import RESULTS, Row, read_rows, write_rows, write_table
-from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.metrics.protocols import PanoImage
@@ -94,17 +94,16 @@ def _run_scene(name: str, recipes: tuple[PaperRecipe, ...], seeds: int) -> None:
 
 def _prepare(name: str, recipe: PaperRecipe) -> Scene:
     """What every run of the scene needs."""
-    run, recording = prepared_recording(name, recipe)
+    run, recording = prepared_recording(find_scene(name), recipe, home_from_environment(os.environ))
     # Every variant reads the cameras' images; those without camera rays leave them alone.
     frames = training_frames(ENCODINGS[0], recording)
     return Scene(run=run, recording=recording, frames=frames, boxes=read_moving_boxes(run.store))
 
 
-def prepared_recording(name: str, recipe: PaperRecipe) -> tuple[SceneRun, Recording]:
+def prepared_recording(entry: SceneEntry, recipe: PaperRecipe, home: Path) -> tuple[SceneRun, Recording]:
     """Run the stages before `field` where they are not up to date, and read what they recorded."""
-    entry = find_scene(name)
     write_demo_where_absent(entry, say_on_stderr)
-    run = plan_run(entry, home_from_environment(os.environ), recipe=recipe)
+    run = plan_run(entry, home, recipe=recipe)
     for stage in STAGES:
         if stage.name == "field":
             break

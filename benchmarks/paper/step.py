@@ -6,6 +6,7 @@ machine with a GPU it runs there. It needs NVSF_SCENES and NVSF_HOME as a traini
 
 import argparse
 import json
+import os
 import resource
 import time
 
@@ -15,11 +16,13 @@ from benchmarks.common import places
 from benchmarks.common.commit import commit
 from benchmarks.common.markers import write_between
 from benchmarks.paper.ablation import prepared_recording
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.models.paper.scene import training_frames
-from nvsf_core.models.paper.training.frames import PaperTrainee
+from nvsf_core.models.paper.training.frames import PaperFrames, PaperTrainee
 from nvsf_core.models.paper.training.step import paper_step
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.training.device import training_device
 
 RESULTS = places.RESULTS / "paper_step.json"
@@ -29,8 +32,18 @@ DOCUMENT = places.DOCS / "paper_fidelity.md"
 def measure(scene: str, steps: int) -> dict[str, object]:
     """Train `steps` iterations after one that is not timed; nothing of it is kept."""
     recipe = PaperRecipe(name="paper")
-    _, recording = prepared_recording(scene, recipe)
-    frames = training_frames(recipe, recording)
+    _, recording = prepared_recording(find_scene(scene), recipe, home_from_environment(os.environ))
+    found = iterations(recipe, training_frames(recipe, recording), steps)
+    return {"scene": scene, "iterations": steps, **found, "machine": machine(), "commit": commit()}
+
+
+def iterations(recipe: PaperRecipe, frames: PaperFrames, steps: int) -> dict[str, object]:
+    """The same of any recipe and drive: mean seconds of an iteration, memory, and the last one's loss.
+
+    `peak_gpu_mb` is None without a GPU.
+    """
+    if torch.cuda.is_available():
+        torch.cuda.reset_peak_memory_stats()
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).to(training_device())
     groups = trainee.field.parameter_groups(recipe.optimiser)
     optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
@@ -40,22 +53,23 @@ def measure(scene: str, steps: int) -> dict[str, object]:
     for step in range(steps + 1):
         started = time.perf_counter()
         optimiser.zero_grad(set_to_none=True)
+        loss = 0.0
         for part in paper_step(trainee, frames, 0, step, generator):
             part.total.backward()
             terms |= set(part.terms)
+            loss += float(part.total.detach())
         optimiser.step()
         if torch.cuda.is_available():
             torch.cuda.synchronize()
         seconds.append(time.perf_counter() - started)
-        print(f"iteration {step}: {seconds[-1]:.1f} s", flush=True)
-    rays = recipe.sampling.rays * 2
+        print(f"iteration {step}: {seconds[-1]:.3f} s", flush=True)
+    rays = recipe.sampling.rays * (2 if frames.cameras else 1)
     mean_s = sum(seconds[1:]) / steps
     gpu_mb = torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else None
     return {
-        "scene": scene, "iterations": steps, "seconds": mean_s, "rays_per_s": rays / mean_s,
+        "seconds": mean_s, "loss": loss, "rays_per_s": rays / mean_s,
         "rays": rays, "samples": recipe.sampling.samples, "terms": sorted(terms),
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "peak_gpu_mb": gpu_mb,
-        "machine": machine(), "commit": commit(),
     }  # fmt: skip
 
 

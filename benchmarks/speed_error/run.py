@@ -115,15 +115,15 @@ def asked_recipe(setting: Setting, name: str, seed: int) -> Recipe:
     return SIZES[name] if name in SIZES else preset(name)
 
 
-def run(setting: Setting, name: str, seed: int) -> Path:
-    """Train a recipe, or prepare a baseline, score it, and write the JSON."""
+def run(setting: Setting, name: str, seed: int, asked: Recipe | None = None) -> Path:
+    """Train a recipe (`asked`, or the name's), or prepare a baseline, score it, and write the JSON."""
     recording = shrunk_images(read_recording(setting.store), setting.split.image_divisor)
     judge = judge_of(recording, setting.store, setting.split.scored)
     started, load = time.perf_counter(), os.getloadavg()[0]
     if name in BASELINES:
         facts, points = _run_baseline(setting, judge, name)
     else:
-        recipe = asked_recipe(setting, name, seed)
+        recipe = asked or asked_recipe(setting, name, seed)
         facts, points = _run_recipe(setting, recording, judge, recipe, seed)
     split, scene = setting.split, setting.split.entry.name
     about = {
