@@ -1,7 +1,8 @@
 """Whether anything moves that no rigid motion explains: returns of moving things against what stands.
 
 Run ``python -m benchmarks.lean.rigidity [--scene kitti0005_van_cyclist]`` after the scene's stage
-`evidence`; it prints a table and writes benchmarks/results/rigidity.json. Training scans only.
+`evidence`; it prints a table and writes it into docs/lean_ablation.md and benchmarks/results/rigidity.json.
+Training scans only.
 
 Each scan's returns of a moving object are laid, by its rigid path, over those of the 4 scans nearest in time
 (as many as the renderer uses) and compared with the plane through the 8 nearest of them. The same is done
@@ -15,6 +16,7 @@ import argparse
 import itertools
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -22,7 +24,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.markers import write_between
+from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M
 from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
@@ -32,10 +36,10 @@ from nvsf_core.evidence.static.voxels import PLANE_POINTS
 from nvsf_core.recording.sweeps import training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps
-from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 RESULTS = places.RESULTS / "rigidity.json"
+DOCUMENT = places.DOCS / "lean_ablation.md"
 FAR_OFF_M = 0.1
 """A return farther off its surface than this would be seen to be wrong."""
 _UNSEEN_M = 0.5
@@ -67,42 +71,47 @@ def surface_distance_m(point_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
     return np.where(near_m[:, 0] <= _UNSEEN_M, distance, np.nan)
 
 
-def object_distances_m(one: ObjectEvidence, *, is_moved: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Of an object's returns: distance to its surface as its nearest other scans show it, and range.
+class Moved(NamedTuple):
+    """Of one moving object, or of all of a kind; distances and ranges (n,), range errors (m,), all metres."""
 
-    `is_moved`: by its rigid path; else as if it had stood still.
-    """
-    rays = one.rays
-    point_o = rays.origin_m + rays.direction * rays.range_m[:, None]
-    if not is_moved:
-        scan_pose = one.path.matrix_at(one.path.time_s)
-        pose = scan_pose[np.searchsorted(one.path.scan, rays.scan)]
-        point_o = np.einsum("nij,nj->ni", pose[:, :3, :3], point_o) + pose[:, :3, 3]
-    distances, ranges = [], []
-    for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
-        mine = rays.is_hit & (rays.scan == scan)
-        others = rays.is_hit & np.isin(rays.scan, one.scans_near(float(time_s), leave_out=int(scan)))
+    distance_m: np.ndarray
+    """To its surface as its nearest other scans show it, by its rigid path."""
+    static_m: np.ndarray
+    """The same as if it had stood still."""
+    range_m: np.ndarray
+    error_m: np.ndarray
+    """Of the range that these scans' surfels answer."""
+    error_range_m: np.ndarray
+    flowing_m: np.ndarray
+    """Range errors with a flow, where the object has one."""
+
+
+def moved_object(one: ObjectEvidence) -> Moved:
+    """What is off at each return of an object, against its 4 nearest other scans."""
+    rays, rigid = one.rays, replace(one, flow_m=None)
+    moved_m = rays.origin_m + rays.direction * rays.range_m[:, None]
+    pose = one.path.matrix_at(one.path.time_s)[np.searchsorted(one.path.scan, rays.scan)]
+    static_m = np.einsum("nij,nj->ni", pose[:, :3, :3], moved_m) + pose[:, :3, 3]
+    parts = [Moved(*[np.zeros(0)] * 6)]
+    for scan, time_s in zip(one.path.scan, one.path.time_s.tolist(), strict=True):
+        mine, near = rays.is_hit & (rays.scan == scan), one.scans_near(time_s, leave_out=int(scan))
+        others = rays.is_hit & np.isin(rays.scan, near)
+        surfels = rigid.surfels_from(near, time_s)
+        flowing = surfels if one.flow_m is None else one.surfels_from(near, time_s)
+        own = (rays.origin_m[mine], rays.direction[mine], rays.range_m[mine])
+        distances = errors = (np.zeros(0),) * 3
         if mine.any() and others.sum() >= PLANE_POINTS:
-            distances.append(surface_distance_m(point_o[mine], point_o[others]))
-            ranges.append(rays.range_m[mine])
-    return np.concatenate([[], *distances]), np.concatenate([[], *ranges])
+            laid = (surface_distance_m(at_m[mine], at_m[others]) for at_m in (moved_m, static_m))
+            distances = (*laid, own[2])
+        if mine.any() and surfels is not None and flowing is not None:
+            errors = (_range_error_m(surfels, *own), own[2], _range_error_m(flowing, *own))
+        parts.append(Moved(*distances, *errors))
+    return joined(parts)
 
 
-def object_range_errors_m(one: ObjectEvidence) -> tuple[np.ndarray, np.ndarray]:
-    """Of an object's returns: range error of what its nearest other scans' surfels answer, and range.
-
-    With its flow, if it has one.
-    """
-    rays, errors, ranges = one.rays, [], []
-    for scan, time_s in zip(one.path.scan, one.path.time_s, strict=True):
-        mine = rays.is_hit & (rays.scan == scan)
-        surfels = one.surfels_from(one.scans_near(float(time_s), leave_out=int(scan)), float(time_s))
-        if mine.any() and surfels is not None:
-            errors.append(
-                _range_error_m(surfels, rays.origin_m[mine], rays.direction[mine], rays.range_m[mine])
-            )
-            ranges.append(rays.range_m[mine])
-    return np.concatenate([[], *errors]), np.concatenate([[], *ranges])
+def joined(parts: Sequence[Moved]) -> Moved:
+    """Of several scans or objects."""
+    return Moved(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _range_error_m(
@@ -178,23 +187,6 @@ def like(static: np.ndarray, range_m: np.ndarray) -> np.ndarray:
     return np.concatenate([random.choice(part, count, replace=False) for part in parts if len(part)])
 
 
-class Moved(NamedTuple):
-    """Of one moving object, or of all of a kind."""
-
-    distance_m: np.ndarray
-    """(n,) to its surface, by its rigid path."""
-    static_m: np.ndarray
-    """(n,) to its surface as if it had stood still."""
-    range_m: np.ndarray
-    """(n,)."""
-    error_m: np.ndarray
-    """(m,) range errors."""
-    error_range_m: np.ndarray
-    """(m,)."""
-    flowing_m: np.ndarray
-    """(m,) range errors with a flow, where the object has one."""
-
-
 def measure(store: SceneStore) -> dict[str, Any]:
     """All figures of a scene whose evidence lies published."""
     evidence = read_evidence(store)
@@ -205,25 +197,19 @@ def measure(store: SceneStore) -> dict[str, Any]:
     total = int(evidence.prior.is_hit.sum())
     rows, kinds = [], dict[str, list[Moved]]()
     for number, one in enumerate(objects):
-        moved, range_m = object_distances_m(one, is_moved=True)
-        if len(moved) == 0:
+        found, size_m = moved_object(one), one.path.high_m - one.path.low_m
+        if len(found.range_m) == 0:
             continue
-        static_m = object_distances_m(one, is_moved=False)[0]
-        error_m, error_range_m = object_range_errors_m(replace(one, flow_m=None))
-        flowing_m = error_m if one.flow_m is None else object_range_errors_m(one)[0]
-        found = Moved(moved, static_m, range_m, error_m, error_range_m, flowing_m)
-        size_m = one.path.high_m - one.path.low_m
         kind = "vehicle" if size_m[:2].max() >= VEHICLE_M else "person"
         kinds.setdefault(kind, []).append(found)
-        if len(moved) >= FEWEST_RETURNS:
+        if len(found.range_m) >= FEWEST_RETURNS:
             rows.append(_row(f"object {number}, {kind}", found, static, total) | {
                 "size_m": [round(float(side), 2) for side in size_m], "scans": len(one.path.scan),
                 "has_flow": one.flow_m is not None,
             })  # fmt: skip
     for kind, parts in kinds.items():
-        joined = Moved(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        of_kind = {"objects": len(parts), "has_flow": False}
-        rows.append(_row(f"all of kind {kind}", joined, static, total) | of_kind)
+        row = _row(f"all of kind {kind}", joined(parts), static, total)
+        rows.append(row | {"objects": len(parts), "has_flow": False})
     return {"scene": store.scene, "returns": total, "rows": rows}
 
 
@@ -242,39 +228,26 @@ def _row(name: str, moved: Moved, static: AboveGround, total: int) -> dict[str, 
 
 def table(found: dict[str, Any]) -> str:
     """Markdown of what `measure` gave."""
-    lines = [
-        "| what | returns | range m | to its surface: rigid | standing | as if it stood | range: rigid "
-        "| as shown | standing | > 10 cm, rigid | as shown | standing | excess, of all returns |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]
-    for row in found["rows"]:
-        distances = " | ".join(_both(row[name]) for name in ("rigid", "standing", "if_it_stood"))
-        errors = " | ".join(_both(row[name]) for name in _SHOWN)
-        shares = " | ".join(f"{row[name]['far_off_share']:.1%}" for name in _SHOWN)
-        flow = ", with a flow" if row["has_flow"] else ""
-        lines.append(
-            f"| {row['name']}{flow} | {row['rigid']['returns']} | {row['range_m']:.1f} | {distances} "
-            f"| {errors} | {shares} | {row['excess_share_of_all_returns']:.3%} |"
-        )
-    return "\n".join(lines)
+    head = [
+        "what", "returns", "range m", "to its surface: rigid", "standing", "as if it stood", "range: rigid",
+        "as shown", "standing", "> 10 cm, rigid", "as shown", "standing", "excess, of all returns",
+    ]  # fmt: skip
+    rows = [
+        [
+            row["name"] + (", with a flow" if row["has_flow"] else ""), row["rigid"]["returns"],
+            f"{row['range_m']:.1f}", *(_both(row[name]) for name in ("rigid", "standing", "if_it_stood")),
+            *(_both(row[name]) for name in _SHOWN), *(f"{row[name]['far_off_share']:.1%}" for name in _SHOWN),
+            f"{row['excess_share_of_all_returns']:.3%}",
+        ]
+        for row in found["rows"]
+    ]  # fmt: skip
+    return markdown_table(head, rows, "|---|" + "---:|" * (len(head) - 1))
 
 
-def section(found: dict[str, Any]) -> list[str]:
-    """Lines of docs/lean_ablation.md."""
-    return [
-        f"## What no rigid motion explains: {found['scene']}",
-        "",
-        "From `benchmarks/results/rigidity.json` (`python -m benchmarks.lean.rigidity`). Moving things'",
-        "returns in training scans against what the 4 scans nearest in time show of the same thing, laid",
-        "over each other by its rigid path: median / 90th percentile, in mm, of the distance to its",
-        "surface, and of the error of the range that those scans' surfels answer. `standing`: the same of",
-        "what stands, at the same distances. `as shown`: with a flow, where left-out scans chose one.",
-        "`excess`: returns whose range is off by more than 10 cm, beyond the share of what stands.",
-        f"{found['machine']}; commit {found['commit']}.",
-        "",
-        table(found),
-        "",
-    ]
+def write_section(found: dict[str, Any]) -> None:
+    """The figures in docs/lean_ablation.md."""
+    about = f"{found['machine']}; commit {found['commit']}.\n\n"
+    write_between(DOCUMENT, "rigidity", about + table(found))
 
 
 def _both(one: dict[str, float]) -> str:
@@ -284,14 +257,12 @@ def _both(one: dict[str, float]) -> str:
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", default="kitti0005_van_cyclist")
     arguments = parser.parse_args()
     found = measure(SceneStore(home=home_from_environment(os.environ), scene=arguments.scene))
-    facts = {"machine": machine(), "commit": commit()} | found
-    RESULTS.write_text(json.dumps(facts, indent=1) + "\n")
+    write_measured(RESULTS, found)
+    write_section(json.loads(RESULTS.read_text()))
     print(table(found))
 
 
