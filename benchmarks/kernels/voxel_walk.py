@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.commit import commit
 from benchmarks.common.places import ROOT
+from benchmarks.common.stored import write_measured
 from benchmarks.kernels.voxel_walk_table import WALK_RESULTS
 from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment
@@ -24,7 +24,6 @@ from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps
-from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 
 _REPEATS = 5
@@ -38,8 +37,7 @@ def main() -> int:
     rows = []
     for scene in os.environ.get("SCENES", "").split() or stored:
         rows += measure(SceneStore(home, scene))
-    facts = {"machine": machine(), "commit": commit(), "rows": rows}
-    (ROOT / WALK_RESULTS).write_text(json.dumps(facts, indent=1) + "\n")
+    write_measured(ROOT / WALK_RESULTS, {"rows": rows})
     write(home, ROOT)
     print(json.dumps(rows, indent=1))
     return 0

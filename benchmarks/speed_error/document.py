@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.common.markdown import markdown_table
 from benchmarks.common.places import DOCS
 from benchmarks.speed_error.plan import FULL, MARKS_S, VAL
 from benchmarks.speed_error.sizes import SIZE_SECONDS, sizes_rows
@@ -93,13 +94,13 @@ def _error_table(runs: Sequence[Run]) -> str:
         marks, rows = labelled(runs, metric)
         if rows:
             head = [metric.title, *(f"{mark:g} s" for mark in marks), "end"]
-            tables.append(_markdown(head, [[f"`{name}`", *cells] for name, cells in rows]))
+            tables.append(markdown_table(head, [[f"`{name}`", *cells] for name, cells in rows]))
     return "\n".join(tables)
 
 
 def _cost_table(runs: Sequence[Run]) -> str:
     head = ["cost", "seeds", *(title for _, title, _ in COSTS)]
-    return _markdown(head, [[f"`{row[0]}`", *row[1:]] for row in cost_rows(runs)])
+    return markdown_table(head, [[f"`{row[0]}`", *row[1:]] for row in cost_rows(runs)])
 
 
 def _growth(found: dict[tuple[str, str], list[Run]]) -> str:
@@ -109,24 +110,18 @@ def _growth(found: dict[tuple[str, str], list[Run]]) -> str:
         names = [split for name, split in found if name == scene and split.startswith(_GROWTH)]
         if not names:
             continue
-        grown = {run["run"]["recipe"] for split in names for run in found[scene, split]}
+        grown = {run["run"]["recipe"] for split in names for run in found[scene, split]} - {"copy_nearest"}
         measured = [
-            [run for run in found[scene, split] if run["run"]["recipe"] == recipe]
-            for split in (*names, *((FULL,) if (scene, FULL) in found else ()))
-            for recipe in sorted(grown - {"copy_nearest"})
+            [run for run in found.get((scene, split), []) if run["run"]["recipe"] == recipe]
+            for split in (*names, FULL)
+            for recipe in sorted(grown)
         ]
-        runs_by_size = sorted((runs for runs in measured if runs), key=_size_of)
-        parts += [f"## {scene}: how the cost grows\n"]
-        parts.append(f"{provenance([run for runs in runs_by_size for run in runs])}\n")
-        head = [
-            "recipe",
-            "split",
-            "frames trained",
-            "image px",
-            *(title for _, title, _ in COSTS),
-            "evidence s",
-        ]
-        parts.append(_markdown(head, [_growth_row(runs) for runs in runs_by_size]))
+        by_size = sorted((runs for runs in measured if runs), key=_size_of)
+        about = provenance([run for runs in by_size for run in runs])
+        titles = [title for _, title, _ in COSTS]
+        head = ["recipe", "split", "frames trained", "image px", *titles, "evidence s"]
+        table = markdown_table(head, map(_growth_row, by_size))
+        parts += [f"## {scene}: how the cost grows\n", f"{about}\n", table]
     return "\n".join(parts)
 
 
@@ -159,15 +154,13 @@ def _sizes(found: dict[tuple[str, str], list[Run]]) -> str:
         metrics = [metric for metric in METRICS if any(metric.key in errors for _, errors, _ in ranked)]
         rows = [
             [
-                f"`{name}`",
-                f"{_trained_s(named[name]):.0f}",
-                *(f"{errors[m.key]:.{m.digits}f}" if m.key in errors else "—" for m in metrics),
-                rank,
+                f"`{name}`", f"{_trained_s(named[name]):.0f}",
+                *(f"{errors[m.key]:.{m.digits}f}" if m.key in errors else "—" for m in metrics), rank,
             ]
             for name, errors, rank in ranked
-        ]
+        ]  # fmt: skip
         head = ["size", "seconds", *(metric.title for metric in metrics), "mean rank"]
-        parts += [f"## {scene}: the size of paper_cpu\n", f"{provenance(runs)}\n", _markdown(head, rows)]
+        parts += [f"## {scene}: the size of paper_cpu\n", f"{provenance(runs)}\n", markdown_table(head, rows)]
     return "\n".join(parts)
 
 
@@ -175,8 +168,3 @@ def _trained_s(run: Run) -> float:
     """By the run's own clock; of what learns nothing, what it took to prepare."""
     clocks = run["run"].get("clock_seconds")
     return float(max(clocks.values()) if clocks else run["run"]["train_seconds"])
-
-
-def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
-    return "\n".join(lines) + "\n"

@@ -4,12 +4,13 @@ import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.stored import Row
 from benchmarks.tables.targets import BETTER_THAN, COSTS, NEVER_WORSE, OTHER, SHIFTS, TARGETS
 from nvsf_core.metrics.table import BASELINES, HELD_OUT
 
-Row = dict[str, Any]
 _INTERPOLATION = "between"
 _MODEL = "lean"
 """Whose targets they are."""
@@ -27,40 +28,55 @@ Hits are compared in all cells that either side's returns in the boxes fill. A m
 a wall where the object is fills more cells, most of which return anyway: read its accuracy beside its CD.
 Range RMSE is of the model's own range image, where it has one, all else of the simulated scan.
 """
-_COLUMNS: dict[str, tuple[tuple[str, str, int, str], ...]] = {
-    "lidar4d": (
-        ("chamfer_m2", "CD m²", 4, _LOWER), ("f_score", "F", 4, _HIGHER),
-        ("range_rmse_m", "range RMSE m", 2, _LOWER), ("range_psnr_db", "range PSNR dB", 2, _HIGHER),
-        ("range_medae_m", "range MedAE m", 4, _LOWER), ("hit_accuracy", "hit acc.", 4, _HIGHER),
-        ("intensity_psnr_db", "intensity PSNR dB", 2, _HIGHER),
-    ),
+
+
+class Column(NamedTuple):
+    """A metric of a table."""
+
+    metric: str
+    title: str
+    digits: int
+    way: str = _LOWER
+    """Which way is better."""
+
+    @property
+    def head(self) -> str:
+        """Over the column."""
+        return f"{self.title} {self.way}"
+
+
+_CD_M2, _F = Column("chamfer_m2", "CD m²", 4), Column("f_score", "F", 4, _HIGHER)
+_RANGE_RMSE_M = Column("range_rmse_m", "range RMSE m", 2)
+_RANGE_PSNR_DB = Column("range_psnr_db", "range PSNR dB", 2, _HIGHER)
+_MEDIAN_M = Column("range_abs_error_median_m", "median m", 4)
+_HIT_ACCURACY = Column("hit_accuracy", "hit acc.", 4, _HIGHER)
+_PANO = (
+    _CD_M2, _F, _RANGE_RMSE_M, _RANGE_PSNR_DB, Column("range_medae_m", "range MedAE m", 4), _HIT_ACCURACY,
+    Column("intensity_psnr_db", "intensity PSNR dB", 2, _HIGHER),
+)  # fmt: skip
+_COLUMNS = {
+    "lidar4d_scan": _PANO,
+    "lidar4d": _PANO,
     "raw": (
-        ("range_abs_error_median_m", "median m", 4, _LOWER), ("range_abs_error_p90_m", "p90 m", 3, _LOWER),
-        ("range_missing", "no answer", 5, _LOWER), ("chamfer_m2", "CD m²", 4, _LOWER),
-        ("f_score", "F", 4, _HIGHER), ("hit_accuracy", "hit acc.", 4, _HIGHER),
+        _MEDIAN_M, Column("range_abs_error_p90_m", "p90 m", 3), Column("range_missing", "no answer", 5),
+        _CD_M2, _F, _HIT_ACCURACY,
     ),
-    "masked": (
-        ("chamfer_m2", "CD m²", 4, _LOWER), ("f_score", "F", 4, _HIGHER),
-        ("range_rmse_m", "range RMSE m", 2, _LOWER),
-        ("range_abs_error_median_m", "median m", 4, _LOWER), ("hit_accuracy", "hit acc.", 4, _HIGHER),
-    ),
+    "masked": (_CD_M2, _F, _RANGE_RMSE_M, _MEDIAN_M, _HIT_ACCURACY),
     "image": (
-        ("image_psnr_db", "PSNR dB", 2, _HIGHER), ("image_ssim", "SSIM", 3, _HIGHER),
-        ("image_lpips_squeeze", "LPIPS squeeze", 3, _LOWER),
+        Column("image_psnr_db", "PSNR dB", 2, _HIGHER), Column("image_ssim", "SSIM", 3, _HIGHER),
+        Column("image_lpips_squeeze", "LPIPS squeeze", 3),
     ),
 }  # fmt: skip
-_COLUMNS["lidar4d_scan"] = _COLUMNS["lidar4d"]
 _SWEEP = ("render_seconds", "a sweep s", 2)
 _COSTS = (
     ("train_seconds", "training s", 0), ("parameters", "parameters", 0), ("model_mb", "model MB", 1),
     _SWEEP, ("image_seconds", "an image s", 2),
 )  # fmt: skip
 _OTHERS = (
-    ("lidar4d_scan", "chamfer_m2", "CD m²", 4, _LOWER), ("lidar4d_scan", "f_score", "F", 4, _HIGHER),
-    ("lidar4d_scan", "range_psnr_db", "range PSNR dB", 2, _HIGHER),
-    ("lidar4d_scan", "hit_accuracy", "hit acc.", 4, _HIGHER), ("raw", "chamfer_m2", "raw CD m²", 4, _LOWER),
-    ("masked", "chamfer_m2", "masked CD m²", 4, _LOWER),
-    ("image", "image_psnr_db", "image PSNR dB", 2, _HIGHER),
+    ("lidar4d_scan", _CD_M2), ("lidar4d_scan", _F), ("lidar4d_scan", _RANGE_PSNR_DB),
+    ("lidar4d_scan", _HIT_ACCURACY), ("raw", _CD_M2._replace(title="raw CD m²")),
+    ("masked", _CD_M2._replace(title="masked CD m²")),
+    ("image", Column("image_psnr_db", "image PSNR dB", 2, _HIGHER)),
 )  # fmt: skip
 _SWEEP_LIMITS = ", ".join(f"`{name}` {most['render_seconds']:g} s" for name, most in COSTS.items())
 _ABOUT_OTHERS = f"""\
@@ -85,8 +101,7 @@ to reach, as the mean of three seeds, written down in its issue before it was bu
 """
 
 
-@dataclass(frozen=True, slots=True)
-class _Limit:
+class _Limit(NamedTuple):
     """What is asked of one mean."""
 
     words: str
@@ -102,6 +117,10 @@ class Measured:
     """One a seed; of a baseline, which has none, one in all."""
     seeds: str
     """How many, in a table's words."""
+
+    def errors(self, protocol: str, metric: str, split: str = HELD_OUT) -> list[float | None]:
+        """Of each seed, see `error_of`."""
+        return [error_of(row, protocol, metric, split) for row in self.rows]
 
 
 def by_method(rows: Iterable[Row]) -> dict[tuple[str, str], Measured]:
@@ -128,8 +147,7 @@ def error_of(row: Row, protocol: str, metric: str, split: str = HELD_OUT) -> flo
         for place, errors in row["errors"].items()
         if place.startswith(f"{split}/{protocol}/{region}/") and metric in errors
     ]
-    known = [value for value in found if value is not None]
-    return statistics.fmean(known) if known and len(known) == len(found) else None
+    return statistics.fmean(found) if found and None not in found else None
 
 
 def cell(values: Sequence[float | None], digits: int) -> str:
@@ -172,26 +190,24 @@ def _others(found: dict[tuple[str, str], Measured]) -> list[str]:
     name, sweep, sweep_digits = _SWEEP
     for (scene, method), mine in found.items():
         cells = []
-        for protocol, metric, _, digits, _ in _OTHERS:
-            text = cell([error_of(row, protocol, metric) for row in mine.rows], digits)
-            is_asked = method not in BASELINES and protocol == "lidar4d_scan" and metric in NEVER_WORSE
-            is_missed = is_asked and _is_worse(mine, found.get((scene, _COPY)), protocol, metric)
+        for protocol, column in _OTHERS:
+            is_missed = (
+                method not in BASELINES and protocol == "lidar4d_scan" and column.metric in NEVER_WORSE
+                and _is_worse(mine, found.get((scene, _COPY)), protocol, column.metric)
+            )  # fmt: skip
+            text = cell(mine.errors(protocol, column.metric), column.digits)
             cells.append(_marked(text, is_missed=is_missed))
         cells.append(_cost(method, mine, name, sweep_digits))
         lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
-    head = ["drive", "method", "seeds", *(f"{title} {way}" for _, _, title, _, way in _OTHERS)]
-    head += [sweep, "commit"]
-    return [_ABOUT_OTHERS, _provenance(found.values()), _table(head, lines)]
+    head = ["drive", "method", "seeds", *(column.head for _, column in _OTHERS), sweep, "commit"]
+    return [_ABOUT_OTHERS, _provenance(found.values()), markdown_table(head, lines)]
 
 
 def _is_worse(mine: Measured, copied: Measured | None, protocol: str, metric: str) -> bool:
     """Whether it is not at least as good as copying; so it is where either is unknown."""
-    own, other = (_mean_error(measured, protocol, metric) for measured in (mine, copied))
+    own = _mean(mine.errors(protocol, metric))
+    other = _mean([] if copied is None else copied.errors(protocol, metric))
     return not (own >= other if NEVER_WORSE[metric] else own <= other)
-
-
-def _mean_error(measured: Measured | None, protocol: str, metric: str) -> float:
-    return _mean([] if measured is None else [error_of(row, protocol, metric) for row in measured.rows])
 
 
 def _provenance(measured: Iterable[Measured]) -> str:
@@ -208,12 +224,10 @@ def _costs(mine: dict[str, Measured]) -> str:
         cells = [_cost(method, measured, name, digits) for name, _, digits in _COSTS]
         lines.append([f"`{method}`", seeds, *cells, commits_of(measured.rows)])
     for method in (name for name in COSTS if name in mine):
-        limits = [
-            f"≤ {COSTS[method][name]:,.{digits}f}" if name in COSTS[method] else ""
-            for name, _, digits in _COSTS
-        ]
+        most = COSTS[method]
+        limits = [f"≤ {most[name]:,.{digits}f}" if name in most else "" for name, _, digits in _COSTS]
         lines.append([f"*target*, `{method}`", "", *limits, ""])
-    return _table(["method", "seeds", *(title for _, title, _ in _COSTS), "commit"], lines)
+    return markdown_table(["method", "seeds", *(title for _, title, _ in _COSTS), "commit"], lines)
 
 
 def _cost(method: str, measured: Measured, name: str, digits: int) -> str:
@@ -225,90 +239,66 @@ def _cost(method: str, measured: Measured, name: str, digits: int) -> str:
 
 def _errors(scene: str, protocol: str, mine: dict[str, Measured]) -> str:
     """The table of one protocol; empty where nothing was measured under it."""
-    columns, values = [], {}
+    cells: dict[str, list[str]] = {method: [] for method in mine}
+    heads, words = [], []
     for column in _COLUMNS[protocol]:
-        errors = {
-            method: [error_of(row, protocol, column[0]) for row in measured.rows]
-            for method, measured in mine.items()
-        }
-        if any(value is not None for row in errors.values() for value in row):
-            columns.append(column)
-            values[column[0]] = errors
-    if not columns:
+        errors = {method: measured.errors(protocol, column.metric) for method, measured in mine.items()}
+        if all(value is None for row in errors.values() for value in row):
+            continue
+        heads.append(column.head)
+        limit, best = _limit(scene, protocol, column, errors), _best(errors, column.way)
+        words.append(limit.words)
+        for method, values in errors.items():
+            text = cell(values, column.digits)
+            is_missed = method == _MODEL and not limit.is_met(_mean(values))
+            cells[method].append(_marked(f"**{text}**" if method == best else text, is_missed=is_missed))
+    if not heads:
         return ""
-    best = {metric: _best(values[metric], way) for metric, _, _, way in columns}
-    limits = [_limit(scene, protocol, column, values[column[0]]) for column in columns]
-    lines = []
-    for method in mine:
-        cells = []
-        for (metric, _, digits, _), limit in zip(columns, limits, strict=True):
-            text = cell(values[metric][method], digits)
-            text = f"**{text}**" if method == best[metric] else text
-            is_missed = method == _MODEL and not limit.is_met(_mean(values[metric][method]))
-            cells.append(_marked(text, is_missed=is_missed))
-        lines.append([f"`{method}`", *cells])
-    if any(limit.words for limit in limits):
-        lines.append(["*target*", *(limit.words for limit in limits)])
-    return _table(["method", *(f"{title} {way}" for _, title, _, way in columns)], lines)
+    lines = [[f"`{method}`", *row] for method, row in cells.items()]
+    return markdown_table(["method", *heads], [*lines, *([["*target*", *words]] if any(words) else [])])
 
 
-def _limit(
-    scene: str, protocol: str, column: tuple[str, str, int, str], errors: dict[str, list[float | None]]
-) -> _Limit:
+def _limit(scene: str, protocol: str, column: Column, errors: dict[str, list[float | None]]) -> _Limit:
     """What a mean is to be: a number that was written down, or better than what baselines reach here."""
-    metric, _, digits, way = column
+    place = (scene, protocol, column.metric)
     for target in TARGETS:
-        if (target.scene, target.protocol, target.metric) == (scene, protocol, metric):
-            return _Limit(f"{'≥' if target.at_least else '≤'} {target.limit:.{digits}f}", target.is_met)
-    others = BETTER_THAN.get((scene, protocol, metric), ())
+        if (target.scene, target.protocol, target.metric) == place:
+            words = f"{'≥' if target.at_least else '≤'} {target.limit:.{column.digits}f}"
+            return _Limit(words, target.is_met)
+    others = BETTER_THAN.get(place, ())
     if not others:
         return _Limit("", lambda _: True)
     # Whether an unmeasured one is beaten is unknown: not met.
     means = [_mean(errors.get(method, [])) for method in others]
-    words = "better than " + (
-        "every baseline" if others == BASELINES else ", ".join(f"`{o}`" for o in others)
-    )
-    if way == _LOWER:
-        return _Limit(words, lambda value: all(value < mean for mean in means))
-    return _Limit(words, lambda value: all(value > mean for mean in means))
+    names = "every baseline" if others == BASELINES else ", ".join(f"`{other}`" for other in others)
+    sign = 1.0 if column.way == _LOWER else -1.0
+    return _Limit(f"better than {names}", lambda value: all(sign * value < sign * mean for mean in means))
 
 
 def _views(mine: dict[str, Measured]) -> list[str]:
     """Views that were asked for and whose truth is known, over what interpolation in time is off by."""
-    views = sorted(
-        {
-            place.split("/")[0]
-            for measured in mine.values()
-            for row in measured.rows
-            for place in row["errors"]
-        }
-        - {HELD_OUT}
-    )
+    rows = [row for measured in mine.values() for row in measured.rows]
+    views = sorted({place.split("/")[0] for row in rows for place in row["errors"]} - {HELD_OUT})
     lines = []
     for view in views:
         for method, measured in mine.items():
-            cells = [
-                cell([error_of(row, "raw", metric, view) for row in measured.rows], digits)
-                for metric, _, digits, _ in _COLUMNS["raw"]
-            ]
-            if set(cells) == {"-"}:
-                continue
-            lines.append([f"`{view}`", f"`{method}`", *cells, _over_interpolation(method, measured, view)])
+            cells = [cell(measured.errors("raw", c.metric, view), c.digits) for c in _COLUMNS["raw"]]
+            if set(cells) != {"-"}:
+                over = _over_interpolation(method, measured, view)
+                lines.append([f"`{view}`", f"`{method}`", *cells, over])
     if not lines:
         return []
-    head = ["view", "method", *(f"{title} {way}" for _, title, _, way in _COLUMNS["raw"]), "CD / `between`'s"]
+    head = ["view", "method", *(column.head for column in _COLUMNS["raw"]), "CD / `between`'s"]
     text = "### asked views, against the demo's exact truth (`raw`)\n"
     limits = ", ".join(f"`{view}` at most {limit:g}" for view, limit in SHIFTS.items())
-    return [text, _table(head, lines), f"Target of the last column: {limits}.\n"]
+    return [text, markdown_table(head, lines), f"Target of the last column: {limits}.\n"]
 
 
 def _over_interpolation(method: str, measured: Measured, view: str) -> str:
     if view not in SHIFTS:
         return ""
-    ratios: list[float | None] = []
-    for row in measured.rows:
-        ours, base = (error_of(row, "raw", "chamfer_m2", name) for name in (view, _INTERPOLATION))
-        ratios.append(None if ours is None or not base else ours / base)
+    pairs = zip(*(measured.errors("raw", "chamfer_m2", name) for name in (view, _INTERPOLATION)), strict=True)
+    ratios = [None if ours is None or not base else ours / base for ours, base in pairs]
     text = cell(ratios, 2)
     # A target is a model's: a baseline is there to compare with.
     is_missed = method not in BASELINES and text != "-" and not _mean(ratios) <= SHIFTS[view]
@@ -328,8 +318,3 @@ def _mean(values: Sequence[float | None]) -> float:
 
 def _marked(text: str, *, is_missed: bool) -> str:
     return f"{text} ✗" if is_missed else text
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
-    return "\n".join(lines) + "\n"

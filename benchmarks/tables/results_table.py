@@ -13,9 +13,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.markers import write_between
 from benchmarks.common.places import ROOT
+from benchmarks.common.stored import Row, write_json
 from benchmarks.kernels.voxel_walk_table import walk_table
-from benchmarks.tables.results_document import Row, as_document, by_method, cell, commits_of, error_of, rank
+from benchmarks.tables.results_document import as_document, by_method, cell, commits_of, rank
 from benchmarks.tables.targets import OTHER
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
@@ -24,8 +27,13 @@ from nvsf_core.stores.tables import read_rows
 
 RECIPES = Path("benchmarks", "results", "recipes")
 """Where in a checkout the finished runs' results lie, a JSON a recipe."""
-BEGIN, END = "<!-- results -->\n", "<!-- end of results -->"
 _SCAN, _IMAGE = "lidar4d_scan", "image"
+_ERRORS = {
+    (_SCAN, "chamfer_m2"): ("CD m²", 3), (_SCAN, "f_score"): ("F", 3),
+    (_SCAN, "range_psnr_db"): ("range PSNR dB", 1), (_SCAN, "hit_accuracy"): ("hit acc.", 3),
+    (_IMAGE, "image_psnr_db"): ("image PSNR", 1),
+}  # fmt: skip
+_SECONDS = {"train_seconds": ("train s", 0), "render_seconds": ("sweep s", 2)}
 _BASELINES = "baselines"
 """Name of their file."""
 
@@ -65,26 +73,13 @@ def merged(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
 
 def as_markdown(rows: Iterable[Row]) -> str:
     """The README's table: means over seeds, with the standard deviation where there are several."""
-    lines = [
-        "| scene | method | seeds | CD m² | F | range PSNR dB | hit acc. | image PSNR | train s | sweep s "
-        "| commit |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    lines = []
     for (scene, method), mine in by_method(rows).items():
-        cells = [
-            cell([error_of(row, protocol, metric) for row in mine.rows], digits)
-            for protocol, metric, digits in (
-                (_SCAN, "chamfer_m2", 3), (_SCAN, "f_score", 3), (_SCAN, "range_psnr_db", 1),
-                (_SCAN, "hit_accuracy", 3), (_IMAGE, "image_psnr_db", 1),
-            )
-        ]  # fmt: skip
-        cells += [
-            cell([row[name] for row in mine.rows], digits)
-            for name, digits in (("train_seconds", 0), ("render_seconds", 2))
-        ]
-        cells.append(commits_of(mine.rows))
-        lines.append(f"| `{scene}` | `{method}` | {mine.seeds} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        cells = [cell(mine.errors(*metric), digits) for metric, (_, digits) in _ERRORS.items()]
+        cells += [cell([row[name] for row in mine.rows], digits) for name, (_, digits) in _SECONDS.items()]
+        lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
+    titles = [title for title, _ in (*_ERRORS.values(), *_SECONDS.values())]
+    return markdown_table(["scene", "method", "seeds", *titles, "commit"], lines)
 
 
 def write(home: Path, root: Path) -> str:
@@ -94,20 +89,16 @@ def write(home: Path, root: Path) -> str:
         The table.
     """
     results = root / RECIPES
-    results.mkdir(parents=True, exist_ok=True)
     for recipe, rows in collect(home).items():
         target = results / f"{recipe}.json"
-        target.write_text(json.dumps({"rows": merged(measured_rows(target), rows)}, indent=1) + "\n")
+        write_json(target, {"rows": merged(measured_rows(target), rows)})
     everything = [row for path in sorted(results.glob("*.json")) for row in measured_rows(path)]
     sections = [as_document(everything), walk_table(root)]
     (root / "docs" / "results.md").write_text("\n".join(filter(None, sections)))
     table = as_markdown(row for row in everything if not row["scene"].startswith(OTHER))
-    readme = root / "README.md"
-    head, rest = readme.read_text().split(BEGIN)
-    _, tail = rest.split(END)
     machines = "; ".join(sorted({row["machine"] for row in everything}))
-    text = f"{machines}; mean of the catalogue's held-out frames, protocol `{_SCAN}`.\n\n{table}\n"
-    readme.write_text(head + BEGIN + text + END + tail)
+    about = f"{machines}; mean of the catalogue's held-out frames, protocol `{_SCAN}`.\n\n"
+    write_between(root / "README.md", "results", about + table)
     return table
 
 

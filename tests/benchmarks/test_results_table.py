@@ -5,10 +5,12 @@ import sys
 from pathlib import Path
 
 from benchmarks.tables.results_document import as_document, error_of
-from benchmarks.tables.results_table import BEGIN, END, as_markdown, write
+from benchmarks.tables.results_table import as_markdown, write
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from street_store import write_street  # tests are no package
+
+BEGIN, END = "<!-- results -->\n", "<!-- end of results -->\n"
 
 
 def _root(folder: Path) -> Path:
