@@ -1,41 +1,39 @@
-"""What the ablation is scored by: every fourth pano column, and images at a quarter of width and height."""
+"""What the ablation is scored by: every fourth pano column, and images at a quarter of width and height.
+
+A baseline is scored by the held-out views of the scene that were published last, thinned alike.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.paper.ablation_table import Row
-from nvsf_core.geometry.pinhole import Pinhole
+from benchmarks.common.compared import QuarterPano, block_colours, block_means, recorded_scan
+from benchmarks.common.stored import Row
+from nvsf_core.errors import DataError
 from nvsf_core.metrics.foreground import lidar4d_regions
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.protocols import PanoImage, Scan, lidar4d, project_scan
+from nvsf_core.metrics.protocols import PanoImage, lidar4d, project_scan
+from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.models.paper.training.frames import PaperFrames
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
+from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.scene_store import SceneStore
 
-COLUMN_STEP, IMAGE_STEP = 4, 4
-LIDAR_METRICS = (
+IMAGE_STEP = 4
+METRICS = (
     "chamfer_m2", "f_score", "range_rmse_m", "range_psnr_db", "range_ssim", "intensity_rmse", "hit_rmse",
+    "image_psnr_db", "image_ssim",
 )  # fmt: skip
-IMAGE_METRICS = ("image_psnr_db", "image_ssim")
+_SPARSE = QuarterPano()
 
-
-class SparsePano(LinearPano):
-    """Every fourth column of the pano."""
-
-    def directions(self) -> np.ndarray:
-        """(66, 258, 3) unit directions."""
-        return super().directions()[:, ::COLUMN_STEP]
-
-    def points(self, range_m: np.ndarray) -> np.ndarray:
-        """Points of the filled cells of an image (66, 258)."""
-        filled = range_m > 0.0
-        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
-        return found
+Scored = Iterable[tuple[str, Mapping[str, Measure]]]
+"""Region and metrics of a frame and a sensor."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,70 +46,82 @@ class Scene:
     boxes: MovingBoxes | None
 
 
-Scored = Iterable[tuple[str, Mapping[str, Measure]]]
-"""Region and metrics of a frame and a sensor."""
-
-
-def sparse(pano: PanoImage) -> PanoImage:
-    """Every fourth column of a whole pano."""
-    return PanoImage(
-        **{name: getattr(pano, name)[:, ::COLUMN_STEP] for name in ("range_m", "intensity", "hit")}
-    )
-
-
 def score_pano(scene: Scene, frame: int, predicted: PanoImage) -> Iterator[tuple[str, Mapping[str, Measure]]]:
-    """A sparse pano against the recorded scan of its frame."""
-    lidar = scene.recording.lidar
-    assert lidar is not None
-    a = lidar.sweeps.arrays
-    part = lidar.sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
-    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    truth = sparse(project_scan(LinearPano(reference_quirks=True), scan))
-    yield "all", lidar4d(predicted, truth, SparsePano(), None)
+    """A pano of every fourth column against the recorded scan of its frame."""
+    assert scene.recording.lidar is not None
+    scan = recorded_scan(scene.recording.lidar, frame)
+    truth = _SPARSE.cut(project_scan(LinearPano(reference_quirks=True), scan))
+    yield "all", lidar4d(predicted, truth, _SPARSE, None)
     if scene.boxes is not None:
-        regions = lidar4d_regions(predicted, truth, SparsePano(), scene.boxes.in_lidar(frame), None)
+        regions = lidar4d_regions(predicted, truth, _SPARSE, scene.boxes.in_lidar(frame), None)
         yield "foreground", regions["foreground"]
+
+
+def score_images(
+    scene: Scene, camera: str, shown: Iterable[tuple[int, np.ndarray]]
+) -> Iterator[tuple[str, Mapping[str, Measure]]]:
+    """Frames and small images of a camera against what it recorded."""
+    folder = scene.run.store.require("undistorted") / "images.zarr"
+    keys = [f"{camera}_{part}" for part in ("rgb", "valid", "frame")]
+    rgb, valid, frames = (read_arrays(folder, *keys)[key] for key in keys)
+    for frame, image in shown:
+        yield "all", score_image(image, rgb[frames == frame][0], valid)
 
 
 def score_image(shown: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> Mapping[str, Measure]:
     """A small image (h, w, 3) uint8 against a recorded (H, W, 3) uint8, where all of `valid` (H, W) is."""
-    seen = averaged(valid.astype(np.float64)) == 1.0
-    return image_metrics(shown, averaged_rgb(truth), seen, None)
+    seen = block_means(valid, IMAGE_STEP) == 1.0
+    return image_metrics(shown, block_colours(truth, IMAGE_STEP), seen, None)
 
 
 def rows_of(scored: Scored, scene: str, variant: str, seed: int) -> list[Row]:
-    """The means over frames and cameras where a metric is defined."""
+    """A row a metric and region: the mean over frames and cameras where it is defined, None where nowhere."""
     values: dict[tuple[str, str], list[float]] = {}
     for region, measures in scored:
         for metric, measure in measures.items():
-            if metric in LIDAR_METRICS + IMAGE_METRICS and measure.n_valid:
+            if metric in METRICS and measure.n_valid:
                 values.setdefault((region, metric), []).append(measure.value)
-
-    def row(region: str, metric: str, value: float) -> Row:
-        known = value if np.isfinite(value) else None
-        return Row(variant=variant, scene=scene, seed=seed, region=region, metric=metric, value=known)
-
-    return [row(region, metric, float(np.mean(found))) for (region, metric), found in values.items()]
-
-
-def quarter(camera: Pinhole) -> Pinhole:
-    """The camera whose pixels are the means of 4 x 4 of this one's; centres lie on whole numbers."""
-    half = (IMAGE_STEP - 1) / 2.0
-    return Pinhole(
-        fx=camera.fx / IMAGE_STEP, fy=camera.fy / IMAGE_STEP, cx=(camera.cx - half) / IMAGE_STEP,
-        cy=(camera.cy - half) / IMAGE_STEP, width=camera.width // IMAGE_STEP,
-        height=camera.height // IMAGE_STEP,
-    )  # fmt: skip
+    means = {place: float(np.mean(found)) for place, found in values.items()}
+    return [
+        {
+            "variant": variant, "scene": scene, "seed": seed, "region": region, "metric": metric,
+            "value": mean if np.isfinite(mean) else None,
+        }
+        for (region, metric), mean in means.items()
+    ]  # fmt: skip
 
 
-def averaged_rgb(image: np.ndarray) -> np.ndarray:
-    """The same of an image (H, W, 3), as (h, w, 3) uint8."""
-    return np.rint(averaged(image.astype(np.float64))).astype(np.uint8)
+def baseline_rows(scene: Scene, name: str) -> list[Row]:
+    """A baseline's errors; it has no seed, and learned nothing.
+
+    Raises:
+        DataError: No view of the scene is published, or none by this baseline.
+    """
+    views = _newest_views(scene.run.store, name)
+    return rows_of(_scored_views(scene, views), scene.run.scene.name, name, 0)
 
 
-def averaged(image: np.ndarray) -> np.ndarray:
-    """Means of 4 x 4 pixels; a rest at the right and lower edge is left out."""
-    height, width = (side // IMAGE_STEP for side in image.shape[:2])
-    cut = image[: height * IMAGE_STEP, : width * IMAGE_STEP]
-    found: np.ndarray = cut.reshape(height, IMAGE_STEP, width, IMAGE_STEP, *image.shape[2:]).mean(axis=(1, 3))
-    return found
+def _newest_views(store: SceneStore, name: str) -> Path:
+    """The arrays of a baseline's held-out views, whatever recipe they were published beside."""
+    # A killed writer leaves hidden folders behind.
+    found = store.path("novel_views").glob(f"[!.]*/[!.]*/{HELD_OUT}/{name}.zarr")
+    newest = max(found, key=lambda path: path.stat().st_mtime_ns, default=None)
+    if newest is None:
+        raise DataError(
+            f"{store.path('novel_views')}: expected held-out views by {name}, found none; "
+            f"make train SCENES={store.scene} RECIPE=quick publishes them"
+        )
+    return newest
+
+
+def _scored_views(scene: Scene, views: Path) -> Scored:
+    panos = ("pano_range_m", "pano_intensity", "pano_hit")
+    a = read_arrays(views, "frame", *panos)
+    for row, frame in enumerate(a["frame"].tolist()):
+        range_m, intensity, hit = (a[key][row] for key in panos)
+        pano = PanoImage(range_m=range_m, intensity=intensity, hit=hit)
+        yield from score_pano(scene, frame, _SPARSE.cut(pano))
+    for camera in scene.recording.cameras:
+        shown = read_arrays(views, f"{camera}_rgb", f"{camera}_frame")
+        images = (block_colours(image, IMAGE_STEP) for image in shown[f"{camera}_rgb"])
+        yield from score_images(scene, camera, zip(shown[f"{camera}_frame"].tolist(), images, strict=True))

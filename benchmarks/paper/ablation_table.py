@@ -1,11 +1,11 @@
-"""The rows of the ablation on disk, and docs/ablation.md made from them."""
+"""docs/ablation.md, from the ablation's rows: the mean over a run's held-out frames, None where undefined."""
 
-import json
 from statistics import fmean, stdev
-from typing import TypedDict
 
 from benchmarks.common import places
 from benchmarks.common.commit import commit
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.stored import Row, read_rows
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.stages.runner.host import machine
 
@@ -39,38 +39,9 @@ _PUBLISHED_ENCODINGS = {
 }  # fmt: skip
 
 
-class Row(TypedDict):
-    """One value of one run, the mean over its held-out frames."""
-
-    variant: str
-    scene: str
-    seed: int
-    region: str
-    metric: str
-    value: float | None
-    """None where a frame left the metric undefined, as Chamfer distance is of an empty cloud."""
-
-
-def read_rows() -> list[Row]:
-    """All rows so far."""
-    if not RESULTS.is_file():
-        return []
-    rows: list[Row] = json.loads(RESULTS.read_text())
-    return rows
-
-
-def write_rows(rows: list[Row]) -> None:
-    """Replace the file as a whole: a killed run leaves the old one."""
-    lines = ",\n".join(json.dumps(row) for row in rows)
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    partial = RESULTS.with_suffix(".partial")
-    partial.write_text(f"[\n{lines}\n]\n")
-    partial.replace(RESULTS)
-
-
 def write_table() -> None:
     """docs/ablation.md from the rows."""
-    rows = read_rows()
+    rows = read_rows(RESULTS)
     parts = [
         "# The paper's ablation at the size of `paper_cpu`",
         "",
@@ -96,30 +67,32 @@ def write_table() -> None:
         "encodings; 30,000 iterations. Not comparable with the figures above: other scenes and splits, 100",
         "times the steps and more. Only the direction of an effect can be held against ours.",
         "",
-        *_published(_PUBLISHED_ABLATION, _ABLATION_METRICS),
-        *_published(_PUBLISHED_ENCODINGS, _ENCODING_METRICS),
+        _published(_PUBLISHED_ABLATION, _ABLATION_METRICS),
+        _published(_PUBLISHED_ENCODINGS, _ENCODING_METRICS),
     ]
     DOCUMENT.write_text("\n".join(parts) + "\n")
 
 
-def _published(values: dict[str, tuple[float, ...]], metrics: dict[str, str]) -> list[str]:
-    lines = [f"| variant | {' | '.join(metrics.values())} |", "|" + "---|" * (len(metrics) + 1)]
-    lines += [f"| {name} | {' | '.join(f'{value:g}' for value in row)} |" for name, row in values.items()]
-    return [*lines, ""]
+def _published(values: dict[str, tuple[float, ...]], metrics: dict[str, str]) -> str:
+    rows = [[name, *(f"{value:g}" for value in row)] for name, row in values.items()]
+    return _markdown(["variant", *metrics.values()], rows)
 
 
 def _table(
     rows: list[Row], scene: str, region: str, variants: dict[str, str], metrics: dict[str, str]
 ) -> list[str]:
     here = [row for row in rows if row["scene"] == scene and row["region"] == region]
-    lines = [f"## {scene}, {region}", "", "| variant | seeds | " + " | ".join(metrics.values()) + " |"]
-    lines.append("|" + "---|" * (len(metrics) + 2))
+    lines = []
     for variant, name in (variants | {one: f"`{one}`" for one in BASELINES}).items():
-        cells = [_cell(here, variant, metric) for metric in metrics]
         measured = {row["seed"] for row in here if row["variant"] == variant}
         seeds = "" if variant in BASELINES else len(measured)
-        lines.append(f"| {name} | {seeds} | " + " | ".join(cells) + " |")
-    return [*lines, "", *_effects(here, variants, metrics), ""]
+        lines.append([name, seeds, *(_cell(here, variant, metric) for metric in metrics)])
+    table = _markdown(["variant", "seeds", *metrics.values()], lines)
+    return [f"## {scene}, {region}", "", table, *_effects(here, variants, metrics), ""]
+
+
+def _markdown(head: list[str], rows: list[list[object]]) -> str:
+    return markdown_table(head, rows, "|" + "---|" * len(head))
 
 
 def _cell(rows: list[Row], variant: str, metric: str) -> str:

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.paper.ablation_baselines import baseline_rows
-from benchmarks.paper.ablation_scoring import IMAGE_STEP, Scene, averaged_rgb, score_image
-from benchmarks.paper.ablation_table import read_rows
+from benchmarks.common.compared import block_colours
+from benchmarks.common.stored import read_rows
+from benchmarks.paper.ablation_scoring import IMAGE_STEP, Scene, baseline_rows, score_image
+from benchmarks.paper.ablation_table import RESULTS
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import BASELINES
@@ -46,14 +47,14 @@ def test_baselines_are_scored_from_published_views_and_without_them_it_is_said_h
 
 
 def test_every_scene_on_record_has_all_baselines():
-    rows = read_rows()
+    rows = read_rows(RESULTS)
     for scene in {row["scene"] for row in rows}:
         assert set(BASELINES) <= {row["variant"] for row in rows if row["scene"] == scene}
 
 
 def test_a_small_image_is_compared_with_the_means_of_the_pixels_it_stands_for():
     truth = np.random.default_rng(0).integers(0, 256, (34, 41, 3), dtype=np.uint8)
-    small = averaged_rgb(truth)
+    small = block_colours(truth, IMAGE_STEP)
     assert small.shape == (8, 10, 3)
     assert small[0, 0, 0] == round(float(truth[:IMAGE_STEP, :IMAGE_STEP, 0].mean()))
     valid = np.ones(truth.shape[:2], np.bool_)
