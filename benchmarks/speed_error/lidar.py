@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.common.compared import SHARE, QuarterPano, recorded_scan, scan_of
 from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
@@ -14,42 +15,9 @@ from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep, render_along
 from nvsf_core.simulation.view_plan import SweepPlan
 
-SHARE = 4
-"""One of so many blocks of columns, and of recorded rays, is scored."""
-_BLOCK = 32
 _ROUGH_RANGE_M = 20.0
 """Where a ray is taken to end when it is asked which column it falls into."""
-
-
-class Sectors(LinearPano):
-    """Every fourth block of 32 columns of the pano."""
-
-    @property
-    def columns(self) -> np.ndarray:
-        """Columns of the whole pano that are looked at."""
-        every = np.arange(self.width)
-        chosen: np.ndarray = every[every // _BLOCK % SHARE == 0]
-        return chosen
-
-    def directions(self) -> np.ndarray:
-        """(66, 262, 3) unit directions."""
-        return super().directions()[:, self.columns]
-
-    def points(self, range_m: np.ndarray) -> np.ndarray:
-        """Points of the filled cells of an image (66, 262)."""
-        filled = range_m > 0.0
-        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
-        return found
-
-    def cut(self, image: PanoImage) -> PanoImage:
-        """The chosen columns of a whole pano."""
-        return PanoImage(
-            range_m=image.range_m[:, self.columns], intensity=image.intensity[:, self.columns],
-            hit=image.hit[:, self.columns],
-        )  # fmt: skip
-
-
-WHOLE, SECTORS = LinearPano(reference_quirks=True), Sectors(reference_quirks=True)
+WHOLE, SECTORS = LinearPano(reference_quirks=True), QuarterPano(reference_quirks=True, block=32)
 
 
 class Answers(Protocol):
@@ -75,7 +43,7 @@ def _in_sectors(rays: SweepRays) -> np.ndarray:
 
 
 def _only(rays: SweepRays, kept: np.ndarray) -> SweepRays:
-    columns = {name: getattr(rays, name) for name in (field.name for field in fields(rays))}
+    columns = {field.name: getattr(rays, field.name) for field in fields(rays)}
     chosen = {n: v[kept] for n, v in columns.items() if isinstance(v, np.ndarray) and len(v) == len(kept)}
     return replace(rays, shape=(1, int(kept.sum())), **chosen)
 
@@ -88,7 +56,7 @@ def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> 
         frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
         points, intensity, laser = RenderedSweep.of(*_quarter_turn(lidar, plan, model, time_s)).scan()
         pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
-        a, part = sweeps.arrays, sweeps.returns_of(_scan_of(lidar, frame))
+        a, part = sweeps.arrays, sweeps.returns_of(scan_of(lidar, frame))
         rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
         return pano, render_along(model, lidar, time_s, *rays).range_m
 
@@ -114,11 +82,5 @@ def _quarter_turn(
 
 def recorded(lidar: LidarRecording, frame: int) -> tuple[Scan, np.ndarray]:
     """A frame's scan, and the ranges of every fourth of its returns."""
-    a, part = lidar.sweeps.arrays, lidar.sweeps.returns_of(_scan_of(lidar, frame))
-    scan = Scan(points_m=a["points_m"][part], intensity=a["intensity"][part], laser=a["laser"][part])
-    return scan, a["range_m"][part][::SHARE]
-
-
-def _scan_of(lidar: LidarRecording, frame: int) -> int:
-    """Which of all scans a frame's is."""
-    return int(np.flatnonzero(lidar.sweeps.arrays["frame"] == frame)[0])
+    range_m = lidar.sweeps.arrays["range_m"][lidar.sweeps.returns_of(scan_of(lidar, frame))]
+    return recorded_scan(lidar, frame), range_m[::SHARE]

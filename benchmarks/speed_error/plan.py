@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import places
+from benchmarks.common.stored import write_whole
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DataError
 from nvsf_core.stores.scene_store import SceneStore
@@ -85,13 +86,10 @@ def read_result(path: Path) -> dict[str, Any] | None:
 
 
 def write_result(path: Path, facts: dict[str, Any], points: Sequence[dict[str, Any]]) -> None:
-    """Write a run as a whole, one line a fact and a point: a killed run leaves nothing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a run, one line a fact and a point."""
     lines = ",\n".join(f"  {json.dumps(point)}" for point in points)
-    partial = path.with_suffix(".partial")
     about = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in facts.items())
-    partial.write_text(f'{{\n "run": {{\n{about}\n }},\n "points": [\n{lines}\n ]\n}}\n')
-    partial.replace(path)
+    write_whole(path, f'{{\n "run": {{\n{about}\n }},\n "points": [\n{lines}\n ]\n}}\n')
 
 
 def _training_frames(scene: SceneEntry) -> tuple[int, ...]:

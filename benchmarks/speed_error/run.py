@@ -5,7 +5,6 @@ too, and so is a size of `paper_cpu`. ``--prepare`` runs the scene's stages up t
 """
 
 import argparse
-import json
 import os
 import resource
 import tempfile
@@ -32,7 +31,6 @@ from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import STAGE_NAMES
-from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.checkpoints import StageSession
@@ -48,7 +46,7 @@ from nvsf_core.stages.runner.run import (
     write_demo_where_absent,
 )
 from nvsf_core.stages.runner.stage import Observer, Progress, RunConfig, Task
-from nvsf_core.stores.checkpoints import load_tensors, save_tensors
+from nvsf_core.stores.checkpoints import StoredWeights, load_tensors
 from nvsf_core.stores.scene_store import SceneStore
 
 MESH = "mesh"
@@ -56,6 +54,8 @@ MESH = "mesh"
 PROTOCOL = "lidar4d_scan, raw and image, on a quarter of the rays and a sixteenth of the pixels"
 _TIMED = (PAPER_CPU, *SIZES)
 """Recipes whose steps are as many as fit into their time."""
+_BEFORE = STAGE_NAMES[: STAGE_NAMES.index("field")]
+"""Stages whose outputs a training reads."""
 _PROBE_STEPS = 8
 _TRAINING_SHARE = 0.9
 """Of the seconds that a timed recipe has; the rest is for preparation and the U-Net."""
@@ -103,8 +103,7 @@ def main() -> None:
 
 def prepare(setting: Setting) -> None:
     """Run the stages before `field`."""
-    before = STAGE_NAMES[: STAGE_NAMES.index("field")]
-    for name in (*before, *((MESH,) if MESH in STAGE_NAMES and MESH not in before else ())):
+    for name in dict.fromkeys((*_BEFORE, MESH)):
         run_named_stage(name, _scene_run(setting, preset("quick"), 0), setting.progress)
 
 
@@ -146,8 +145,6 @@ def _run_baseline(setting: Setting, judge: Judge, name: str) -> tuple[dict[str, 
     facts: dict[str, Any] = {"parameters": 0, "model_mb": 0.0, "train_seconds": 0.0}
     if name == "copy_nearest":
         return facts, _points(judge.copy_errors(), None, 0.0)
-    model: SceneModel | None = reprojection(judge.recording)
-    seconds = {LIDAR: _evidence_seconds(setting), CAMERA: 0.0}
     if name == MESH:
         # Loads open3d, whose memory is not another run's.
         from nvsf_core.models.baselines.mesh import mesh_baseline
@@ -155,14 +152,15 @@ def _run_baseline(setting: Setting, judge: Judge, name: str) -> tuple[dict[str, 
         record = read_record(setting.store.path(MESH))
         assert record is not None
         facts["model_mb"] = record["metadata"].get("model_mb")
-        seconds = dict.fromkeys(seconds, record["seconds"])
+        seconds = {LIDAR: record["seconds"], CAMERA: record["seconds"]}
         model = mesh_baseline(read_mesh(setting.store), judge.recording)
         if model is None:
             return facts | {"not_run": record["metadata"][MESH]}, []
     else:
+        model = reprojection(judge.recording)
+        seconds = {LIDAR: _evidence_seconds(setting), CAMERA: 0.0}
         facts |= {"samples_a_ray": samples_a_ray(judge, None), "model_mb": _evidence_mb(setting)}
-    assert model is not None
-    errors = judge.errors(_scored_parts(judge, model), thin_images=False)
+    errors = judge.errors(model, thin_images=False)
     facts |= _render_seconds(judge, model, thin=False) | {"peak_memory_mb": _peak_memory_mb()}
     return facts | {"train_seconds": max(seconds.values())}, _final_points(errors, seconds)
 
@@ -171,12 +169,11 @@ def _run_recipe(
     setting: Setting, recording: Recording, judge: Judge, asked: Recipe, seed: int
 ) -> tuple[dict[str, Any], list[Point]]:
     with tempfile.TemporaryDirectory() as name, device_lock(setting.home / ".leases", setting.progress):
-        folder = Path(name)
         recipe = _with_time(setting, recording, asked, seed)
         is_paper = isinstance(recipe, PaperRecipe)
         # Our LiDAR's field starts from what the evidence proves; the paper's and our camera's do not.
         before_s = 0.0 if is_paper else _evidence_seconds(setting)
-        marks = Marks(folder, setting.marks_s, {LIDAR: before_s})
+        marks = Marks(Path(name), setting.marks_s, {LIDAR: before_s})
         trained = _train(setting, recording, recipe, seed, marks)
         marks.finish()
         memory_mb = _peak_memory_mb()
@@ -184,14 +181,12 @@ def _run_recipe(
         say(f"[{setting.split.entry.name}] {recipe.name}: trained in {trained.seconds:.0f} s, scoring")
         points = []
         for marked in marks.found:
-            model = _model(folder, recipe, recording, *_as_of(marked, trained, recording))
-            model = _scored_parts(judge, _of_clock(model, marked.clock))
+            model = _of_clock(_model(recipe, recording, _as_of(marked, trained, recording)), marked.clock)
             errors = judge.errors(model, thin_images=is_paper)
             points += _points(errors, marked.mark_s, marked.seconds)
-        model = _model(folder, recipe, recording, trained.tensors, trained.facts)
-        errors = judge.errors(_scored_parts(judge, model), thin_images=is_paper)
-        points += _final_points(errors, marks.seconds)
-        size_mb = (folder / "weights.safetensors").stat().st_size / 1e6
+        model = _model(recipe, recording, trained)
+        points += _final_points(judge.errors(model, thin_images=is_paper), marks.seconds)
+        size_mb = sum(tensor.nbytes for tensor in trained.tensors.values()) / 1e6
         facts = {
             "recipe_identity": asked.identity(), "recipe_json": recipe.to_json(),
             "train_seconds": trained.seconds + before_s, "clock_seconds": marks.seconds,
@@ -208,9 +203,8 @@ def _with_time(setting: Setting, recording: Recording, recipe: Recipe, seed: int
     if not isinstance(recipe, PaperRecipe) or recipe.name not in _TIMED:
         return recipe
     seen: list[float] = []
-    _train(
-        setting, recording, probe(recipe, _PROBE_STEPS), seed, lambda _, state: seen.append(state.seconds)
-    )  # fmt: skip
+    few = probe(recipe, _PROBE_STEPS)
+    _train(setting, recording, few, seed, lambda _, state: seen.append(state.seconds))
     # The first steps load kernels.
     half = len(seen) // 2
     seconds_a_step = (seen[-1] - seen[half - 1]) / (len(seen) - half)
@@ -242,9 +236,7 @@ def _scene_run(setting: Setting, recipe: Recipe, seed: int) -> SceneRun:
     )  # fmt: skip
 
 
-def _as_of(
-    marked: Marked, trained: Trained, recording: Recording
-) -> tuple[dict[str, Any], dict[str, object]]:
+def _as_of(marked: Marked, trained: Trained, recording: Recording) -> Trained:
     """The model as it would have been published at a mark: the other parts as they ended."""
     found, _ = load_tensors(marked.path)
     # A paper's field is shown by itself until its U-Net is trained.
@@ -255,19 +247,12 @@ def _as_of(
         facts[LEARNED] = [name for name in recording.cameras if f"{name}_judged_psnr_db" in trained.metadata]
     if SHOWS_FIELD in facts:
         facts[SHOWS_FIELD] = True
-    return kept | found, facts
+    return replace(trained, tensors=kept | found, facts=facts)
 
 
-def _model(
-    folder: Path,
-    recipe: Recipe,
-    recording: Recording,
-    tensors: Mapping[str, Any],
-    facts: Mapping[str, object],
-) -> SceneModel:
-    save_tensors(folder / "weights.safetensors", tensors, facts)
-    (folder / "recipe.json").write_text(json.dumps(recipe.to_json()))
-    return load_trained(folder, recording)
+def _model(recipe: Recipe, recording: Recording, trained: Trained) -> SceneModel:
+    weights = StoredWeights(trained.tensors, trained.facts, Path(recipe.name))
+    return family_of(recipe).load(recipe, weights, recording)
 
 
 def _of_clock(model: SceneModel, clock: str) -> SceneModel:
@@ -276,11 +261,6 @@ def _of_clock(model: SceneModel, clock: str) -> SceneModel:
         # What corrects a turn's hits is trained after the field: no mark but the end has it.
         return replace(model, camera=None, correct=None)
     return replace(model, lidar=None) if clock == CAMERA else model
-
-
-def _scored_parts(judge: Judge, model: SceneModel) -> SceneModel:
-    """Without the camera where images were made smaller than what was recorded."""
-    return model if judge.scores_images else replace(model, camera=None)
 
 
 def _points(errors: Mapping[str, float], mark_s: float | None, seconds: float) -> list[Point]:
@@ -312,8 +292,7 @@ def _render_seconds(judge: Judge, model: SceneModel, *, thin: bool) -> dict[str,
 
 
 def _stage_seconds(setting: Setting) -> dict[str, float]:
-    before = STAGE_NAMES[: STAGE_NAMES.index("field")]
-    records = {name: read_record(setting.store.path(name)) for name in before}
+    records = {name: read_record(setting.store.path(name)) for name in _BEFORE}
     return {name: record["seconds"] for name, record in records.items() if record is not None}
 
 

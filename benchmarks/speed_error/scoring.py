@@ -10,15 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.speed_error.lidar import (
-    SECTORS,
-    SHARE,
-    WHOLE,
-    Answers,
-    model_answers,
-    quarter_of_rays,
-    recorded,
-)
+from benchmarks.common.compared import SHARE, block_colours, block_means
+from benchmarks.speed_error.lidar import SECTORS, WHOLE, Answers, model_answers, quarter_of_rays, recorded
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
@@ -63,14 +56,16 @@ class Judge:
         )
 
     def errors(self, model: SceneModel, *, thin_images: bool) -> dict[str, float]:
-        """Errors of a model; `thin_images`: it can show single pixels, so that no others are rendered."""
+        """Errors of a model, without those of images where these are not scored.
+
+        `thin_images`: it can show single pixels, so that no others are rendered.
+        """
         found: dict[str, float] = {}
         lidar, plan = self.recording.lidar, self.view.sweeps
         if model.lidar is not None and lidar is not None and plan is not None:
             found |= self.lidar_errors(model_answers(lidar, plan, model))
-        if model.camera is not None:
-            shown = self._rendered(model.camera, thin_images)
-            found |= self.image_errors(shown)
+        if model.camera is not None and self.scores_images:
+            found |= self.image_errors(self._rendered(model.camera, thin_images))
         return found
 
     def copy_errors(self) -> dict[str, float]:
@@ -182,14 +177,10 @@ def shrunk_images(recording: Recording, divisor: int) -> Recording:
     cameras = {}
     for name, camera in recording.cameras.items():
         images = camera.training
-        small = shrunk(images.pinhole, divisor)
-        cut = np.s_[:, : small.height * divisor, : small.width * divisor]
-        blocks = (-1, small.height, divisor, small.width, divisor)
-        rgb = images.rgb[cut].reshape(*blocks, 3).mean(axis=(2, 4))
-        valid = images.valid[None][cut].reshape(blocks).all(axis=(2, 4))[0]
-        training = CameraImages(
-            small, np.rint(rgb).astype(np.uint8), images.pose, np.flatnonzero(valid.reshape(-1))
-        )
+        rgb = np.stack([block_colours(image, divisor) for image in images.rgb])
+        valid = block_means(images.valid, divisor) == 1.0
+        pinhole = shrunk(images.pinhole, divisor)
+        training = CameraImages(pinhole, rgb, images.pose, np.flatnonzero(valid.reshape(-1)))
         cameras[name] = replace(camera, training=training)
     return replace(recording, cameras=cameras)
 
