@@ -5,10 +5,7 @@ each variant below (none for more than five minutes on two cores), prints a Mark
 errors in metres a frame, and writes it into ``docs/paper_fidelity.md`` and ``benchmarks/results/flow.json``.
 """
 
-import argparse
-import json
 import os
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +16,9 @@ import torch
 from scipy.spatial import cKDTree
 
 from benchmarks.common import places
+from benchmarks.common.markdown import markdown_table
 from benchmarks.common.markers import write_between
+from benchmarks.common.stored import write_measured
 from benchmarks.paper.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
 from benchmarks.paper.parameters import DOCUMENT
 from nvsf_core.drives.catalogue import home_from_environment
@@ -29,7 +28,6 @@ from nvsf_core.models.paper.training.flow import train_flow
 from nvsf_core.recipe import FlowSpec, PaperRecipe
 from nvsf_core.recipe.paper import GridSpec, ReferenceQuirks
 from nvsf_core.stages.inputs import read_sweeps
-from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import (
     find_scene,
     plan_run,
@@ -137,7 +135,7 @@ def nearest_in_time(motions: list[TrueMotion]) -> Displacements:
 def errors_m(motions: list[TrueMotion], displacements: Displacements) -> list[dict[str, Any]]:
     """Median and mean end-point error by surface and split, of all displacements to a frame of the drive."""
     found: dict[tuple[str, str], list[np.ndarray]] = {}
-    last = max(motion.frame for motion in motions)
+    count = frame_count(motions)
     for motion in motions:
         forward, backward = displacements(motion)
         split = "train" if motion.is_training else "test"
@@ -145,7 +143,7 @@ def errors_m(motions: list[TrueMotion], displacements: Displacements) -> list[di
             (motion.frame + 1, forward, motion.following_m),
             (motion.frame - 1, backward, motion.preceding_m),
         ):
-            if not 0 <= there <= last:
+            if not 0 <= there < count:
                 continue
             error = np.linalg.norm(made - true, axis=1)
             for index, surface in enumerate(SURFACES):
@@ -162,20 +160,19 @@ def errors_m(motions: list[TrueMotion], displacements: Displacements) -> list[di
 
 def measure(motions: list[TrueMotion], bounds: Bounds) -> dict[str, Any]:
     """Train every variant and judge it beside the baselines."""
-    count = max(motion.frame for motion in motions) + 1
     rows = [{"method": "zero flow"} | row for row in errors_m(motions, nothing)]
     rows += [{"method": "nearest in time"} | row for row in errors_m(motions, nearest_in_time(motions))]
     runs = []
     for variant in variants():
         for seed in variant.seeds:
-            flow, run = train_variant(motions, bounds, count, variant, seed)
+            flow, run = train_variant(motions, bounds, variant, seed)
             runs.append(run)
-            rows += [row | {"seed": seed} for row in rows_of(motions, bounds, count, variant, flow)]
+            rows += [row | {"seed": seed} for row in rows_of(motions, bounds, variant, flow)]
     return {"runs": runs, "rows": rows}
 
 
 def rows_of(
-    motions: list[TrueMotion], bounds: Bounds, count: int, variant: Variant, flow: FlowField
+    motions: list[TrueMotion], bounds: Bounds, variant: Variant, flow: FlowField
 ) -> list[dict[str, Any]]:
     """A trained flow's errors as it is applied, and as the slip would apply it."""
     slips = variant.recipe.slips
@@ -185,26 +182,31 @@ def rows_of(
     return [
         {"method": method} | row
         for method, switches in applied_with.items()
-        for row in errors_m(motions, learned(flow, bounds, count, switches))
+        for row in errors_m(motions, learned(flow, bounds, frame_count(motions), switches))
     ]
 
 
 def train_variant(
-    motions: list[TrueMotion], bounds: Bounds, count: int, variant: Variant, seed: int
+    motions: list[TrueMotion], bounds: Bounds, variant: Variant, seed: int
 ) -> tuple[FlowField, dict[str, Any]]:
     """The trained flow, and what the training was."""
     training = [motion for motion in motions if motion.is_training]
     clouds = [motion.cloud_m / np.float32(bounds.half_m) for motion in training]
     frame = np.array([motion.frame for motion in training], np.float64)
-    started = time.perf_counter()
-    state = train_flow(variant.recipe, clouds, frame, count, variant.steps, seed, say_on_stderr)
-    seconds, flow, recipe = time.perf_counter() - started, state.model, variant.recipe
-    assert isinstance(flow, FlowField)
-    return flow, {
-        "method": variant.name, "seed": seed, "steps": variant.steps, "seconds": seconds,
-        "flow": asdict(recipe.flow), "rate": recipe.optimiser.head_rate,
-        "flow_magnitude": recipe.losses.flow_magnitude, "loss": state.curve[-1]["loss"],
+    recipe, count, started = variant.recipe, frame_count(motions), time.perf_counter()
+    state = train_flow(recipe, clouds, frame, count, variant.steps, seed, say_on_stderr)
+    assert isinstance(state.model, FlowField)
+    return state.model, {
+        "method": variant.name, "seed": seed, "steps": variant.steps,
+        "seconds": time.perf_counter() - started, "flow": asdict(recipe.flow),
+        "rate": recipe.optimiser.head_rate, "flow_magnitude": recipe.losses.flow_magnitude,
+        "loss": state.curve[-1]["loss"],
     }  # fmt: skip
+
+
+def frame_count(motions: list[TrueMotion]) -> int:
+    """Frames of the drive."""
+    return max(motion.frame for motion in motions) + 1
 
 
 def targets(rows: list[dict[str, Any]], judged: str) -> dict[str, bool]:
@@ -224,14 +226,13 @@ def targets(rows: list[dict[str, Any]], judged: str) -> dict[str, bool]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown: training frames / held-out frames, metres a frame, mean over the seeds."""
-    lines = [f"| median end-point error, m | {' | '.join(SURFACES)} |", f"|---|{'---:|' * len(SURFACES)}"]
+    lines = []
     for method in dict.fromkeys(row["method"] for row in rows):
         mine = [row for row in rows if row["method"] == method]
-        cells = [
-            " / ".join(_mean(mine, surface, split) for split in ("train", "test")) for surface in SURFACES
-        ]
-        lines.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        splits = ([_mean(mine, surface, split) for split in ("train", "test")] for surface in SURFACES)
+        lines.append([method, *map(" / ".join, splits)])
+    head = ["median end-point error, m", *SURFACES]
+    return markdown_table(head, lines, "|---|" + "---:|" * len(SURFACES))
 
 
 def _mean(rows: list[dict[str, Any]], surface: str, split: str) -> str:
@@ -241,22 +242,12 @@ def _mean(rows: list[dict[str, Any]], surface: str, split: str) -> str:
 
 def main() -> None:
     """Measure, print, write."""
-    argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    ).parse_args()
     motions, bounds = demo_motions()
     found = measure(motions, bounds)
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=RESULTS.parent,
-    ).stdout.strip()
     met = targets(found["rows"], variants()[0].name)
-    facts = {"machine": machine(), "commit": commit, "scene": "demo", "half_edge_m": bounds.half_m}
-    RESULTS.write_text(json.dumps(facts | {"targets_met": met} | found, indent=1) + "\n")
-    write_between(DOCUMENT, "flow", table(found["rows"]) + "\n")
+    facts = {"scene": "demo", "half_edge_m": bounds.half_m, "targets_met": met}
+    write_measured(RESULTS, facts | found)
+    write_between(DOCUMENT, "flow", table(found["rows"]))
     print(table(found["rows"]))
     for target, is_met in met.items():
         print(f"{'met' if is_met else 'MISSED'}: {target}")

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.models.paper.training.flow import flow_cloud
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.scoring.demo_truth import DemoTruth
@@ -58,9 +59,7 @@ def _motion(
     part, a, world = sweeps.returns_of(scan), sweeps.arrays, truth.world
     points_m, centre_m = _points(sweeps, part), np.array(bounds.centre_m)
     near = np.flatnonzero(a["range_m"][part] < sweeps.table.max_range_m)
-    pose = np.eye(4)
-    rotation, position = sweeps.trajectory.at(a["time_s"][scan : scan + 1])
-    pose[:3, :3], pose[:3, 3] = rotation[0], position[0]
+    pose = pose_from_parts(*sweeps.trajectory.at(a["time_s"][scan : scan + 1]))[0]
     cloud_m = flow_cloud(points_m[near], pose, centre_m, draws)
     centred = (points_m - centre_m).astype(np.float32)
     in_cloud = near[cKDTree(centred[near]).query(cloud_m)[1]]

@@ -5,10 +5,7 @@ such as ``.nvsf/k360_street/pano/pano.zarr``. Writes ``benchmarks/results/gradie
 of ``docs/paper_fidelity.md``; without any it writes the table anew from the JSON.
 """
 
-from __future__ import annotations
-
 import argparse
-import json
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -16,7 +13,9 @@ from typing import Literal
 import torch
 
 from benchmarks.common import places
+from benchmarks.common.markdown import markdown_table
 from benchmarks.common.markers import write_between
+from benchmarks.common.stored import read_rows, write_json
 from nvsf_core.losses.gradient_mask import BAND_EDGES_M, gradient_mask, mask_coverage
 from nvsf_core.stores.arrays import read_arrays
 
@@ -52,18 +51,14 @@ def coverage_rows(pano: Path, grid: str) -> list[dict[str, object]]:
 def table(rows: list[dict[str, object]]) -> str:
     """The rows as Markdown, a column a band, in percent of the returns."""
     bands = [f"{low:.0f}-{high:.0f} m" for low, high in pairwise(BAND_EDGES_M)]
-    lines = [
-        f"| scene | grid | along | mask | threshold | {' | '.join(bands)} |",
-        f"|---|---|---|---|---{'|---:' * len(bands)}|",
-    ]
+    lines = []
     for first in range(0, len(rows), len(bands)):
         row = rows[first]
         cells = [_percent(cell["coverage"]) for cell in rows[first : first + len(bands)]]
-        lines.append(
-            f"| {row['scene']} | {row['grid']} | {row['axis']} | {row['mask']} | {row['threshold_m']} m | "
-            f"{' | '.join(cells)} |"
-        )
-    return "\n".join(lines)
+        about = [row["scene"], row["grid"], row["axis"], row["mask"], f"{row['threshold_m']} m"]
+        lines.append([*about, *cells])
+    head = ["scene", "grid", "along", "mask", "threshold", *bands]
+    return markdown_table(head, lines, "|---|---|---|---|---|" + "---:|" * len(bands))
 
 
 def main() -> None:
@@ -74,10 +69,10 @@ def main() -> None:
     arguments = parser.parse_args()
     rows = [row for pano in arguments.pano for row in coverage_rows(pano, arguments.grid)]
     if rows:
-        RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
-    text = table(json.loads(RESULTS.read_text()))
-    write_between(DOCUMENT, "gradient_mask", text + "\n")
-    print(text)
+        write_json(RESULTS, rows)
+    text = table(read_rows(RESULTS))
+    write_between(DOCUMENT, "gradient_mask", text)
+    print(text, end="")
 
 
 def _percent(share: object) -> str:

@@ -6,6 +6,7 @@ table too.
 
 import torch
 
+from benchmarks.common.markdown import markdown_table
 from benchmarks.common.markers import write_between
 from benchmarks.common.places import DOCS
 from nvsf_core.fields.raydrop_unet import RaydropUnet
@@ -52,9 +53,9 @@ def counts(recipe: PaperRecipe) -> dict[str, int]:
 def table() -> str:
     """The recipe's parameters as Markdown."""
     found = counts(PaperRecipe(name="paper"))
-    lines = ["| part | parameters |", "| --- | ---: |"]
-    lines += [f"| {_PARTS[part]} | {count:,} |" for part, count in found.items()]
-    return "\n".join([*lines, f"| **all** | **{sum(found.values()):,}** |"]) + "\n"
+    rows = [[_PARTS[part], f"{count:,}"] for part, count in found.items()]
+    rows.append(["**all**", f"**{sum(found.values()):,}**"])
+    return markdown_table(["part", "parameters"], rows, "| --- | ---: |")
 
 
 def main() -> None:

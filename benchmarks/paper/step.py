@@ -5,7 +5,6 @@ machine with a GPU it runs there. It needs NVSF_SCENES and NVSF_HOME as a traini
 """
 
 import argparse
-import json
 import os
 import resource
 import time
@@ -14,7 +13,9 @@ import torch
 
 from benchmarks.common import places
 from benchmarks.common.commit import commit
+from benchmarks.common.markdown import markdown_table
 from benchmarks.common.markers import write_between
+from benchmarks.common.stored import read_rows, write_json
 from benchmarks.paper.ablation import prepared_recording
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.models.paper.scene import training_frames
@@ -75,17 +76,16 @@ def iterations(recipe: PaperRecipe, frames: PaperFrames, steps: int) -> dict[str
 
 def table() -> str:
     """The measured rows as Markdown."""
-    lines = [
-        "| scene | rays x samples | loss terms | s each | rays/s | peak MB | machine | commit |",
-        "| --- | --- | --- | ---: | ---: | ---: | --- | --- |",
-    ]
-    for row in json.loads(RESULTS.read_text()):
-        lines.append(
-            f"| `{row['scene']}` | {row['rays']} x {row['samples']} | {', '.join(row['terms'])} "
-            f"| {row['seconds']:.1f} | {row['rays_per_s']:.0f} "
-            f"| {row['peak_gpu_mb'] or row['peak_memory_mb']:.0f} | {row['machine']} | {row['commit']} |"
-        )
-    return "\n".join(lines) + "\n"
+    rows = [
+        [
+            f"`{row['scene']}`", f"{row['rays']} x {row['samples']}", ", ".join(row["terms"]),
+            f"{row['seconds']:.1f}", f"{row['rays_per_s']:.0f}",
+            f"{row['peak_gpu_mb'] or row['peak_memory_mb']:.0f}", row["machine"], row["commit"],
+        ]
+        for row in read_rows(RESULTS)
+    ]  # fmt: skip
+    head = ["scene", "rays x samples", "loss terms", "s each", "rays/s", "peak MB", "machine", "commit"]
+    return markdown_table(head, rows, "| --- | --- | --- | ---: | ---: | ---: | --- | --- |")
 
 
 def main() -> None:
@@ -95,9 +95,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2)
     arguments = parser.parse_args()
     row = measure(arguments.scene, arguments.steps)
-    known = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
-    others = [one for one in known if (one["scene"], one["machine"]) != (row["scene"], row["machine"])]
-    RESULTS.write_text(json.dumps([*others, row], indent=1) + "\n")
+    key = (row["scene"], row["machine"])
+    others = [one for one in read_rows(RESULTS) if (one["scene"], one["machine"]) != key]
+    write_json(RESULTS, [*others, row])
     write_between(DOCUMENT, "paper_step", table())
     print(table(), end="")
 

@@ -6,10 +6,9 @@ between its markers. A part that gives nothing on any drive is deleted, not list
 
 from dataclasses import dataclass
 
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.markers import write_between
 from benchmarks.common.places import ROOT
-
-PAGE = ROOT / "docs/lean.md"
-_START, _END = "<!-- capabilities -->", "<!-- end of capabilities -->"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +105,13 @@ CAPABILITIES = (
 
 def main() -> None:
     """Write the table."""
-    before, _, rest = PAGE.read_text().partition(_START)
-    after = rest.partition(_END)[2]
-    PAGE.write_text(f"{before}{_START}\n{table()}{_END}{after}")
+    write_between(ROOT / "docs/lean.md", "capabilities", table())
 
 
 def table() -> str:
     """The table in Markdown."""
-    rows = [f"| {one.name} | {lines_of(one)} | {one.gain} |\n" for one in CAPABILITIES]
-    return "| part | lines | what it gives, held out or left out |\n|---|---:|---|\n" + "".join(rows)
+    rows = [[one.name, lines_of(one), one.gain] for one in CAPABILITIES]
+    return markdown_table(["part", "lines", "what it gives, held out or left out"], rows, "|---|---:|---|")
 
 
 def lines_of(part: Capability) -> int:
