@@ -5,7 +5,6 @@ default all), uses every core, writes benchmarks/results/hostile.json and the ta
 exits with 1 where a case ended in a library's error, a hang or a crash. A case is found again by its number.
 """
 
-import json
 import multiprocessing
 import os
 import shutil
@@ -14,19 +13,18 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from benchmarks.common import places
 from benchmarks.common.commit import commit
 from benchmarks.common.markers import write_between
-from benchmarks.common.places import ROOT
+from benchmarks.common.stored import Row, write_measured
 from benchmarks.hostile.limits import GIGABYTES, SECONDS, run_limited
 from benchmarks.hostile.subjects import Templates
 from benchmarks.hostile.table import FAULTS, counts, silent
 from nvsf_core.stages.runner.host import machine
 
-RESULTS = "benchmarks/results/hostile.json"
 _SHARES = {"drive": 0.45, "home": 0.2, "catalogue": 0.2, "choice": 0.15}
 _SAY_EVERY = 100
 
@@ -42,27 +40,17 @@ def main() -> int:
         templates = Templates(Path(folder))
         rows = list(_run(templates, numbers, seed, Path(folder)))
     rows.sort(key=lambda row: (row["subject"], row["number"]))
-    facts = {
-        "machine": machine(),
-        "commit": commit(),
-        "seed": seed,
-        "minutes": (time.monotonic() - started) / 60,
-    }
-    print(counts(rows))
-    print(silent(rows))
+    minutes = (time.monotonic() - started) / 60
+    print(counts(rows), silent(rows), sep="\n")
     faults = [row for row in rows if row["kind"] in FAULTS]
     for row in faults:
-        print(
-            f"{row['subject']} {row['number']}: {row['harmed']}: {row['how']}: {row['kind']}: {row['words']}"
-        )
+        print("{subject} {number}: {harmed}: {how}: {kind}: {words}".format(**row))
     if only == list(_SHARES):
-        _write(facts, rows)
+        _write(seed, minutes, rows)
     return 1 if faults else 0
 
 
-def _run(
-    templates: Templates, numbers: list[tuple[str, int]], seed: int, folder: Path
-) -> Iterator[dict[str, Any]]:
+def _run(templates: Templates, numbers: list[tuple[str, int]], seed: int, folder: Path) -> Iterator[Row]:
     tasks = [(templates, subject, number, seed, folder) for subject, number in numbers]
     with multiprocessing.get_context("fork").Pool(os.cpu_count()) as pool:
         for done, row in enumerate(pool.imap_unordered(_case, tasks), start=1):
@@ -73,7 +61,7 @@ def _run(
             yield row
 
 
-def _case(task: tuple[Templates, str, int, int, Path]) -> dict[str, Any]:
+def _case(task: tuple[Templates, str, int, int, Path]) -> Row:
     templates, subject, number, seed, folder = task
     random = np.random.default_rng([seed, list(_SHARES).index(subject), number])
     place = Path(tempfile.mkdtemp(dir=folder))
@@ -88,22 +76,20 @@ def _case(task: tuple[Templates, str, int, int, Path]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _write(facts: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+def _write(seed: int, minutes: float, rows: list[Row]) -> None:
     told = [row for row in rows if row["kind"] in (*FAULTS, "silent")]
-    tally = [{key: row[key] for key in ("subject", "harmed", "how", "kind")} for row in told]
-    document = {
-        **facts,
-        "cases": len(rows),
+    facts = {
+        "seed": seed, "minutes": minutes, "cases": len(rows),
         "limits": {"seconds": SECONDS, "gigabytes": GIGABYTES},
-        "told": tally,
-    }
-    (ROOT / RESULTS).write_text(json.dumps(document, indent=1) + "\n")
+        "told": [{key: row[key] for key in ("subject", "harmed", "how", "kind")} for row in told],
+    }  # fmt: skip
+    write_measured(places.RESULTS / "hostile.json", facts)
     head = (
-        f"{facts['machine']}; commit {facts['commit']}; seed {facts['seed']}; each case "
-        f"has {SECONDS:.0f} s and {GIGABYTES:g} GB; {facts['minutes']:.0f} minutes.\n\n"
+        f"{machine()}; commit {commit()}; seed {seed}; each case "
+        f"has {SECONDS:.0f} s and {GIGABYTES:g} GB; {minutes:.0f} minutes.\n\n"
     )
-    write_between(ROOT / "docs/safety.md", "cases", head + counts(rows))
-    write_between(ROOT / "docs/safety.md", "silent", silent(rows))
+    write_between(places.DOCS / "safety.md", "cases", head + counts(rows))
+    write_between(places.DOCS / "safety.md", "silent", silent(rows))
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +22,16 @@ _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_]{3,}")
 
 
+def one_of(items: Sequence[Any], random: Random) -> Any:
+    """Any of them."""
+    return items[int(random.integers(len(items)))]
+
+
 def mutate(path: Path, random: Random) -> str:
     """Do one thing to a file; returns what, in words."""
     if path.stat().st_size > MOST_BYTES:
         return "nothing more"  # a sparse file of before
-    kinds = _KINDS.get(path.suffix, ()) + _ANY
-    harm = kinds[int(random.integers(len(kinds)))]
+    harm = one_of(_KINDS.get(path.suffix, ()) + _ANY, random)
     harm(path, random)
     return harm.__name__.strip("_").replace("_", " ")
 
@@ -91,33 +96,31 @@ def _sparse(path: Path, random: Random) -> None:
 def _other_file(path: Path, random: Random) -> None:
     near = sorted(other for other in path.parent.parent.rglob("*") if other.is_file() and other != path)
     others = [other for other in near if other.stat().st_size <= MOST_BYTES]
-    path.write_bytes(others[int(random.integers(len(others)))].read_bytes() if others else b"")
+    path.write_bytes(one_of(others, random).read_bytes() if others else b"")
 
 
 def _odd_number(path: Path, random: Random) -> None:
-    content = path.read_bytes()
-    found = list(_NUMBER.finditer(content))
-    if found:
-        match = found[int(random.integers(len(found)))]
-        odd = ODD_NUMBERS[int(random.integers(len(ODD_NUMBERS)))].encode()
-        path.write_bytes(content[: match.start()] + odd + content[match.end() :])
+    _replace_one(path, random, _NUMBER, lambda _: one_of(ODD_NUMBERS, random).encode())
 
 
 def _scaled_number(path: Path, random: Random) -> None:
-    content = path.read_bytes()
-    found = list(_NUMBER.finditer(content))
-    if found:
-        match = found[int(random.integers(len(found)))]
-        scaled = float(match[0]) * 10.0 ** float(random.integers(-12, 13))
-        path.write_bytes(content[: match.start()] + f"{scaled:.17g}".encode() + content[match.end() :])
+    def scaled(number: bytes) -> bytes:
+        return f"{float(number) * 10.0 ** float(random.integers(-12, 13)):.17g}".encode()
+
+    _replace_one(path, random, _NUMBER, scaled)
 
 
 def _misspelt_word(path: Path, random: Random) -> None:
+    _replace_one(path, random, _WORD, lambda word: word[:-1])
+
+
+def _replace_one(path: Path, random: Random, what: re.Pattern[bytes], by: Callable[[bytes], bytes]) -> None:
+    """One match of a pattern, by something made of it."""
     content = path.read_bytes()
-    found = list(_WORD.finditer(content))
+    found = list(what.finditer(content))
     if found:
-        match = found[int(random.integers(len(found)))]
-        path.write_bytes(content[: match.start()] + match[0][:-1] + content[match.end() :])
+        match = one_of(found, random)
+        path.write_bytes(content[: match.start()] + by(match[0]) + content[match.end() :])
 
 
 def _line(path: Path, random: Random) -> None:
@@ -142,7 +145,7 @@ def _many_lines(path: Path, random: Random) -> None:
 
 def _other_text(path: Path, random: Random) -> None:
     texts = (b"{}", b"[]", b"null", b'"a"', b"[" * 20_000, b"\xef\xbb\xbf", b"\xff\xfe", b"\0" * 50, b"\n")
-    text = texts[int(random.integers(len(texts)))]
+    text = one_of(texts, random)
     path.write_bytes(text if random.random() < 0.5 else text + path.read_bytes())
 
 
@@ -158,14 +161,8 @@ def _scan_numbers(path: Path, random: Random) -> None:
 def _scan_rows(path: Path, random: Random) -> None:
     """Rows shuffled, all the same, few, or many times over."""
     rows = _scan(path)
-    kind = int(random.integers(4))
-    made = (
-        random.permutation(rows),
-        np.repeat(rows[:1], len(rows), axis=0),
-        rows[:3],
-        np.tile(rows, (50, 1)),
-    )
-    made[kind].tofile(path)
+    kind, again = int(random.integers(4)), np.tile(rows, (50, 1))
+    (random.permutation(rows), np.repeat(rows[:1], len(rows), axis=0), rows[:3], again)[kind].tofile(path)
 
 
 def _scan_moved(path: Path, random: Random) -> None:

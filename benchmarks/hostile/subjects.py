@@ -1,5 +1,6 @@
 """What is harmed, and how its end is told: a drive, a home, a catalogue, a run's choices."""
 
+import contextlib
 import hashlib
 import shutil
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.hostile.limits import End
-from benchmarks.hostile.mutations import MOST_BYTES, ODD_NUMBERS, Random, mutate
+from benchmarks.hostile.mutations import MOST_BYTES, ODD_NUMBERS, Random, mutate, one_of
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.errors import NvsfError
@@ -85,22 +86,19 @@ class Templates:
         files = sorted(path for path in (place / "drive").rglob("*") if path.is_file())
         kinds, how = [], []
         for _ in range(int(random.choice([1, 1, 1, 2, 3]))):
-            path = files[int(random.integers(len(files)))]
-            if path.is_file() and not path.is_symlink():
+            path = one_of(files, random)
+            if _is_plain(path):
                 kinds.append(_drive_kind(path))
                 how.append(mutate(path, random))
-        scene = _scene(place / "drive")
-        return Case("+".join(kinds), ", ".join(how), lambda: self._end_of_drive(scene, place / "home"))
+        return Case("+".join(kinds), ", ".join(how), lambda: self._end_of_drive(place))
 
-    def _end_of_drive(self, scene: SceneEntry, home: Path) -> End:
-        run = plan_run(scene, home)
-        for stage in PREPARED:
-            run_named_stage(stage, run, lambda line: None)
-        doubts = sorted(_doubts(run, PREPARED) - self.doubts)
+    def _end_of_drive(self, place: Path) -> End:
+        run = plan_run(_scene(place / "drive"), place / "home")
+        _prepare(run)
+        doubts = sorted(_doubts(run) - self.doubts)
         if doubts:
             return End("doubted", "; ".join(doubts)[:300])
-        same = _digests(run, PREPARED) == self.prepared
-        return End("harmless" if same else "silent")
+        return End("harmless" if _digests(run) == self.prepared else "silent")
 
     def home(self, place: Path, random: Random) -> Case:
         """A trained home with one to three files harmed."""
@@ -110,10 +108,9 @@ class Templates:
         outputs += [run.store.path("dataset")]
         kinds, how = [], []
         for _ in range(int(random.choice([1, 1, 2, 3]))):
-            folder = outputs[int(random.integers(len(outputs)))]
-            files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+            files = sorted(path for path in one_of(outputs, random).rglob("*") if _is_plain(path))
             if files:
-                path = files[int(random.integers(len(files)))]
+                path = one_of(files, random)
                 kinds.append(f"{path.relative_to(run.store.root).parts[0]}/{path.suffix or 'chunk'}")
                 how.append(mutate(path, random))
         return Case("+".join(kinds), ", ".join(how), lambda: self._end_of_home(run))
@@ -121,24 +118,18 @@ class Templates:
     def _end_of_home(self, run: SceneRun) -> End:
         """Nobody but an NvsfError may be met by who reads; what changed must be seen; preparing heals."""
         make_benchmark_report(run.store.home, ["tiny"], {}, [])
-        refused = [name for name, found in _contents(run).items() if found == _REFUSED]
-        changed = [name for name, found in _contents(run).items() if self.stored.get(name) != found]
-        for ask in (read_recording, _load_model):
-            try:
-                ask(run.store)
-            except NvsfError:
-                continue
+        contents = _contents(run)
+        read = {name for name, found in contents.items() if found != _REFUSED}
+        changed = [name for name, found in contents.items() if self.stored.get(name) != found]
+        with contextlib.suppress(NvsfError):
+            load_trained(run.store.path("field/smoke/0"), read_recording(run.store))
         seen = [stage.name for stage in STAGES if _is_seen(run, stage)]
-        if any(
-            name.split("/")[0] in ("field", "mesh", "novel_views", "scene_metrics", "dataset")
-            for name in seen
-        ):
+        if not set(seen) <= set(PREPARED):
             return End("healed", f"made again: {', '.join(seen)}")
-        for stage in PREPARED:
-            run_named_stage(stage, run, lambda line: None)
-        if _digests(run, PREPARED) != self.prepared:
+        _prepare(run)
+        if _digests(run) != self.prepared:
             return End("silent", "prepared outputs differ after they were made again")
-        if set(changed) - set(refused) and not seen:
+        if read & set(changed) and not seen:
             return End("silent", f"changed and read: {', '.join(changed)[:200]}")
         return End("healed" if seen else "harmless", ", ".join(seen))
 
@@ -150,45 +141,15 @@ class Templates:
         shutil.copytree(self.folder / "drive", place / "drive", symlinks=True)
         how = []
         for _ in range(int(random.choice([1, 1, 2, 3]))):
-            if path.is_file() and not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
+            if _is_plain(path) and path.stat().st_size <= MOST_BYTES:
                 how.append(mutate(path, random) if random.random() < 0.6 else _odd_value(path, random))
-        return Case("scenes.toml", ", ".join(how), lambda: self._end_of_catalogue(path, place / "home"))
-
-    def _end_of_catalogue(self, path: Path, home: Path) -> End:
-        entries = load_catalogue([path], None)
-        for entry in entries:
-            plan_run(entry, home)
-        return End("harmless" if [entry.name for entry in entries] == ["tiny"] else "silent", "other scenes")
+        return Case("scenes.toml", ", ".join(how), lambda: _end_of_catalogue(path, place / "home"))
 
     def choice(self, place: Path, random: Random) -> Case:
         """A run's choices, of any kind and value."""
-        pool: list[Any] = [
-            *ODD_NUMBERS,
-            *map(_as_number, ODD_NUMBERS),
-            None,
-            True,
-            [],
-            {},
-            b"a",
-            1.5,
-            "../x",
-            "/x",
-        ]
-        pool += [
-            "a\0b",
-            "x" * 300,
-            "lean@0.5",
-            "lean@-1",
-            "lean@",
-            "..",
-            ".",
-            "a/../../b",
-            2**32,
-            -1,
-            "smoke",
-        ]
+        pool = [*ODD_NUMBERS, *map(_as_number, ODD_NUMBERS), *_ODD_CHOICES]
         names = ("seed", "draw_seed", "dataset_label", "recipe")
-        chosen = {name: pool[int(random.integers(len(pool)))] for name in names if random.random() < 0.5}
+        chosen = {name: one_of(pool, random) for name in names if random.random() < 0.5}
 
         def end() -> End:
             run = plan_run(self.scene, place / "home", **chosen)
@@ -202,6 +163,10 @@ class Templates:
 
 
 _REFUSED = "refused"
+_ODD_CHOICES: tuple[Any, ...] = (
+    None, True, [], {}, b"a", 1.5, "../x", "/x", "a\0b", "x" * 300, "lean@0.5", "lean@-1", "lean@", "..", ".",
+    "a/../../b", 2**32, -1, "smoke",
+)  # fmt: skip
 _ODD_VALUES = (
     "[]", "{}", "true", "[[1]]", '"../.."', '"a\\u0000"', "[nan]", "1979-05-27", '["a", 1]', "[1e400]",
     "9" * 50, '"' + "x" * 500 + '"',
@@ -222,7 +187,19 @@ def _make(folder: Path, scene: SceneEntry) -> tuple[dict[str, str], set[str], di
     write_demo(folder / "drive", size=DemoSize.tiny())
     run_scene(scene, folder / "home", progress=lambda line: None)
     run = plan_run(scene, folder / "home")
-    return _digests(run, PREPARED), _doubts(run, PREPARED), _contents(run)
+    return _digests(run), _doubts(run), _contents(run)
+
+
+def _prepare(run: SceneRun) -> None:
+    for stage in PREPARED:
+        run_named_stage(stage, run, lambda line: None)
+
+
+def _end_of_catalogue(path: Path, home: Path) -> End:
+    entries = load_catalogue([path], None)
+    for entry in entries:
+        plan_run(entry, home)
+    return End("harmless" if [entry.name for entry in entries] == ["tiny"] else "silent", "other scenes")
 
 
 def _as_number(text: str) -> Any:
@@ -238,8 +215,8 @@ def _odd_value(path: Path, random: Random) -> str:
     keyed = [k for k, line in enumerate(lines) if " = " in line]
     values = [*(f'"{number}"' for number in ODD_NUMBERS), *ODD_NUMBERS, *_ODD_VALUES]
     if keyed:
-        at = keyed[int(random.integers(len(keyed)))]
-        lines[at] = f"{lines[at].split(' = ')[0]} = {values[int(random.integers(len(values)))]}"
+        at = one_of(keyed, random)
+        lines[at] = f"{lines[at].split(' = ')[0]} = {one_of(values, random)}"
         path.write_text("\n".join(lines))
     return "odd value"
 
@@ -248,28 +225,34 @@ def _drive_kind(path: Path) -> str:
     return {".bin": "scan", ".png": "image", ".xml": "boxes"}.get(path.suffix, path.name)
 
 
-def _doubts(run: SceneRun, stages: tuple[str, ...]) -> set[str]:
+def _is_plain(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
+
+
+def _doubts(run: SceneRun) -> set[str]:
     """Checks that do not hold, and notes on what was left out."""
     found = set()
-    for name in stages:
+    for name in PREPARED:
         record = read_record(run.store.path(name)) or {"checks": [], "metadata": {}}
+        about = record["metadata"]
         found |= {check["name"] for check in record["checks"] if not check["passed"]}
-        found |= {f"note: {record['metadata'][key]}" for key in ("notes",) if key in record["metadata"]}
-        if record["metadata"].get("period_assumed") is True:
-            found.add("period assumed")
-        if "absurd_returns_dropped" in record["metadata"]:
-            found |= {"returns dropped"} if record["metadata"]["absurd_returns_dropped"] else set()
+        found |= {f"note: {about['notes']}"} if "notes" in about else set()
+        found |= {key for key in ("period_assumed", "absurd_returns_dropped") if about.get(key)}
     return found
 
 
-def _digests(run: SceneRun, stages: tuple[str, ...]) -> dict[str, str]:
+def _digests(run: SceneRun) -> dict[str, str]:
     """Of every array that the stages published."""
     return {
-        f"{group.name}/{name}": hashlib.sha256(np.ascontiguousarray(array)).hexdigest()
-        for stage in stages
+        f"{group.name}/{name}": _digest(array)
+        for stage in PREPARED
         for group in sorted(run.store.path(stage).glob("*.zarr"))
         for name, array in read_arrays(group).items()
     }
+
+
+def _digest(array: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(array)).hexdigest()
 
 
 def _contents(run: SceneRun) -> dict[str, str]:
@@ -289,10 +272,7 @@ def _contents(run: SceneRun) -> dict[str, str]:
 
 
 def _read_group(path: Path) -> Any:
-    arrays = {
-        name: hashlib.sha256(np.ascontiguousarray(a)).hexdigest() for name, a in read_arrays(path).items()
-    }
-    return arrays, dict(read_attrs(path))
+    return {name: _digest(array) for name, array in read_arrays(path).items()}, dict(read_attrs(path))
 
 
 def _read_weights(path: Path) -> Any:
@@ -303,10 +283,6 @@ def _read_weights(path: Path) -> Any:
 _READERS: dict[str, Callable[[Path], Any]] = {
     ".zarr": _read_group, ".parquet": read_rows, ".json": read_document, ".safetensors": _read_weights,
 }  # fmt: skip
-
-
-def _load_model(store: Any) -> object:
-    return load_trained(store.path("field/smoke/0"), read_recording(store))
 
 
 def _is_seen(run: SceneRun, stage: Any) -> bool:

@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from benchmarks.common.markdown import markdown_table
+
 KINDS = ("refused", "doubted", "healed", "harmless", "silent", "raw error", "hang", "crash")
 FAULTS = ("raw error", "hang", "crash")
 _MEANING = {
@@ -20,16 +22,15 @@ _MEANING = {
 
 def counts(rows: Sequence[Mapping[str, Any]]) -> str:
     """What was harmed against how it ended."""
-    subjects = sorted({row["subject"] for row in rows})
-    lines = [f"| harmed | cases | {' | '.join(KINDS)} |", f"| --- |{' ---: |' * (len(KINDS) + 1)}"]
-    for subject in subjects:
-        found = Counter(row["kind"] for row in rows if row["subject"] == subject)
-        cells = " | ".join(f"{found[kind]:,}" for kind in KINDS)
-        lines.append(f"| {subject} | {sum(found.values()):,} | {cells} |")
-    total = Counter(row["kind"] for row in rows)
-    lines.append(f"| all | {len(rows):,} | {' | '.join(f'{total[kind]:,}' for kind in KINDS)} |")
+    lines = []
+    for subject in (*sorted({row["subject"] for row in rows}), "all"):
+        found = Counter(row["kind"] for row in rows if subject in (row["subject"], "all"))
+        lines.append(
+            [subject, *(f"{count:,}" for count in (found.total(), *(found[kind] for kind in KINDS)))]
+        )
+    table = markdown_table(["harmed", "cases", *KINDS], lines, "| --- |" + " ---: |" * (len(KINDS) + 1))
     words = "; ".join(f"{kind}: {meaning}" for kind, meaning in _MEANING.items())
-    return "\n".join([*lines, "", f"{words[0].upper()}{words[1:]}.", ""])
+    return f"{table}\n{words[0].upper()}{words[1:]}.\n"
 
 
 def silent(rows: Sequence[Mapping[str, Any]], most: int = 25) -> str:
@@ -37,7 +38,7 @@ def silent(rows: Sequence[Mapping[str, Any]], most: int = 25) -> str:
     found = Counter((row["harmed"], row["how"]) for row in rows if row["kind"] == "silent")
     if not found:
         return "Nothing was accepted silently.\n"
-    lines = ["| harmed | how | cases |", "| --- | --- | ---: |"]
-    lines += [f"| {harmed} | {how} | {count} |" for (harmed, how), count in found.most_common(most)]
-    rest = len(found) - most
-    return "\n".join([*lines, *([f"| others | {rest} combinations of these | |"] if rest > 0 else []), ""])
+    lines: list[list[object]] = [[harmed, how, count] for (harmed, how), count in found.most_common(most)]
+    if len(found) > most:
+        lines.append(["others", f"{len(found) - most} combinations of these", ""])
+    return markdown_table(["harmed", "how", "cases"], lines, "| --- | --- | ---: |")

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from benchmarks.speed_error.document import write_document
@@ -77,9 +78,8 @@ def measure(asked: Asked, results: Path = RESULTS) -> list[str]:
             (VAL, size, [SIZE_SECONDS]) for size in sizes if not is_done(results, scene, VAL, size, seed)
         ]
         for place, name, marks in [*wanted, (split, recipe, asked.marks_s)]:
-            code = _prepare(scene, place) or _process(
-                scene, place, name, str(seed), "--marks", *map(str, marks)
-            )
+            run = (scene, place, name, str(seed), "--marks", *map(str, marks))
+            code = _prepare(scene, place) or _process(*run)
             if code:
                 failed.append(f"{scene}, split {place}, {name}, seed {seed}: exit code {code}")
                 break
@@ -98,17 +98,10 @@ def is_done(results: Path, scene: str, split: str, recipe: str, seed: int) -> bo
     return found["run"]["recipe_identity"] == asked.identity()
 
 
-_prepared: set[tuple[str, str]] = set()
-
-
+@cache
 def _prepare(scene: str, split: str) -> int:
     """The split's stages up to `evidence`, in a process whose memory is not the training's."""
-    if (scene, split) in _prepared:
-        return 0
-    code = _process(scene, split, "--prepare")
-    if not code:
-        _prepared.add((scene, split))
-    return code
+    return _process(scene, split, "--prepare")
 
 
 def _process(*arguments: str) -> int:
@@ -120,9 +113,7 @@ def main() -> int:
     """Measure, then write docs/speed_and_error.md; 1 where a run failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--document", action="store_true", help="only write docs/speed_and_error.md")
-    failed: list[str] = []
-    if not parser.parse_args().document:
-        failed = measure(asked_from(os.environ))
+    failed = [] if parser.parse_args().document else measure(asked_from(os.environ))
     print(write_document(RESULTS))
     for reason in failed:
         print(f"FAILED  {reason}")

@@ -138,24 +138,26 @@ class Judge:
             return None
         spent = []
         for name, plan in self.view.images.items():
-            camera = self.recording.cameras[name]
-            pinhole = thin_pinhole(camera.training.pinhole) if thin else camera.training.pinhole
-            pose = (reference_poses(self.recording, plan) @ camera.in_lidar)[0]
+            pinhole, poses = self._camera(name, thin)
             started = time.perf_counter()
-            model.camera(name, pinhole, pose, float(plan.time_s[0]))
+            model.camera(name, pinhole, poses[0], float(plan.time_s[0]))
             spent.append((time.perf_counter() - started) * (_PIXEL_STEP**2 if thin else 1))
         return float(np.mean(spent))
 
     def _rendered(self, render: ImageRenderer, thin: bool) -> dict[str, np.ndarray]:
         shown = {}
         for name, plan in self.view.images.items():
-            camera = self.recording.cameras[name]
-            poses = reference_poses(self.recording, plan) @ camera.in_lidar
-            pinhole = thin_pinhole(camera.training.pinhole) if thin else camera.training.pinhole
+            pinhole, poses = self._camera(name, thin)
             instants = zip(poses, plan.time_s.tolist(), strict=True)
             images = np.stack([render(name, pinhole, pose, instant).rgb for pose, instant in instants])
             shown[name] = images if thin else thinned(images)
         return shown
+
+    def _camera(self, name: str, thin: bool) -> tuple[Pinhole, np.ndarray]:
+        """What a camera is rendered with, and its poses (n, 4, 4) in the view."""
+        camera = self.recording.cameras[name]
+        poses: np.ndarray = reference_poses(self.recording, self.view.images[name]) @ camera.in_lidar
+        return thin_pinhole(camera.training.pinhole) if thin else camera.training.pinhole, poses
 
 
 def judge_of(recording: Recording, store: SceneStore, frames: Sequence[int]) -> Judge:

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.speed_error import run as curve_run
 from benchmarks.speed_error.curves import asked_from, is_done
 from benchmarks.speed_error.document import write_document
-from benchmarks.speed_error.lidar import Sectors
+from benchmarks.speed_error.lidar import SECTORS, WHOLE
 from benchmarks.speed_error.plan import read_result, result_path, split_of, write_result
 from benchmarks.speed_error.scoring import thin_pinhole, thinned
 from benchmarks.speed_error.sizes import SIZES, chosen_size
@@ -19,7 +19,6 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.reporting.speed_error import METRICS, Point, curve, pareto_front, read_runs
 from nvsf_core.reporting.speed_plots import speed_section
-from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages import RunConfig, SceneRun, run_named_stage
 
 MARKS_S = (*np.arange(0.001, 300.0, 0.001).tolist(), 3600.0)
@@ -102,7 +101,7 @@ def test_copied_images_are_not_scored_where_those_trained_on_are_smaller(setting
 
 
 def test_sectors_are_a_quarter_of_the_pano_and_the_same_cells():
-    whole, part = LinearPano(), Sectors()
+    whole, part = WHOLE, SECTORS
     assert 0.24 < len(part.columns) / whole.width < 0.26
     range_m = np.random.default_rng(0).uniform(1.0, 80.0, (whole.height, whole.width))
     points = {tuple(point) for point in whole.points(range_m).round(6).tolist()}
