@@ -19,8 +19,8 @@ N_MEANS = 4
 _COSINE, _BRIGHTNESS = 1, 4
 _LEAST_TOTAL = float(np.finfo(np.float32).eps)
 OWN_PRIOR_SHARE = 0.3
-"""Of a ray's weight: where surfaces with votes of their own have as much, the ray ends among them.
-A wheel that most rays pass by would vanish from a scan whose every ray takes its likeliest end."""
+"""Share of a ray's weight from which surfaces with a hit prior of their own (moving objects) decide its end.
+By the likeliest end alone a wheel that most rays pass by would vanish from the scan."""
 
 
 @njit(inline="always")
@@ -43,7 +43,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             light = 1.0
-            total, distance, cosine, brightness, moving, own_vote = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            total, distance, cosine, brightness, moving, own_prior = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for i in range(first[ray], first[ray + 1]):
                 seen, left = _seen_and_left(float(logit[i]))
                 weight = light * seen
@@ -55,7 +55,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
                 brightness += weight * facts[i, _BRIGHTNESS]
                 if surface_hit_prior[i] >= 0.0:
                     moving += weight
-                    own_vote += weight * surface_hit_prior[i]
+                    own_prior += weight * surface_hit_prior[i]
                 for c in range(width):
                     summary[ray, c] += np.float32(weight) * features[i, c]
             divisor = max(total, _LEAST_TOTAL)
@@ -64,7 +64,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
             is_own = moving > 0.0 and moving >= OWN_PRIOR_SHARE * total
-            asked[ray] = own_vote / moving if is_own else hit_prior[ray]
+            asked[ray] = own_prior / moving if is_own else hit_prior[ray]
             half, so_far = 0.5 * (moving if is_own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
@@ -153,9 +153,9 @@ def composite_rays(
 
     Returns:
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
-        of the ray's weight up to it (of a ray without surfaces its `first`), of the surfaces with votes of
-        their own alone where these have at least `OWN_PRIOR_SHARE` of it; votes (n,): the surfaces' mean
-        where those with votes of their own decide where the ray ends, else `hit_prior`.
+        of the ray's weight up to it (without surfaces, the ray's `first`), counting only surfaces with a hit
+        prior of their own where these have at least `OWN_PRIOR_SHARE` of the weight; hit prior (n,): the
+        mean of those surfaces where they decide where the ray ends, else `hit_prior`.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_hit_prior, hit_prior
