@@ -1,4 +1,4 @@
-"""The report over all scenes: one offline HTML page for a reader who knows nothing of this project."""
+"""The report over all scenes: one offline HTML page for readers who do not know this project."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -48,9 +48,9 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
     """The page, as text.
 
     Args:
-        scenes: What each scene's outputs hold, in the order to show them.
+        scenes: The scenes' outputs, in the order to show them.
         no_data: Catalogue scenes whose recordings are not on this machine.
-        more: Ready-made sections (HTML) that stand below the scenes.
+        more: Ready-made sections (HTML) to put below the scenes.
     """
     shown = [_shown(scene) for scene in scenes]
     scenes = [scene for scene, _ in shown]
@@ -61,12 +61,12 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
 
 
 def _shown(scene: SceneOutputs) -> tuple[SceneOutputs, str]:
-    """The scene and its section; nothing of it but the reason where its numbers cannot be drawn."""
+    """The scene and its section; if its numbers cannot be shown, a scene with only the reason."""
     try:
         section = _scene(scene)
         if scene.runs:
             _summary([scene], [scene], [])
-    except Exception as error:  # a plot's or a format's, of numbers that no stage writes
+    except Exception as error:  # plots and formats fail on numbers that no stage writes
         reasons = [scene.failure, f"what was published cannot be shown: {error!r:.200}"]
         scene = SceneOutputs(name=scene.name, failure="; ".join(filter(None, reasons)))
         section = _scene(scene)
@@ -171,7 +171,7 @@ def _on(machine: str) -> str:
 
 
 def _provenance(scene: SceneOutputs) -> str:
-    """Which run each row of the scene's tables is from."""
+    """The runs that the rows of the scene's tables come from."""
     runs = "; ".join(
         f"<b>{escape(run.recipe)}</b>, seed {run.seed}: commit {_commit(run)}, "
         f"{run.measured:%Y-%m-%d %H:%M} UTC{_on(run.machine)}"
@@ -250,7 +250,7 @@ def _scene(scene: SceneOutputs) -> str:
 
 
 def _verdict(rows: Sequence[Row]) -> str:
-    """Who is best in how many of the main numbers, in one sentence."""
+    """One sentence: which model is best in how many of the main numbers."""
     count = wins(rows)
     total = sum(column.higher_is_better is not None for column in headline_columns(rows))
     models = [name for name, _, learned in methods_of(rows) if learned]

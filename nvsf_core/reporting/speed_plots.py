@@ -30,17 +30,17 @@ from nvsf_core.reporting.speed_error import (
 
 _COLOURS = ("#1f6feb", "#8250df", "#cf222e", "#1a7f37", "#bf3989", "#9a6700")
 _EARLIEST_S = 2.0
-"""Where what learns nothing stands on the logarithmic axis."""
+"""Place of baselines (no training) on the logarithmic axis."""
 _TICKS_S = (5, 15, 30, 60, 120, 300, 600, 1800)
 _INNER_SPLITS = ("val",)
-"""Splits that only choose something; their runs are no result."""
+"""Validation splits; their runs are not shown as results."""
 
 
 def curves_png(runs: Sequence[Run]) -> bytes:
-    """One panel a metric that was measured: a curve a recipe, a level a baseline, rings on the front.
+    """PNG with one panel per measured metric: a curve per recipe, a level per baseline, the Pareto front.
 
     Args:
-        runs: Of one scene and split.
+        runs: Runs of one scene and split.
     """
     names = recipes_of(runs)
     learned = [name for name in names if name not in BASELINES]
@@ -48,7 +48,7 @@ def curves_png(runs: Sequence[Run]) -> bytes:
     panels = []
     for metric in METRICS:
         every = {name: curve(runs, name, metric.key) for name in names}
-        # An error is infinite where most rays got no answer.
+        # An error is infinite where most rays have no rendered return.
         curves = {name: [p for p in points if math.isfinite(p.value)] for name, points in every.items()}
         curves = {name: points for name, points in curves.items() if points}
         if curves:
@@ -67,7 +67,7 @@ def curves_png(runs: Sequence[Run]) -> bytes:
 
 
 def speed_section(folder: Path | None) -> str:
-    """The report's section on everything measured below a folder; empty where there is nothing."""
+    """HTML section on all runs below `folder`; empty if there are none."""
     runs = [] if folder is None else read_runs(folder)
     shown = {key: mine for key, mine in groups(runs).items() if key[1] not in _INNER_SPLITS}
     if not shown:
@@ -137,7 +137,7 @@ def _panel(
 
 
 def _scale(axes: Axes, points: Sequence[Point], *, log_values: bool) -> None:
-    """Seconds logarithmic; errors too, because a coarse field's are a hundred times a good one's."""
+    """Set logarithmic scales. Errors need one too: a coarse field's are a hundred times a good one's."""
     axes.set_xscale("log")
     longest = max(_shown_s(point) for point in points)
     ticks = [tick for tick in _TICKS_S if tick <= longest * 1.05]

@@ -1,4 +1,4 @@
-"""The report's tables of methods, made from mean metric rows."""
+"""The report's tables of methods, made from rows of mean metrics."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ HEADLINES = (
     ("raw", "intensity_rmse", "intensity RMSE"), ("image", "image_psnr_db", "PSNR"),
     ("image", "image_ssim", "SSIM"),
 )  # fmt: skip
-"""Protocol, metric and title of the columns that every scene shows first."""
+"""Protocol, metric and title of the main columns of every scene."""
 
 PROTOCOLS = {
     "lidar4d": "as published by LiDAR4D: the recorded scan projected to a 66×1030 range image, against the"
@@ -28,7 +28,7 @@ PROTOCOLS = {
     "masked": "inside and outside the boxes of moving objects",
     "image": "all pixels of the recorded camera image",
 }
-"""What a protocol compares, in words."""
+"""Description of each protocol."""
 
 METHOD_WORDS = {
     "reproject": "baseline: the recorded returns of the other frames, rendered along the sensor's rays;"
@@ -54,7 +54,7 @@ Row = dict[str, Any]
 
 
 def methods_of(rows: Sequence[Row]) -> list[tuple[str, str, bool]]:
-    """Name, words and whether it learned, of each method in the rows: models first."""
+    """Name, description and whether it is trained, of each method in the rows: models first."""
     found = {row["method"]: row for row in rows}
     order = sorted(found.values(), key=lambda row: (_rank(row["recipe"]), row["method"]))
     return [
@@ -64,7 +64,7 @@ def methods_of(rows: Sequence[Row]) -> list[tuple[str, str, bool]]:
 
 
 def headline_columns(rows: Sequence[Row]) -> list[Column]:
-    """The main errors at the held-out frames, with time and size beside them."""
+    """Columns of the main errors at the held-out frames, then of time and size."""
     methods = [name for name, _, _ in methods_of(rows)]
     by_method = {name: [row for row in rows if row["method"] == name] for name in methods}
     columns = []
@@ -90,12 +90,12 @@ def headline_columns(rows: Sequence[Row]) -> list[Column]:
 
 
 def headline_table(rows: Sequence[Row]) -> str:
-    """The model beside the baselines."""
+    """HTML table of `headline_columns`."""
     return methods_table(methods_of(rows), headline_columns(rows))
 
 
 def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Heading and table for each split, protocol, region and sensor that was measured."""
+    """Heading and HTML table for each measured split, protocol, region and sensor."""
     keys = sorted(
         {(row["split"], row["protocol"], row["region"], row["sensor"]) for row in rows},
         key=lambda key: (key[0] != TEST_VIEW, *key),
@@ -126,7 +126,7 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def wins(rows: Sequence[Row]) -> dict[str, int]:
-    """How many of the headline errors each method is best in; a tie counts for all who share it."""
+    """Number of headline errors in which each method is best; a tie counts for each of them."""
     methods = [name for name, _, _ in methods_of(rows)]
     count = dict.fromkeys(methods, 0)
     for column in headline_columns(rows):
@@ -154,7 +154,7 @@ def _metric_column(
 
 
 def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
-    """A cost of a method; `kind` restricts render times to the LiDAR's or the images' rows."""
+    """Mean of a cost over a method's held-out rows; `kind` is `lidar`, `image` or None for both."""
     values = [
         float(row[key])
         for row in rows

@@ -1,4 +1,4 @@
-"""Stage `frames`: what the drive holds, validated, as tables."""
+"""Stage `frames`: tables of the drive's frames, images and boxes, validated."""
 
 import itertools
 import json
@@ -32,13 +32,13 @@ BOX_COLUMNS = ("frame", "object_id", "label", "dynamic", "box_to_world")
 
 _SECONDS_PER_LINE = 2.0
 _POSE_TOLERANCE_M = 0.02
-"""World coordinates of some 1000 m, printed in files whose rotations have 6 digits on a 1.6 m lever."""
+"""Rounding of the pose files: world coordinates of some 1000 m, rotations of 6 digits on a 1.6 m lever."""
 _POSE_TOLERANCE_DEG = 0.01
 _MAX_SPEED_M_S = 70.0
 _FEWEST_OF_MEDIAN = 0.5
-"""Of the median scan's returns; 0.87 at least over real streets."""
+"""Least returns of a scan, as a share of the median scan's; 0.87 at least over real streets."""
 _JUMP_M_S = 700.0
-"""Twice the speed of sound: no car, and no error of its poses that still lets a scene be told."""
+"""Speed between poses above which one of them is certainly wrong; twice the speed of sound."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -217,7 +217,7 @@ def _listing(name: str, faults: list[Any], what: str) -> Check:
 
 
 def _sizes_check(drive: Drive) -> Check:
-    """A scan of a fraction of the others' returns was cut, or its sensor was covered."""
+    """Check for scans with far fewer returns than the others: cut files, or a covered sensor."""
     counts = {row.frame: row.n_returns for row in drive.frames if row.scan_valid}
     median = float(np.median(list(counts.values()))) if counts else 0.0
     few = [f"{frame}: {count}" for frame, count in counts.items() if count < _FEWEST_OF_MEDIAN * median]
@@ -227,7 +227,7 @@ def _sizes_check(drive: Drive) -> Check:
 
 
 def _repeats(name: str, files: list[tuple[int, str]]) -> Check:
-    """No sensor records the same bytes twice: its noise differs even where nothing moves."""
+    """Check for identical files: sensor noise differs between frames even if nothing moves."""
     frames: dict[str, list[int]] = {}
     for frame, checksum in files:
         if checksum:
@@ -237,7 +237,7 @@ def _repeats(name: str, files: list[tuple[int, str]]) -> Check:
 
 
 def _speed_check(drive: Drive) -> Check:
-    """No car is faster: a jump means a pose of another frame, or times in another unit."""
+    """Check the car's speed: a jump means a pose of another frame, or times in another unit."""
     fastest, _, frame = max(_speeds_m_s(drive), default=(0.0, 0, 0))
     return Check(
         name="car_moves_plausibly",
@@ -247,7 +247,7 @@ def _speed_check(drive: Drive) -> Check:
 
 
 def _jump_check(drive: Drive) -> Check:
-    """A pose that nothing on wheels reaches is wrong, and makes the scene too large to be trained."""
+    """Check, blocking, for impossible jumps: such poses make the scene too large to be trained."""
     jumps = [
         f"frame {there} ({speed_m_s:.3g} m/s from frame {here})"
         for speed_m_s, here, there in _speeds_m_s(drive)
@@ -261,7 +261,7 @@ def _jump_check(drive: Drive) -> Check:
 
 
 def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
-    """Speed from each posed frame to the next, with their numbers."""
+    """Speed in m/s from each posed frame to the next, with both frame numbers."""
     placed = [
         (row.frame, row.time_s, row.lidar_to_world[:3, 3])
         for row in drive.frames
@@ -274,7 +274,7 @@ def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
 
 
 def _flat(matrix: np.ndarray | None) -> list[float]:
-    """Row major; empty for a pose that is not known."""
+    """A matrix as a list, row by row; empty for an unknown pose."""
     return [] if matrix is None else matrix.reshape(-1).tolist()
 
 

@@ -1,4 +1,4 @@
-"""What earlier stages published, read back as the drive that models are trained on."""
+"""Read the outputs of earlier stages as the `Recording` that models are trained on."""
 
 from dataclasses import replace
 from typing import Any
@@ -20,7 +20,7 @@ from nvsf_core.stores.tables import read_rows
 
 
 def read_sweeps(store: SceneStore) -> Sweeps | None:
-    """Read the stage `sweeps`; None for a drive without LiDAR."""
+    """Read the output of the stage `sweeps`; None for a drive without LiDAR."""
     folder = store.require("sweeps") / "returns.zarr"
     arrays, attrs = read_arrays(folder), read_attrs(folder)
     if len(arrays["frame"]) == 0:
@@ -44,7 +44,10 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
 
 
 def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
-    """Where the drive's LiDAR frame was, from all rows of `frames.parquet` with a pose."""
+    """Trajectory of the LiDAR frame, from all rows of `frames.parquet` with a pose.
+
+    `scene_origin_m` is (3,) float64, the scene's origin in the world, metres.
+    """
     posed = [row for row in rows if row["pose_valid"]]
     return Trajectory(
         np.array([row["time_s"] for row in posed]),
@@ -54,17 +57,17 @@ def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Tra
 
 
 def read_evidence(store: SceneStore) -> SceneEvidence | None:
-    """Read the stage `evidence`; None for a drive without LiDAR."""
+    """Read the output of the stage `evidence`; None for a drive without LiDAR."""
     arrays = read_arrays(store.require("evidence") / "evidence.zarr")
     return SceneEvidence.from_arrays(arrays) if arrays else None
 
 
 def read_recording(store: SceneStore) -> Recording:
-    """Read what the stages up to `evidence` published.
+    """Read the outputs of the stages up to `evidence`.
 
     Raises:
         DataError: There is neither a scan nor a training image.
-        StoreError: A stage's output is absent.
+        StoreError: The output of a stage is absent.
     """
     frames = store.require("frames")
     rows = sorted(read_rows(frames / "frames.parquet"), key=lambda row: row["frame"])

@@ -1,4 +1,4 @@
-"""`pano`: the recorded scans as range images, on the papers' linear grid and on the sensor's own lasers."""
+"""Stage `pano`: recorded scans as range images, on the papers' linear grid and with one row per laser."""
 
 import time
 from typing import Any
@@ -17,7 +17,7 @@ from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 ARRAYS_NAME = "pano.zarr"
 
 _ROUND_TRIP_SCANS = 3
-"""Scans whose round trip is measured: a KD-tree of 120,000 points takes half a second."""
+"""Number of scans whose round trip is measured: a KD-tree of 120,000 points takes half a second."""
 _SAY_EVERY_S = 4.0
 
 
@@ -74,7 +74,7 @@ def _measure(
     linear: LinearPano,
     beam: BeamPano | None,
 ) -> None:
-    """Round trip of some scans through each grid, against the raw scan below the grid's range."""
+    """Measure some scans' round trip through each grid, against the raw scan within the grid's range."""
     n = len(returns["frame"])
     chosen = np.unique(np.linspace(0, n - 1, min(n, _ROUND_TRIP_SCANS)).astype(np.int64))
     grids: dict[str, LinearPano | BeamPano] = {"linear": linear}
@@ -106,7 +106,7 @@ def _measure(
 
 
 def _attrs(linear: LinearPano, table: LaserTable) -> dict[str, Any]:
-    """What a reader needs to turn the images back into points."""
+    """Attributes that a reader needs to convert the images back to points."""
     return {
         "linear": {
             "height": linear.height, "width": linear.width, "fov_up_deg": linear.fov_up_deg,

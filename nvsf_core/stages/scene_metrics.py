@@ -1,4 +1,4 @@
-"""`scene_metrics`: the held-out frames, measured for the model and the baselines."""
+"""Stage `scene_metrics`: metrics of the held-out frames, for the model and the baselines."""
 
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,17 +32,17 @@ from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 
 METHODS = ("model", "reproject", "copy_nearest", "mesh")
-"""Stored predictions of a view, in the order in which they are measured."""
+"""Methods whose stored views are measured, in this order."""
 _THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One method and sensor of one view: measured by itself, beside others."""
+    """One method and sensor of one view; parts are measured in parallel."""
 
     name: str
     measure: Callable[[Ledger], Iterator[str]]
-    """Adds rows to a ledger and says what is done."""
+    """Adds rows to a ledger; yields progress."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -62,7 +62,7 @@ def _run(task: Task) -> StageOutput:
 def _measure_held_out(
     task: Task, view: Path, recording: RecordedScans | None, ledger: Ledger
 ) -> dict[str, Scalar]:
-    """Rows of the held-out frames; returns what was found of moving objects."""
+    """Add the rows of the held-out frames; returns metadata on moving objects."""
     lpips, boxes = load_lpips(), read_moving_boxes(task.store)
     images, parts = task.store.path("undistorted") / "images.zarr", list[_Part]()
     for name in METHODS:
@@ -82,7 +82,7 @@ def _measure_held_out(
 
 
 def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Scalar]:
-    """Rows of the demo's own views; returns what was found of its truth, nothing for other drives."""
+    """Add the rows of the demo's views; returns metadata on its exact truth, empty for other drives."""
     asked = [view for view in task.scene.views if (views / view.name).is_dir()]
     truth = read_demo_truth(task) if asked else None
     if truth is None:
@@ -103,7 +103,7 @@ def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Sc
 
 
 def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
-    """Measure parts side by side; their rows stand in the ledger in the order of the parts."""
+    """Measure parts in parallel; the ledger has their rows in the order of the parts."""
 
     def run(part: _Part) -> Ledger:
         own = Ledger(facts=ledger.facts)
@@ -111,25 +111,25 @@ def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
             task.progress(f"[{task.scene.name}] scene_metrics: {part.name} {done}")
         return own
 
-    # Parts share the cores among them: each stays on one, in torch too (which counts by thread).
+    # Each part uses one core, in torch too (whose setting is per thread).
     with ThreadPoolExecutor(_THREADS, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         for own in pool.map(run, parts):
             ledger.take(own)
 
 
 def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
-    """Columns that say who made a stored prediction, and its attributes."""
+    """Columns on the method and its cost, of a stored prediction, and its attributes."""
     attrs = read_attrs(path)
     return method_columns(path.stem, attrs, task.config.recipe.name, task.config.seed), attrs
 
 
 def _holds_sweeps(attrs: Mapping[str, Any]) -> bool:
-    """Whether a LiDAR took part: of held-out frames whose scans are all unusable there are images alone."""
+    """Whether the view has scans; there are only images if all held-out scans are unusable."""
     return attrs.get("sensor") != ""
 
 
 def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, output: StageOutput) -> None:
-    """The middle held-out frame's returns from above, by the model's range error along their rays."""
+    """Write the error cloud of the middle held-out frame, and add it to the output."""
     if recording is None or not path.is_dir() or not _holds_sweeps(read_attrs(path)):
         return
     found = recorded_range_errors(path, recording)
@@ -143,7 +143,7 @@ def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, o
 
 
 def _commit() -> str:
-    """Commit of the checkout that this code lies in; `unknown` outside one."""
+    """Git commit of this code; `unknown` outside a checkout."""
     folder = Path(__file__).resolve().parent
     try:
         done = subprocess.run(
@@ -169,4 +169,3 @@ STAGE = Stage(
     check_version="1",
     named_checks=NAMED_CHECKS,
 )
-"""What is measured and under which protocol."""

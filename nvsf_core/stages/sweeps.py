@@ -1,4 +1,4 @@
-"""`sweeps`: every return with its laser, its firing, its time, and the ray in the world that measured it."""
+"""Stage `sweeps`: every return with its laser, firing, time, and motion-compensated ray in the scene."""
 
 import time
 from collections import Counter
@@ -34,12 +34,14 @@ _MAP_VOXEL_M = 0.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scan:
-    """One scan with what was recovered of it."""
+    """One recorded scan, with the recovered laser, firing and time of its returns."""
 
     row: dict[str, Any]
     """Its row of `frames.parquet`."""
     points_m: np.ndarray
+    """(n, 3) float32, sensor's frame, file order."""
     intensity: np.ndarray
+    """(n,) float32, 0..1."""
     timing: ScanTiming
 
 
@@ -87,7 +89,7 @@ def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
 def _learn_own_vehicle(scans: list[_Scan]) -> OwnVehicle:
     training = [scan for scan in scans if scan.row["split"] == "train"]
     firings = [scan.timing.firings for scan in training if scan.timing.firings > 0]
-    # Cells finer than the firings would stay empty by chance and hide the car.
+    # Cells finer than the firings would be empty by chance and miss the car.
     cells = min(_OWN_VEHICLE_CELLS, min(firings, default=_OWN_VEHICLE_CELLS))
     return learn_own_vehicle(
         SENSOR, [(scan.points_m, scan.intensity, scan.timing.laser) for scan in training], cells
@@ -104,7 +106,7 @@ def _arrays(
 ) -> dict[str, np.ndarray]:
     rays = []
     if scans:
-        # Held-out and scan-less frames too: a pose is known of every frame, and motion is read off poses.
+        # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
         trajectory = Trajectory(
             np.array([row["time_s"] for row in posed]),
             np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
@@ -164,7 +166,7 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
 
 
 def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Each laser's own errors, learned from the training scans, and all scans' ranges without their part."""
+    """Range bias and intensity gain of each laser, learned from training scans; all ranges without bias."""
     of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
     used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"])
     bias_m = learn_range_bias(
@@ -181,10 +183,17 @@ def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str
 
 
 def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> float:
-    """How thick the map's surfaces are: median over flat voxels of the deviation across the plane, in metres.
+    """Thickness of the map's surfaces: median over flat voxels of the standard deviation across the plane.
 
-    A voxel counts as flat with at least 30 points and a second eigenvalue of its covariance at least four
-    times the smallest. NaN where no voxel is flat.
+    A voxel is flat if it has at least 30 points and its covariance's second eigenvalue is above four times
+    the smallest.
+
+    Args:
+        points_m: (n, 3) points of all scans, scene-local, metres.
+        voxel_m: Side of a voxel.
+
+    Returns:
+        Metres; NaN if no voxel is flat.
     """
     cell = np.floor(points_m / voxel_m).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
@@ -203,7 +212,7 @@ def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> floa
 
 
 def _thickness(arrays: dict[str, np.ndarray]) -> float:
-    """Thickness of the map of all scans, thinned evenly, own vehicle left out."""
+    """Thickness of the map of all scans, metres; thinned evenly, without the own vehicle."""
     part = slice(None, None, max(1, len(arrays["range_m"]) // _MAP_RETURNS))
     kept = (arrays["range_m"][part] < _MAP_RANGE_M) & ~arrays["is_own_vehicle"][part]
     range_m = arrays["range_m"][part][kept, None].astype(np.float64)

@@ -1,4 +1,4 @@
-"""`undistorted`: every camera's frames as pinhole images with their intrinsics and a validity mask."""
+"""Stage `undistorted`: camera frames as pinhole images, with intrinsics and a mask of valid pixels."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -22,14 +22,14 @@ from nvsf_core.stores.tables import read_rows
 _PROGRESS_S = 4.0
 _EDGE_LEVELS = 4
 _LEAST_EDGES = 0.02
-"""Of the demo's and KITTI-360's street images a quarter and more are edges."""
+"""Least share of edges; street images of the demo and of KITTI-360 have a quarter and more."""
 
 
 def _run(task: Task) -> StageOutput:
     frames = task.store.require("frames")
     drive: dict[str, Any] = read_document(frames / "drive.json")
     rows = read_rows(frames / "cameras.parquet")
-    # A frame without a pose says nothing about where its image was taken: its row has an empty pose.
+    # Without a pose the place of an image is unknown.
     usable = [row for row in rows if row["image_valid"] and len(row["camera_to_world"] or ()) == 16]
     output = StageOutput()
     arrays: dict[str, np.ndarray] = {}
@@ -63,7 +63,7 @@ def _run(task: Task) -> StageOutput:
 
 
 def _structure_check(camera: str, images: np.ndarray, valid: np.ndarray, frames: list[int]) -> Check:
-    """Whether images show edges: of sky, fog or a covered lens no depth is learned, and errors are tiny."""
+    """Check that images show edges: from sky, fog or a covered lens no depth can be learned."""
     both = valid[:, 1:] & valid[:, :-1]
     bare = []
     for frame, image in zip(frames, images, strict=True):
@@ -82,13 +82,9 @@ def _structure_check(camera: str, images: np.ndarray, valid: np.ndarray, frames:
 def _undistort(
     task: Task, camera: str, calibration: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
 ) -> tuple[np.ndarray, np.ndarray, Pinhole, np.ndarray]:
-    """Images (n, H, W, 3) uint8, validity (H, W), their camera, and a picture of what was done.
+    """Images (n, H, W, 3) uint8, validity (H, W) bool, their pinhole camera, and a preview picture.
 
-    Args:
-        task: The stage's own.
-        camera: Its name.
-        calibration: Its own.
-        rows: Of `cameras.parquet`, one an image.
+    `rows` are those of `cameras.parquet`, one per image.
     """
     layout = DriveLayout(task.scene.root, task.scene.sequence)
     width, height = int(calibration["width"]), int(calibration["height"])
@@ -116,7 +112,7 @@ def _undistort(
 
 
 def _camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
-    """The perspective camera of a calibration, with the resampling that leads to it if one is needed."""
+    """The pinhole camera of a calibration, and for a fisheye the resampling to it."""
     width, height = int(calibration["width"]), int(calibration["height"])
     if calibration["kind"] == "perspective":
         fx, fy, cx, cy = (float(calibration[key]) for key in ("fx", "fy", "cx", "cy"))
@@ -151,13 +147,13 @@ def _facts(view: Pinhole, kind: str) -> dict[str, float | int | str]:
 
 
 def _field_deg(view: Pinhole) -> float:
-    """Horizontal field of view, from border to border."""
+    """Horizontal field of view in degrees, from border to border."""
     left, right = (view.cx + 0.5) / view.fx, (view.width - 0.5 - view.cx) / view.fx
     return float(np.degrees(np.arctan(left) + np.arctan(right)))
 
 
 def _beside(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Two pictures side by side, the first brought to the second's height by taking every so many pixels."""
+    """Two pictures side by side, the first scaled to the second's height by nearest pixels."""
     height, width = second.shape[0], round(first.shape[1] * second.shape[0] / first.shape[0])
     rows = np.arange(height) * first.shape[0] // height
     columns = np.arange(width) * first.shape[1] // width

@@ -1,4 +1,4 @@
-"""Whether rendered images show something, and look like the drive's: read from the store."""
+"""Checks of stored rendered images: none is blank, and greys are like the training images'."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -32,11 +32,11 @@ _NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class _Judged:
-    """One rendered image."""
+    """Grey values of one rendered image, and their limits."""
 
     place: str
     deviation: float
-    """Of the grey values, levels of 255."""
+    """Standard deviation of the grey values, levels of 255."""
     blank_below: float
     has_depth: bool
     apart: float
@@ -44,20 +44,20 @@ class _Judged:
 
     @property
     def is_blank(self) -> bool:
-        """By the check `BLANK`."""
+        """Whether it fails the check `BLANK`."""
         return self.deviation < self.blank_below or not self.has_depth
 
     def in_words(self) -> str:
-        """What was found of its grey values and depths."""
+        """Its place, its deviation and limit, and whether depth is missing."""
         depth = "" if self.has_depth else ", no pixel has a finite depth"
         return f"{self.place}: {self.deviation:.1f} levels, blank below {self.blank_below:.1f}{depth}"
 
 
 def check_images(task: Task) -> list[Check]:
-    """Judge the model's images of all views in the task's folder.
+    """Check the model's images of all views in the task's folder.
 
     Returns:
-        One outcome a check of `NAMED_CHECKS`.
+        One outcome per check of `NAMED_CHECKS`.
     """
     images = list(_judged(task))
     if not images:
@@ -95,7 +95,7 @@ def _views(folder: Path) -> list[Path]:
 
 
 def _norms(task: Task, camera: str) -> ImageNorms | None:
-    """How the training images of a camera look; None where it has none."""
+    """Grey value statistics of a camera's training images; None if it has none."""
     rows = read_rows(task.store.require("frames") / "frames.parquet")
     training = [row["frame"] for row in rows if row["split"] == "train"]
     path = task.store.require("undistorted") / "images.zarr"

@@ -1,4 +1,4 @@
-"""Whether what was measured can be numbers of a sound model: read from the table and the stored views."""
+"""Checks of the metrics table: values are possible, the model beats a copy, scans are like the recorded."""
 
 import math
 from collections.abc import Sequence
@@ -61,7 +61,7 @@ _DOWN = ("range_missing", "hit_rmse")
 
 
 def check_metrics(task: Task) -> list[Check]:
-    """Judge the table in the task's folder, and the stored held-out scans beside the recorded ones."""
+    """Check the table in the task's folder, and the stored held-out scans against the recorded ones."""
     rows = read_rows(task.folder / TABLE_NAME)
     recipe, seed = task.config.recipe.name, task.config.seed
     view = task.store.require(f"novel_views/{recipe}/{seed}") / HELD_OUT / "model.zarr"
@@ -79,17 +79,17 @@ def _in_range(rows: Sequence[Row]) -> Check:
 
 
 def _is_possible(metric: str, value: float) -> bool:
-    """Whether a metric can have the value; what is undefined (NaN) is counted elsewhere."""
+    """Whether a metric can have the value; undefined values (NaN) are counted elsewhere."""
     if math.isnan(value) or metric.endswith(_DECIBELS):
-        return True  # decibels have no end on either side, equal images none at all
-    slack = 1e-6  # of float32 sums
+        return True  # decibels are unbounded, and infinite for equal images
+    slack = 1e-6  # rounding of float32 sums
     if metric in _LIKENESS:
         return -1.0 - slack <= value <= 1.0 + slack
     return -slack <= value <= (1.0 + slack if metric in _SHARES else math.inf)
 
 
 def _better(rows: Sequence[Row]) -> Check:
-    """In how many main numbers of the held-out frames the model is worse than a copy."""
+    """Check `BETTER`: the share of main numbers in which the model is worse than the copy."""
     means = [
         row for row in mean_rows(rows)
         if (row["split"], row["region"]) == (HELD_OUT, "all")

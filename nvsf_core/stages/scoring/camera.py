@@ -1,4 +1,4 @@
-"""Held-out images against recorded ones, whole and by region, and camera depth against LiDAR."""
+"""Metrics of held-out images against recorded ones, and of camera depth against LiDAR."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -27,14 +27,14 @@ DEPTH_METRIC = "image_depth_rmse_m"
 
 @dataclass(frozen=True, slots=True)
 class _Recorded:
-    """One camera of the drive."""
+    """Recorded images of one camera."""
 
     path: Path
     name: str
     rgb: np.ndarray
     """(m, H, W, 3) uint8."""
     valid: np.ndarray
-    """(H, W) bool."""
+    """(H, W) bool: pixels that the lens sees."""
     row: dict[int, int]
     """Frame to its row in `rgb`."""
 
@@ -46,7 +46,7 @@ class _Recorded:
         return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
     def poses(self) -> np.ndarray:
-        """(m, 4, 4) camera to world."""
+        """(m, 4, 4) camera to world, metres."""
         return read_arrays(self.path, f"{self.name}_camera_to_world")[f"{self.name}_camera_to_world"]
 
 
@@ -60,17 +60,17 @@ def measure_camera(
     ledger: Ledger,
     lpips: Lpips | None,
 ) -> Iterator[str]:
-    """Add the rows of one camera, yielding after each frame.
+    """Add the rows of one camera; yields progress after each frame.
 
     Args:
-        path: One method's arrays of the held-out view.
-        images: The undistorted recorded images.
-        camera: Its name.
-        boxes: Of moving objects; None = no rows of regions.
-        scans: For depth; None for a drive without a LiDAR.
-        method: Columns that say who made the prediction.
-        ledger: Takes the rows.
-        lpips: The network, or None where its weights are absent.
+        path: Zarr group of one method's held-out view.
+        images: Zarr group of the undistorted recorded images.
+        camera: Name of the camera.
+        boxes: Boxes of moving objects; None = no rows of regions.
+        scans: Recorded scans, for depth; None for a drive without a LiDAR.
+        method: Columns on the method and its cost.
+        ledger: Receives the rows.
+        lpips: The LPIPS network; None if its weights are absent.
     """
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame", f"{camera}_render_seconds")
     depth_m = _stored_depth(path, camera)
@@ -108,7 +108,7 @@ def measure_camera(
 def _depth(
     predicted_m: np.ndarray | None, recorded: _Recorded, scans: RecordedScans | None, frame: int
 ) -> tuple[Measure, Measure]:
-    """`image_depth_rmse_m` by our definition and as published."""
+    """`image_depth_rmse_m` by our definition (along each pixel's ray) and as published (z)."""
     if predicted_m is None:
         return NO_DEPTH, NO_DEPTH
     if scans is None or frame not in scans.arrays["frame"]:
@@ -120,7 +120,7 @@ def _depth(
 
 
 def _stored_depth(path: Path, camera: str) -> np.ndarray | None:
-    """(k, H, W) length of each pixel's ray in metres, where the method stores it."""
+    """(k, H, W) length of each pixel's ray, metres; None if the method stores none."""
     try:
         return read_arrays(path, f"{camera}_range_m")[f"{camera}_range_m"]
     except StoreError:
