@@ -94,7 +94,7 @@ def verdicts(stage: Stage, outcome: Outcome, scene: str) -> list[dict[str, Any]]
     """Keyword arguments of an `AssetCheckResult` (or evaluation) per check of a published output."""
     whole = {
         "check_name": CHECK_NAME,
-        "passed": is_sound(outcome),
+        "passed": all(check.passed for check in outcome.checks),
         "severity": _PUBLISHED,
         "description": f"scene {scene}",
         "metadata": check_metadata(outcome),
@@ -140,11 +140,6 @@ def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, An
         "description": f"scene {scene}: {check.detail}",
         "metadata": metadata | {"scene": dg.MetadataValue.text(scene)},
     }
-
-
-def is_sound(outcome: Outcome) -> bool:
-    """Whether every check of the stage passed."""
-    return all(check.passed for check in outcome.checks)
 
 
 def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:

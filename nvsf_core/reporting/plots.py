@@ -1,6 +1,5 @@
 """The report's pictures, each as the bytes of a PNG."""
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,10 +8,15 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from nvsf_core.reporting.previews import MAX_RANGE_M, indexed_png, palette_png, range_preview
+from nvsf_core.reporting.previews import (
+    MAX_RANGE_M,
+    empty_figure,
+    figure_png,
+    indexed_png,
+    palette_png,
+    range_preview,
+)
 
 MAX_ERROR_M = 1.0
 MISSED_COLOUR, INVENTED_COLOUR = (64, 196, 255), (232, 62, 200)
@@ -22,6 +26,7 @@ MODEL_COLOUR, BASELINE_COLOURS = (
 )
 RANGE_TICKS_M = (0, 5, 20, 45, 80)
 """Ticks of the range scale, which is linear in the square root."""
+_DPI = 144
 _ROW_REPEAT = 2
 _LABEL_PT = (70.0, 10.0)
 """Width and height of a point's label, in points."""
@@ -78,7 +83,7 @@ def curve_png(curve: dict[str, list[Any]]) -> bytes:
     """
     words = [name for name, column in curve.items() if column and isinstance(column[0], str)]
     groups = sorted(set(curve[words[0]])) if words else [""]
-    figure = _figure(4.6 * len(groups) + 0.6, 3.2)
+    figure = empty_figure(4.6 * len(groups) + 0.6, 3.2, _DPI)
     all_axes = figure.subplots(1, len(groups), squeeze=False)[0]
     for axes, group in zip(all_axes, groups, strict=True):
         rows = [i for i in range(len(curve["step"])) if not words or curve[words[0]][i] == group]
@@ -103,13 +108,13 @@ def curve_png(curve: dict[str, list[Any]]) -> bytes:
         axes.set(xlabel="seconds of training", ylabel="loss", yscale="log", title=group)
         if axes.lines:
             axes.legend(frameon=False, fontsize=8)
-        _tidy(axes)
-    return _png(figure)
+        tidy_axes(axes)
+    return figure_png(figure)
 
 
 def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
     """PNG of error over training time, one panel per metric; seconds are linear up to 1, then logarithmic."""
-    figure = _figure(4.6 * len(panels) + 0.4, 3.4)
+    figure = empty_figure(4.6 * len(panels) + 0.4, 3.4, _DPI)
     all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, points) in zip(all_axes, panels, strict=True):
         finite = [p for p in points if math.isfinite(p.seconds) and math.isfinite(p.error)]
@@ -124,9 +129,9 @@ def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
         axes.set_xticks(ticks, [str(tick) for tick in ticks])
         axes.minorticks_off()
         axes.margins(y=0.25)
-        _tidy(axes)
+        tidy_axes(axes)
         _label(axes, finite)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def _label(axes: Axes, points: Sequence[CostPoint]) -> None:
@@ -165,19 +170,8 @@ def _error_palette() -> np.ndarray:
     return palette
 
 
-def _figure(width_in: float, height_in: float) -> Figure:
-    figure = Figure(figsize=(width_in, height_in), dpi=144, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _tidy(axes: Axes) -> None:
+def tidy_axes(axes: Axes) -> None:
+    """The common look of all plots: a light grid, two spines, a small title."""
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.title.set_fontsize(10)
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()

@@ -58,17 +58,15 @@ def image_preview(rgb: np.ndarray, max_width: int = 704) -> bytes:
         width = int(width * 0.8)
 
 
-def curve_preview(x: np.ndarray, y: np.ndarray, x_label: str, y_label: str) -> bytes:
-    """A curve, for example loss over steps, with a logarithmic y axis where all values are positive."""
-    figure = Figure(figsize=(6.0, 2.6), dpi=90, layout="constrained")
+def empty_figure(width_in: float, height_in: float, dpi: int) -> Figure:
+    """An empty figure that can be drawn without a display; `figure_png` makes its PNG."""
+    figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.plot(x, y, color="#2a6f97", linewidth=1.2)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    if len(y) and np.min(y) > 0:
-        axes.set_yscale("log")
-    axes.grid(alpha=0.3)
+    return figure
+
+
+def figure_png(figure: Figure) -> bytes:
+    """The figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
@@ -85,8 +83,7 @@ def path_preview(
         splits: `train` or `test`, per frame.
         uses: `whole` (all data of the frame are usable), `part` or `none`, per frame.
     """
-    figure = Figure(figsize=(6.0, 4.0), dpi=90, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(6.0, 4.0, 90)
     axes = figure.add_subplot()
     axes.plot(path_m[:, 0], path_m[:, 1], color="#c3cad3", linewidth=1.0, zorder=1)
     for split, colour in _SPLIT_COLOURS.items():
@@ -109,9 +106,7 @@ def path_preview(
     axes.grid(alpha=0.3)
     if len(path_m):
         axes.legend(fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    return figure_png(figure)
 
 
 def indexed_png(levels: np.ndarray, colours: str, row_repeat: int = 1, darkest: float = 0.0) -> bytes:

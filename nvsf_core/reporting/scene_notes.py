@@ -9,9 +9,8 @@ def profile_table(scene: SceneOutputs) -> str:
     rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
     if not rows:
         return ""
-    table = plain_table(
-        ["what", "value"], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,)
-    )
+    cells = [[escape(key.replace("_", " ")), _value(value)] for key, value in rows]
+    table = plain_table(["what", "value"], cells, words=(1,))
     return f"<h3>Profile: what this scene needs, by its own returns</h3>{table}"
 
 
@@ -20,10 +19,6 @@ def not_run(scene: SceneOutputs) -> str:
     reasons = [str(record.metadata.get(record.stage, "")) for record in scene.records]
     said = [reason for reason in reasons if reason.startswith("not run")]
     return "".join(f'<p class="soft"><code>mesh</code>: {escape(reason)}</p>' for reason in said)
-
-
-def _words(key: str) -> str:
-    return key.replace("_", " ")
 
 
 def _value(value: object) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.metrics.table import BASELINES, mean_rows
+from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
@@ -18,8 +18,8 @@ from nvsf_core.stores.documents import foreign, read_picture
 from nvsf_core.stores.scene_store import SceneStore, published
 from nvsf_core.stores.tables import read_rows, read_table
 
-METHODS = ("model", "reproject", "copy_nearest", "mesh")
-TEST_VIEW = "test"
+METHODS = ("model", *BASELINES)
+"""Methods whose rendered views are stored, in the order in which they are measured and shown."""
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 
@@ -141,7 +141,7 @@ def collect_scene(
                 means=mean_rows(rows),
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, root / "novel_views" / recipe / seed) if position == 0 else [],
-                error_cloud=_error_cloud(table.parent) if position == 0 else None,
+                error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
             )
         )
     return SceneOutputs(
@@ -185,15 +185,11 @@ def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
     return needs | (dict(own[0]) if own else {})
 
 
-def _error_cloud(metrics: Path) -> bytes | None:
-    return read_picture(metrics / ERROR_CLOUD_NAME)
-
-
 def _pictures(root: Path, views: Path) -> list[ViewPictures]:
     if not views.is_dir():
         return []
     names = sorted(path.parent.name for path in published(views, "*/model.zarr"))
-    names.sort(key=lambda name: name != TEST_VIEW)
+    names.sort(key=lambda name: name != HELD_OUT)
     return [_view_pictures(root, views / name) for name in names]
 
 
@@ -201,7 +197,7 @@ def _view_pictures(root: Path, folder: Path) -> ViewPictures:
     """The middle instant of a view; for the held-out view with the recorded data of that instant."""
     attrs = read_attrs(folder / "model.zarr")
     frames = read_arrays(folder / "model.zarr", "frame")["frame"]
-    is_test = folder.name == TEST_VIEW
+    is_test = folder.name == HELD_OUT
     methods = {m: folder / f"{m}.zarr" for m in METHODS if (folder / f"{m}.zarr").is_dir()}
     found = [_camera(root, methods, camera, is_test) for camera in attrs.get("cameras", [])]
     cameras = [pair for pair in found if pair is not None]
@@ -268,7 +264,7 @@ def mean_of(rows: Sequence[dict[str, Any]], protocol: str, metric: str) -> tuple
         row
         for row in rows
         if (row["protocol"], row["metric"]) == (protocol, metric)
-        and (row["split"], row["region"]) == (TEST_VIEW, "all")
+        and (row["split"], row["region"]) == (HELD_OUT, "all")
     ]
     values = [row["value"] for row in mine if row["n_defined"]]
     value = sum(values) / len(values) if values else math.nan

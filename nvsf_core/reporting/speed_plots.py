@@ -1,17 +1,15 @@
 """Plots of error over training time, and the section of the report that shows them."""
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting.html import escape, image, plain_table
-from nvsf_core.reporting.plots import BASELINE_COLOURS
+from nvsf_core.reporting.plots import BASELINE_COLOURS, tidy_axes
+from nvsf_core.reporting.previews import empty_figure, figure_png
 from nvsf_core.reporting.speed_error import (
     COSTS,
     METRICS,
@@ -54,16 +52,13 @@ def curves_png(runs: Sequence[Run]) -> bytes:
         if curves:
             panels.append((metric, curves))
     rows = math.ceil(len(panels) / 2)
-    figure = Figure(figsize=(10.4, 3.7 * rows), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(10.4, 3.7 * rows, 110)
     all_axes = figure.subplots(rows, 2, squeeze=False).reshape(-1)
     for axes, (metric, curves) in zip(all_axes, panels, strict=False):
         _panel(axes, metric, curves, colours)
     for axes in all_axes[len(panels) :]:
         axes.set_visible(False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    return figure_png(figure)
 
 
 def speed_section(folder: Path | None) -> str:
@@ -130,9 +125,7 @@ def _panel(
     )
     everything = [point for points in curves.values() for point in points]
     _scale(axes, everything, log_values=not metric.higher_is_better)
-    axes.title.set_fontsize(10)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy_axes(axes)
     axes.legend(frameon=False, fontsize=8)
 
 

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from nvsf_core.metrics.table import BASELINES
+from nvsf_core.metrics.table import BASELINES, HELD_OUT
 from nvsf_core.reporting.html import Column, best_rows, higher_is_better, methods_table, unit_text
-from nvsf_core.reporting.scene_outputs import TEST_VIEW, mean_of
+from nvsf_core.reporting.scene_outputs import mean_of
 
 HEADLINES = (
     ("lidar4d_scan", "chamfer_m2", "Chamfer"), ("lidar4d_scan", "f_score", "F-score"),
@@ -20,8 +20,7 @@ HEADLINES = (
 
 PROTOCOLS = {
     "lidar4d": "as published by LiDAR4D: the recorded scan projected to a 66×1030 range image, against the"
-    " range image"
-    " that the model renders",
+    " range image that the model renders",
     "lidar4d_scan": "the same, but the prediction is the exported scan, projected in the same way",
     "raw": "the recorded scan itself, 0 to 80 m: errors along the recorded rays, hits on a grid of 64 × 2000"
     " cells",
@@ -32,8 +31,7 @@ PROTOCOLS = {
 
 METHOD_WORDS = {
     "reproject": "baseline: the recorded returns of the other frames, rendered along the sensor's rays;"
-    " nothing is"
-    " learned",
+    " nothing is learned",
     "copy_nearest": "baseline: the recorded scan and image nearest in time, as they are",
     "mesh": "baseline: what a library gives, a Poisson mesh of the other frames' returns, along whose surface"
     " the sensor's rays end and images are warped",
@@ -98,7 +96,7 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """Heading and HTML table for each measured split, protocol, region and sensor."""
     keys = sorted(
         {(row["split"], row["protocol"], row["region"], row["sensor"]) for row in rows},
-        key=lambda key: (key[0] != TEST_VIEW, *key),
+        key=lambda key: (key[0] != HELD_OUT, *key),
     )
     tables = []
     for key in keys:
@@ -118,7 +116,7 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
             )
         split, protocol, region, sensor = key
         frames = max(row["n_frames"] for row in mine)
-        where = "held-out frames" if split == TEST_VIEW else f"split {split}"
+        where = "held-out frames" if split == HELD_OUT else f"split {split}"
         place = "" if region == "all" else f", {region}"
         heading = f"{where}, protocol {protocol}, {sensor}{place}: mean of {frames} frames"
         tables.append((heading, methods_table(methods_of(mine), columns)))
@@ -158,7 +156,7 @@ def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
     values = [
         float(row[key])
         for row in rows
-        if row["split"] == TEST_VIEW and (kind is None or (row["sensor"] != "lidar") == (kind == "image"))
+        if row["split"] == HELD_OUT and (kind is None or (row["sensor"] != "lidar") == (kind == "image"))
         if row[key] is not None and not math.isnan(row[key])
     ]
     return sum(values) / len(values) if values else math.nan

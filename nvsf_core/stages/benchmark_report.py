@@ -79,14 +79,8 @@ def _records(root: Path) -> list[StageRecord]:
     for name in sorted(found, key=_flow_rank):
         record = read_record(found[name][1])
         if record is not None:
-            records.append(
-                StageRecord(
-                    stage=name,
-                    seconds=record["seconds"],
-                    metadata=record["metadata"],
-                    checks=record["checks"],
-                )
-            )
+            shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
+            records.append(StageRecord(stage=name, **shown))
     return records
 
 

@@ -2,8 +2,7 @@
 
 import itertools
 import json
-import time
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,9 @@ from nvsf_core.drives.catalogue import has_data
 from nvsf_core.drives.kitti360.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
 from nvsf_core.reporting.previews import path_preview
-from nvsf_core.stages.runner.stage import Check, Progress, Stage, StageOutput, Task
-from nvsf_core.stores.tables import write_rows
+from nvsf_core.stages.runner.heartbeat import sparse
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stores.tables import write_table
 
 FRAME_COLUMNS = (
     "frame",
@@ -49,59 +49,17 @@ def _run(task: Task) -> StageOutput:
             f"{entry.last_frame} of {entry.sequence} under {entry.root}, found none; correct its root, or "
             "set NVSF_KITTI360_ROOT"
         )
-    drive = read_drive(task.scene, _sparse(task.progress, task.scene.name))
+    say = sparse(task.progress, _SECONDS_PER_LINE)
+    drive = read_drive(task.scene, lambda line: say(f"[{task.scene.name}] frames: {line}"))
     _write(task.folder, drive)
     (task.folder / "path.png").write_bytes(_path_picture(drive))
     return StageOutput(metadata=_metadata(drive), checks=_checks(drive), previews={"path": "path.png"})
 
 
 def _write(folder: Path, drive: Drive) -> None:
-    write_rows(
-        folder / "frames.parquet",
-        [
-            {
-                "frame": row.frame,
-                "time_s": row.time_s,
-                "split": row.split,
-                "lidar_to_world": _flat(row.lidar_to_world),
-                "pose_valid": row.pose_valid,
-                "scan_valid": row.scan_valid,
-                "reason": row.reason,
-                "checksum": row.checksum,
-            }
-            for row in drive.frames
-        ],
-        FRAME_COLUMNS,
-    )
-    write_rows(
-        folder / "cameras.parquet",
-        [
-            {
-                "frame": row.frame,
-                "camera": row.camera,
-                "camera_to_world": _flat(row.camera_to_world),
-                "image_valid": row.image_valid,
-                "reason": row.reason,
-                "checksum": row.checksum,
-            }
-            for row in drive.images
-        ],
-        CAMERA_COLUMNS,
-    )
-    write_rows(
-        folder / "boxes.parquet",
-        [
-            {
-                "frame": box.frame,
-                "object_id": box.object_id,
-                "label": box.label,
-                "dynamic": box.dynamic,
-                "box_to_world": _flat(box.box_to_world),
-            }
-            for box in drive.boxes
-        ],
-        BOX_COLUMNS,
-    )
+    _write_table(folder / "frames.parquet", drive.frames, FRAME_COLUMNS)
+    _write_table(folder / "cameras.parquet", drive.images, CAMERA_COLUMNS)
+    _write_table(folder / "boxes.parquet", drive.boxes, BOX_COLUMNS)
     facts: dict[str, Any] = {
         "scene_origin_m": drive.scene_origin_m.tolist(),
         "sweep_period_s": drive.times.sweep_period_s,
@@ -111,6 +69,17 @@ def _write(folder: Path, drive: Drive) -> None:
         "notes": list(drive.notes),
     }
     (folder / "drive.json").write_text(json.dumps(facts, indent=1))
+
+
+def _write_table(path: Path, rows: Iterable[object], names: Sequence[str]) -> None:
+    """Write attributes of each row as columns; poses row by row as lists, empty for an unknown pose."""
+
+    def stored(value: Any, name: str) -> Any:
+        if not name.endswith("_to_world"):
+            return value
+        return [] if value is None else value.reshape(-1).tolist()
+
+    write_table(path, {name: [stored(getattr(row, name), name) for row in rows] for name in names})
 
 
 def _metadata(drive: Drive) -> dict[str, Scalar]:
@@ -210,10 +179,12 @@ def _checks(drive: Drive) -> list[Check]:
 
 
 def _listing(name: str, faults: list[Any], what: str) -> Check:
-    detail = f"{len(faults)} {what}"
-    if faults:
-        detail += ": " + "; ".join(str(fault) for fault in faults[:5]) + ("; ..." if len(faults) > 5 else "")
+    detail = f"{len(faults)} {what}" + (f": {_first(faults)}" if faults else "")
     return Check(name=name, passed=not faults, detail=detail)
+
+
+def _first(faults: list[Any]) -> str:
+    return "; ".join(str(fault) for fault in faults[:5]) + ("; ..." if len(faults) > 5 else "")
 
 
 def _sizes_check(drive: Drive) -> Check:
@@ -255,8 +226,7 @@ def _jump_check(drive: Drive) -> Check:
     ]
     detail = f"{len(jumps)} jumps of more than {_JUMP_M_S:.0f} m/s"
     if jumps:
-        shown = "; ".join(jumps[:5]) + ("; ..." if len(jumps) > 5 else "")
-        detail += f": {shown}; correct these poses, or delete their lines of poses.txt"
+        detail += f": {_first(jumps)}; correct these poses, or delete their lines of poses.txt"
     return Check(name="no_pose_jumps", passed=not jumps, detail=detail, blocking=True)
 
 
@@ -271,24 +241,6 @@ def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
         (float(np.linalg.norm(there_m - here_m)) / (then_s - now_s), here, there)
         for (here, now_s, here_m), (there, then_s, there_m) in itertools.pairwise(placed)
     ]
-
-
-def _flat(matrix: np.ndarray | None) -> list[float]:
-    """A matrix as a list, row by row; empty for an unknown pose."""
-    return [] if matrix is None else matrix.reshape(-1).tolist()
-
-
-def _sparse(progress: Progress, scene: str) -> Callable[[str], None]:
-    """Say a line at most every few seconds."""
-    spoken_s = time.monotonic()
-
-    def say(line: str) -> None:
-        nonlocal spoken_s
-        if time.monotonic() - spoken_s >= _SECONDS_PER_LINE:
-            spoken_s = time.monotonic()
-            progress(f"[{scene}] frames: {line}")
-
-    return say
 
 
 STAGE = Stage(

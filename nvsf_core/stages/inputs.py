@@ -1,5 +1,6 @@
 """Read the outputs of earlier stages as the `Recording` that models are trained on."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -54,6 +55,12 @@ def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Tra
         np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
         scene_origin_m,
     )
+
+
+def pinhole_of(facts: Mapping[str, Any]) -> Pinhole:
+    """The camera of stored `fx`, `fy`, `cx`, `cy`, `width` and `height`, all in pixels."""
+    fx, fy, cx, cy = (float(facts[key]) for key in ("fx", "fy", "cx", "cy"))
+    return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=int(facts["width"]), height=int(facts["height"]))
 
 
 def read_evidence(store: SceneStore) -> SceneEvidence | None:
@@ -115,10 +122,10 @@ def _read_cameras(
             continue
         local = pose[used].copy()
         local[:, :3, 3] -= scene_origin_m
-        pinhole = Pinhole(**{key: facts[key] for key in ("fx", "fy", "cx", "cy", "width", "height")})
+
         lidar_to_world = np.array(row_of[int(frame[0])]["lidar_to_world"], np.float64).reshape(4, 4)
         found[name] = CameraRecording(
-            training=CameraImages(pinhole, rgb[used], local, np.flatnonzero(valid.reshape(-1))),
+            training=CameraImages(pinhole_of(facts), rgb[used], local, np.flatnonzero(valid.reshape(-1))),
             training_time_s=np.array([row_of[number]["time_s"] for number in frame[used].tolist()]),
             recorded_frame=frame,
             in_lidar=np.linalg.inv(lidar_to_world) @ pose[0],

@@ -13,9 +13,9 @@ from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_LAWS
+from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_CHECKS
 from nvsf_core.stages.checks.images import check_images
-from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_LAWS
+from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
 from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
@@ -198,5 +198,5 @@ STAGE = Stage(
     reads_views=True,
     check=_check,
     check_version="2",
-    named_checks=(*VIEW_LAWS, *IMAGE_LAWS),
+    named_checks=(*VIEW_CHECKS, *IMAGE_CHECKS),
 )

@@ -15,6 +15,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
+from nvsf_core.reporting.scene_outputs import METHODS
 from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metrics
 from nvsf_core.stages.runner.record import machine
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
@@ -31,8 +32,6 @@ from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 
-METHODS = ("model", "reproject", "copy_nearest", "mesh")
-"""Methods whose stored views are measured, in this order."""
 _THREADS = 2
 
 
@@ -41,6 +40,8 @@ class _Part:
     """One method and sensor of one view; parts are measured in parallel."""
 
     name: str
+    method: Mapping[str, Any]
+    """Columns on the method and its cost."""
     measure: Callable[[Ledger], Iterator[str]]
     """Adds rows to a ledger; yields progress."""
 
@@ -72,11 +73,11 @@ def _measure_held_out(
             continue
         method, attrs = _method(task, path)
         if recording is not None and _holds_sweeps(attrs):
-            lidar = partial(measure_lidar, path, recording, boxes, method, lpips=lpips)
-            parts.append(_Part(f"{name}, lidar", lidar))
+            lidar = partial(measure_lidar, path, recording, boxes, lpips=lpips)
+            parts.append(_Part(f"{name}, lidar", method, lidar))
         for camera in attrs.get("cameras", []):
-            image = partial(measure_camera, path, images, camera, boxes, recording, method, lpips=lpips)
-            parts.append(_Part(f"{name}, {camera}", image))
+            image = partial(measure_camera, path, images, camera, boxes, recording, lpips=lpips)
+            parts.append(_Part(f"{name}, {camera}", method, image))
     _measure(task, parts, ledger)
     return {"foreground": NO_BOXES if boxes is None else f"{boxes.objects} moving objects, by their boxes"}
 
@@ -96,8 +97,8 @@ def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Sc
             path = views / view.name / f"{name}.zarr"
             if not (path / "grid_hit").is_dir():
                 continue
-            measure = partial(measure_demo_view, path, view, truth, _method(task, path)[0])
-            parts.append(_Part(f"{name}, view {view.name},", measure))
+            measure = partial(measure_demo_view, path, view, truth)
+            parts.append(_Part(f"{name}, view {view.name},", _method(task, path)[0], measure))
     _measure(task, parts, ledger)
     return about
 
@@ -106,7 +107,7 @@ def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
     """Measure parts in parallel; the ledger has their rows in the order of the parts."""
 
     def run(part: _Part) -> Ledger:
-        own = Ledger(facts=ledger.facts)
+        own = Ledger(facts={**ledger.facts, **part.method})
         for done in part.measure(own):
             task.progress(f"[{task.scene.name}] scene_metrics: {part.name} {done}")
         return own

@@ -1,6 +1,5 @@
 """Stage `sweeps`: every return with its laser, firing, time, and motion-compensated ray in the scene."""
 
-import time
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +12,11 @@ from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_b
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
-from nvsf_core.sensors.sweep import Trajectory, compensate
+from nvsf_core.sensors.sweep import compensate
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
+from nvsf_core.stages.inputs import trajectory_of
+from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
@@ -26,7 +27,7 @@ SENSOR = HDL_64E
 """The sensor of KITTI and KITTI-360."""
 
 _OWN_VEHICLE_CELLS = 2000
-_SAY_EVERY_S = 4.0
+
 _MAP_RANGE_M = 40.0
 _MAP_RETURNS = 600_000
 _MAP_VOXEL_M = 0.4
@@ -75,14 +76,12 @@ def _run(task: Task) -> StageOutput:
 def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
     layout = DriveLayout(task.scene.root, task.scene.sequence)
     scans = []
-    said_s = time.monotonic()
+    say = sparse(task.progress)
     for row in rows:
         points = read_scan(layout.scan_path(row["frame"]), row["checksum"])
         timing = recover_timing(points[:, :3], SENSOR)
         scans.append(_Scan(row, np.ascontiguousarray(points[:, :3]), points[:, 3].copy(), timing))
-        if time.monotonic() - said_s > _SAY_EVERY_S:
-            said_s = time.monotonic()
-            task.progress(f"[{task.scene.name}] sweeps: read {len(scans)} of {len(rows)} scans")
+        say(f"[{task.scene.name}] sweeps: read {len(scans)} of {len(rows)} scans")
     return scans
 
 
@@ -107,12 +106,8 @@ def _arrays(
     rays = []
     if scans:
         # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
-        trajectory = Trajectory(
-            np.array([row["time_s"] for row in posed]),
-            np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
-            np.array(drive["scene_origin_m"], np.float64),
-        )
-        said_s = time.monotonic()
+        trajectory = trajectory_of(posed, np.array(drive["scene_origin_m"], np.float64))
+        say = sparse(task.progress)
         for scan in scans:
             rays.append(
                 compensate(
@@ -121,9 +116,7 @@ def _arrays(
                     compensated=task.scene.compensate, elevation_correction_rad=correction_rad,
                 )
             )  # fmt: skip
-            if time.monotonic() - said_s > _SAY_EVERY_S:
-                said_s = time.monotonic()
-                task.progress(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
+            say(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
     counts = [len(scan.points_m) for scan in scans]
     poses = np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
     return {

@@ -1,6 +1,5 @@
 """Stage `undistorted`: camera frames as pinhole images, with intrinsics and a mask of valid pixels."""
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,12 +13,13 @@ from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.reporting.previews import image_preview
+from nvsf_core.stages.inputs import pinhole_of
+from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
-_PROGRESS_S = 4.0
 _EDGE_LEVELS = 4
 _LEAST_EDGES = 0.02
 """Least share of edges; street images of the demo and of KITTI-360 have a quarter and more."""
@@ -91,7 +91,7 @@ def _undistort(
     undistorter, view = _camera_of(camera, calibration)
     images = np.zeros((len(rows), view.height, view.width, 3), np.uint8)
     brightest = np.zeros((height, width, 3), np.uint8)
-    said = time.monotonic()
+    say = sparse(task.progress)
     first = brightest
     for i, row in enumerate(rows):
         path = layout.image_path(camera, int(row["frame"]))
@@ -102,9 +102,7 @@ def _undistort(
         else:
             images[i] = undistorter.apply(image)
             brightest = np.maximum(brightest, image)
-        if time.monotonic() - said > _PROGRESS_S:
-            said = time.monotonic()
-            task.progress(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(rows)} images")
+        say(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(rows)} images")
     if undistorter is None:
         return images, np.ones((height, width), np.bool_), view, images[0]
     valid = undistorter.apply_mask(lens_circle(brightest))
@@ -113,28 +111,17 @@ def _undistort(
 
 def _camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
     """The pinhole camera of a calibration, and for a fisheye the resampling to it."""
-    width, height = int(calibration["width"]), int(calibration["height"])
     if calibration["kind"] == "perspective":
-        fx, fy, cx, cy = (float(calibration[key]) for key in ("fx", "fy", "cx", "cy"))
-        return None, Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+        return None, pinhole_of(calibration)
     if calibration["kind"] != "fisheye":
         raise CalibrationError(
             f"{camera}: expected a perspective or fisheye camera in drive.json, "
             f"found {calibration['kind']!r}; run the stage `frames` again"
         )
-    fisheye = MeiFisheye(
-        xi=float(calibration["xi"]),
-        k1=float(calibration["k1"]),
-        k2=float(calibration["k2"]),
-        p1=float(calibration["p1"]),
-        p2=float(calibration["p2"]),
-        gamma1=float(calibration["gamma1"]),
-        gamma2=float(calibration["gamma2"]),
-        u0=float(calibration["u0"]),
-        v0=float(calibration["v0"]),
-        width=width,
-        height=height,
-    )
+    names = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0")
+    values = {name: float(calibration[name]) for name in names}
+    width, height = int(calibration["width"]), int(calibration["height"])
+    fisheye = MeiFisheye(**values, width=width, height=height)
     view = perspective_view(fisheye)
     return make_undistorter(fisheye, view), view
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
+from nvsf_core.reporting.html import higher_is_better
 from nvsf_core.stages.checks.norms import (
     NO_NORMS,
     RATE_LIMIT,
@@ -55,9 +56,6 @@ _NAMED = 5
 _COPY = "copy_nearest"
 _SHARES = ("f_score", "range_missing", "hit_accuracy", "hit_f_score", "hit_rmse")
 _LIKENESS = ("range_ssim", "intensity_ssim", "image_ssim")
-_DECIBELS = "_db"
-_UP = (*_SHARES, *_LIKENESS)
-_DOWN = ("range_missing", "hit_rmse")
 
 
 def check_metrics(task: Task) -> list[Check]:
@@ -80,7 +78,7 @@ def _in_range(rows: Sequence[Row]) -> Check:
 
 def _is_possible(metric: str, value: float) -> bool:
     """Whether a metric can have the value; undefined values (NaN) are counted elsewhere."""
-    if math.isnan(value) or metric.endswith(_DECIBELS):
+    if math.isnan(value) or metric.endswith("_db"):
         return True  # decibels are unbounded, and infinite for equal images
     slack = 1e-6  # rounding of float32 sums
     if metric in _LIKENESS:
@@ -101,15 +99,14 @@ def _better(rows: Sequence[Row]) -> Check:
     compared = [(number, value) for number, value in compared if number in copied]
     if not compared:
         return BETTER.not_run("no number of both the model and a copy of the nearest recording")
-    worse = [number for number, value in compared if _is_worse(number[2], value, copied[number])]
+    worse = [
+        number
+        for number, value in compared
+        if (value < copied[number] if higher_is_better(number[2]) else value > copied[number])
+    ]
     named = ", ".join(" ".join(number) for number in worse[:_NAMED])
     detail = f"worse in {len(worse)} of {len(compared)} main numbers" + (f": {named}" if named else "")
     return BETTER.outcome(len(worse) / len(compared), _HALF, detail)
-
-
-def _is_worse(metric: str, value: float, copied: float) -> bool:
-    higher_is_better = metric.endswith(_DECIBELS) or (metric in _UP and metric not in _DOWN)
-    return value < copied if higher_is_better else value > copied
 
 
 def _as_recorded(task: Task, view: Path) -> list[Check]:

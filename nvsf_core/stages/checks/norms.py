@@ -28,13 +28,17 @@ Apart = list[tuple[float, str]]
 
 def read_norms(store: SceneStore) -> ScanNorms | None:
     """Norms of the drive's training scans; None if no training scan has returns."""
-    rows = read_rows(store.require("frames") / "frames.parquet")
-    training = [row["frame"] for row in rows if row["split"] == "train"]
     folder = store.require("sweeps") / "returns.zarr"
     if read_arrays(folder, "frame")["frame"].size == 0:
         return None
     a = read_arrays(folder, "frame", "time_s", "firings", "offsets", "laser", "intensity")
-    return norms_of(a, np.isin(a["frame"], training))
+    return norms_of(a, np.isin(a["frame"], training_frames(store)))
+
+
+def training_frames(store: SceneStore) -> list[int]:
+    """Numbers of the drive's training frames, usable or not."""
+    rows = read_rows(store.require("frames") / "frames.parquet")
+    return [row["frame"] for row in rows if row["split"] == "train"]
 
 
 def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanNorms | None:
@@ -70,12 +74,12 @@ def check_likeness(
         The outcomes of `hit_rate` and `intensity`.
     """
     return [
-        _judge_worst(hit_rate, rates, norms.hit_rate_limit, _RATE_WORDS),
-        _judge_worst(intensity, spreads, norms.intensity_limit, _SPREAD_WORDS),
+        _check_worst(hit_rate, rates, norms.hit_rate_limit, _RATE_WORDS),
+        _check_worst(intensity, spreads, norms.intensity_limit, _SPREAD_WORDS),
     ]
 
 
-def _judge_worst(named: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
+def _check_worst(named: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
     if not apart:
         return named.not_run("no scan by the recording sensor with returns on both sides")
     worst, place = max(apart, key=lambda one: abs(one[0]))

@@ -78,13 +78,12 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
     misfit = np.where(known, own_m / np.maximum(other_m, _LEAST_M), 0.0)
     of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_M)
     wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > _MOST_OF_MEDIAN))
-    named = ", ".join(str(arrays["frame"][k]) for k in wrong[:_NAMED].tolist())
-    more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
+    named = _first([str(arrays["frame"][k]) for k in wrong.tolist()])
     return Check(
         name=ORDER_CHECK.name,
         passed=len(wrong) == 0,
         detail=f"{len(wrong)} of {len(own_m)} scans lie better at another frame's pose, or at none"
-        + (f": frames {named}{more}; were files swapped or copied?" if len(wrong) else ""),
+        + (f": frames {named}; were files swapped or copied?" if len(wrong) else ""),
         value=float(misfit.max()),
         limit=MOST_MISFIT,
     )
@@ -123,7 +122,7 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
         passed=len(wrong) == 0,
         detail=f"{len(pair)} pairs, the worst (frames {pair[worst]}) moved by {shift_m[worst]:.3f} m and "
         f"{turn_deg[worst]:.2f} degrees, {matched[worst]:.0%} of points matched; {_in_words(wrong, pair)}"
-        f"{_untold(found, pair)}",
+        f"{_unconstrained(found, pair)}",
         value=float(shift_m[worst]),
         limit=MOST_SHIFT_M,
         unit="m",
@@ -133,12 +132,15 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
 def _in_words(wrong: np.ndarray, pair: list[str]) -> str:
     if len(wrong) == 0:
         return f"expected at most {MOST_SHIFT_M} m and {MOST_TURN_DEG} degrees"
-    named = ", ".join(pair[k] for k in wrong[:_NAMED].tolist())
-    more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
-    return f"poses or times are doubtful at frames {named}{more}"
+    return f"poses or times are doubtful at frames {_first([pair[k] for k in wrong.tolist()])}"
 
 
-def _untold(found: list[Registration], pair: list[str]) -> str:
+def _first(names: list[str]) -> str:
+    more = "" if len(names) <= _NAMED else f" and {len(names) - _NAMED} more"
+    return ", ".join(names[:_NAMED]) + more
+
+
+def _unconstrained(found: list[Registration], pair: list[str]) -> str:
     """The motions that the scans do not constrain, for the pair with the most of them; empty if none."""
     free = [len(one.free_shifts) + len(one.free_turns) for one in found]
     most = int(np.argmax(free))

@@ -9,6 +9,19 @@ SILENCE_S = 4.0
 """Longest time without a progress line: nobody should have to wait for one longer than 5 s."""
 
 
+def sparse(progress: Callable[[str], None], every_s: float = SILENCE_S) -> Callable[[str], None]:
+    """Pass on a line only if `every_s` seconds have passed since the last one, or since this call."""
+    said_s = time.monotonic()
+
+    def say(line: str) -> None:
+        nonlocal said_s
+        if time.monotonic() - said_s >= every_s:
+            said_s = time.monotonic()
+            progress(line)
+
+    return say
+
+
 class Heartbeat:
     """Passes progress lines on; inside `with` it adds a line after `silence_s` without one."""
 

@@ -18,7 +18,7 @@ from nvsf_core.drives.catalogue import (
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.runner.device_lock import device_lock
-from nvsf_core.stages.runner.heartbeat import Heartbeat
+from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
 from nvsf_core.stores.scene_store import SceneStore, require_home
@@ -27,7 +27,6 @@ DEMO_SCENE = "demo"
 """The scene whose drive is written when it is absent."""
 DEFAULT_RECIPE = "lean"
 """Used if neither the user nor the catalogue names one."""
-_SAY_EVERY_S = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +138,7 @@ def run_named_stage(
     places = [by_name[source].location(run.config) for source in stage.inputs]
     try:
         with (
-            _lease_for(stage, run, progress),
+            _device_for(stage, run, progress),
             Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
         ):
             return run_stage(stage, run.scene, run.store, run.config, say, inputs, places)
@@ -189,15 +188,8 @@ def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
     if scene.sequence != DEMO_SEQUENCE:
         return  # a user's own drive of the same name
     progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
-    started = said = time.perf_counter()
-
-    def frame_done(done: int, frames: int) -> None:
-        nonlocal said
-        if time.perf_counter() - said > _SAY_EVERY_S:
-            said = time.perf_counter()
-            progress(f"[{scene.name}] drive: {done} of {frames} frames")
-
-    write_demo(scene.root, progress=frame_done)
+    started, say = time.perf_counter(), sparse(progress)
+    write_demo(scene.root, progress=lambda done, n: say(f"[{scene.name}] drive: {done} of {n} frames"))
     progress(f"[{scene.name}] drive: written in {time.perf_counter() - started:.1f} s")
 
 
@@ -221,7 +213,7 @@ def _fingerprint_of(stage: Stage, run: SceneRun) -> str:
 
 
 @contextlib.contextmanager
-def _lease_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[None]:
+def _device_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[None]:
     """Hold the device lock around a stage that trains; other stages need none."""
     if stage.group != "train":
         yield

@@ -248,7 +248,7 @@ def run_stage(
             record = None
     if record is not None and record["fingerprint"] == fingerprint:
         progress(f"[{scene.name}] {stage.name}: up to date, skipped")
-        record = _judged_again(stage, task(store.path(location)), record)
+        record = _checked_again(stage, task(store.path(location)), record)
         return _outcome(stage, store.path(location), record, skipped=True)
     for place in input_locations:
         damage = damage_of(store, place, read_record(store.require(place)) or {})
@@ -264,7 +264,7 @@ def run_stage(
             "version": stage.version,
             "metadata": output.metadata,
             "previews": output.previews,
-            **_judged(stage, task(folder), output.checks),
+            **_checked(stage, task(folder), output.checks),
             "seconds": time.perf_counter() - started,
             "files": listed_files(store, folder, output.previews.values(), output.beside),
         }
@@ -295,7 +295,7 @@ def made_from(stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerpr
     return _without_recipe(_facts(stage, scene, config, input_fingerprints))
 
 
-def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
+def _checked(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
     """The record's entries on checks: those of `run`, replaced or extended by those of `check`.
 
     Raises:
@@ -313,11 +313,11 @@ def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
     return {"checks": [asdict(check) for check in found.values()], "check_version": stage.check_version}
 
 
-def _judged_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
+def _checked_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
     """The record of a published output; if `check_version` has changed, with the checks made again."""
     if record.get("check_version", "") == stage.check_version:
         return record
-    record = record | _judged(stage, task, [Check(**check) for check in record["checks"]])
+    record = record | _checked(stage, task, [Check(**check) for check in record["checks"]])
     write_document(task.folder / RECORD_NAME, record)
     return record
 

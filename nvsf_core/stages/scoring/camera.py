@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from nvsf_core.metrics.foreground import image_regions, masked_image_regions
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure, absent
+from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.scoring.lidar import RecordedScans
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.stages.scoring.rows import Ledger
@@ -40,10 +40,7 @@ class _Recorded:
 
     def camera(self) -> Pinhole:
         """The rectified camera."""
-        facts = read_attrs(self.path)["cameras"][self.name]
-        fx, fy, cx, cy = (float(facts[key]) for key in ("fx", "fy", "cx", "cy"))
-        width, height = int(facts["width"]), int(facts["height"])
-        return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+        return pinhole_of(read_attrs(self.path)["cameras"][self.name])
 
     def poses(self) -> np.ndarray:
         """(m, 4, 4) camera to world, metres."""
@@ -56,7 +53,6 @@ def measure_camera(
     camera: str,
     boxes: MovingBoxes | None,
     scans: RecordedScans | None,
-    method: Mapping[str, Any],
     ledger: Ledger,
     lpips: Lpips | None,
 ) -> Iterator[str]:
@@ -68,7 +64,6 @@ def measure_camera(
         camera: Name of the camera.
         boxes: Boxes of moving objects; None = no rows of regions.
         scans: Recorded scans, for depth; None for a drive without a LiDAR.
-        method: Columns on the method and its cost.
         ledger: Receives the rows.
         lpips: The LPIPS network; None if its weights are absent.
     """
@@ -99,9 +94,8 @@ def measure_camera(
         seconds = float(a[f"{camera}_render_seconds"][i])
         for (protocol, region), measures in found.items():
             ledger.add(
-                measures, method, protocol=protocol, region=region, sensor=camera, frame=frame,
-                render_seconds=seconds,
-            )  # fmt: skip
+                measures, protocol=protocol, region=region, sensor=camera, frame=frame, render_seconds=seconds
+            )
         yield f"frame {frame} ({i + 1} of {len(frames)})"
 
 

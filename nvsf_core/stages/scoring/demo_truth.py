@@ -102,16 +102,13 @@ def _gap_m(
     return float(np.median(np.abs(exact.range_m - a["range_m"][taken])))
 
 
-def measure_demo_view(
-    path: Path, view: ViewEntry, truth: DemoTruth, method: Mapping[str, Any], ledger: Ledger
-) -> Iterator[str]:
+def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Ledger) -> Iterator[str]:
     """Add the rows of one view of the demo; yields progress after each sweep.
 
     Args:
         path: Zarr group of one method's view.
         view: The view's entry in the catalogue.
         truth: Exact truth of the drive.
-        method: Columns on the method and its cost.
         ledger: Receives the rows.
 
     Raises:
@@ -125,7 +122,7 @@ def measure_demo_view(
         rays = _Rays(truth, view, float(a["time_s"][i]) + truth.shift_s, grid["grid_hit"].shape[1])
         rays.require_same(path, grid)
         ledger.add(
-            _against(rays, grid, near_returns(scan)), method, split=view.name, protocol="raw", sensor="lidar",
+            _against(rays, grid, near_returns(scan)), split=view.name, protocol="raw", sensor="lidar",
             frame=frame, render_seconds=float(a["lidar_render_seconds"][i]),
         )  # fmt: skip
         yield f"sweep {i + 1} of {a['frame'].size}"

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -74,7 +73,6 @@ def measure_lidar(
     path: Path,
     recording: RecordedScans,
     boxes: MovingBoxes | None,
-    method: Mapping[str, Any],
     ledger: Ledger,
     lpips: Lpips | None,
 ) -> Iterator[str]:
@@ -84,7 +82,6 @@ def measure_lidar(
         path: Zarr group of one method's held-out view.
         recording: The recorded scans.
         boxes: Boxes of moving objects; None = no rows of regions.
-        method: Columns on the method and its cost.
         ledger: Receives the rows.
         lpips: The LPIPS network; None if its weights are absent.
     """
@@ -118,7 +115,7 @@ def measure_lidar(
         seconds = float(a["lidar_render_seconds"][i])
         for (protocol, region), measures in found.items():
             ledger.add(
-                measures, method, protocol=protocol, region=region, sensor="lidar", frame=frame,
+                measures, protocol=protocol, region=region, sensor="lidar", frame=frame,
                 render_seconds=seconds,
             )  # fmt: skip
         yield f"frame {frame} ({i + 1} of {frames.size})"

@@ -40,7 +40,7 @@ class Ledger:
     """Rows of the metrics table, and the reasons of undefined values."""
 
     facts: dict[str, Any]
-    """Columns that are the same for all rows."""
+    """Columns that are the same for all rows: scene, commit, method and its cost."""
     rows: list[dict[str, Any]] = field(default_factory=list)
     undefined: Counter[str] = field(default_factory=Counter)
     """Reasons why values could not be computed, with counts."""
@@ -52,7 +52,6 @@ class Ledger:
     def add(
         self,
         measures: Mapping[str, Measure],
-        method: Mapping[str, Any],
         *,
         split: str = HELD_OUT,
         protocol: str,
@@ -65,7 +64,6 @@ class Ledger:
 
         Args:
             measures: Metric to its value.
-            method: Columns on the method and its cost.
             split: `test`, or the name of a view.
             protocol: What was compared.
             region: `all`, `foreground` or `background`.
@@ -82,7 +80,7 @@ class Ledger:
                 self.n_undefined_whole += int(is_whole and not measure.is_absent)
             self.rows.append(
                 {
-                    **self.facts, **method, "split": split, "protocol": protocol, "region": region,
+                    **self.facts, "split": split, "protocol": protocol, "region": region,
                     "sensor": sensor, "frame": frame, "metric": metric, "value": measure.value,
                     "unit": UNITS[metric], "n_valid": measure.n_valid, "render_seconds": render_seconds,
                 }

@@ -59,29 +59,20 @@ def write_method(
 
 def _costs(task: Task, method: str) -> dict[str, float]:
     """Cost of the method: seconds of preparation and training, parameters, megabytes."""
+    nothing = {"train_seconds": 0.0, "parameters": 0, "model_mb": 0.0, "peak_memory_mb": 0.0}
     if method == "copy_nearest":
-        return {"train_seconds": 0.0, "parameters": 0, "model_mb": 0.0, "peak_memory_mb": 0.0}
+        return nothing
     if method == "mesh":
         made = read_record(task.store.require("mesh")) or {"seconds": 0.0, "metadata": {}}
-        return {
-            "train_seconds": made["seconds"],
-            "parameters": 0,
-            "model_mb": made["metadata"].get("model_mb", 0.0),
-            "peak_memory_mb": 0.0,
-        }
+        model_mb = made["metadata"].get("model_mb", 0.0)
+        return nothing | {"train_seconds": made["seconds"], "model_mb": model_mb}
     evidence = task.store.require("evidence")
     record = read_record(evidence) or {"seconds": 0.0}
     evidence_mb = sum(p.stat().st_size for p in evidence.rglob("*") if p.is_file()) / 1e6
     if method == "reproject":
-        return {
-            "train_seconds": record["seconds"],
-            "parameters": 0,
-            "model_mb": evidence_mb,
-            "peak_memory_mb": 0.0,
-        }
-    field = (read_record(task.store.require(FIELD_STAGE.location(task.config))) or {"metadata": {}})[
-        "metadata"
-    ]
+        return nothing | {"train_seconds": record["seconds"], "model_mb": evidence_mb}
+    made = read_record(task.store.require(FIELD_STAGE.location(task.config))) or {"metadata": {}}
+    field = made["metadata"]
     return {
         "train_seconds": record["seconds"] + _number(field, "train_seconds"),
         "parameters": _number(field, "parameters"),

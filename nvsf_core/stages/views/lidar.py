@@ -7,6 +7,7 @@ import numpy as np
 
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
@@ -101,26 +102,18 @@ def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray
     """Arrays of the nearest training scan of each instant, copied, and its ranges along the recorded rays."""
     sweeps = lidar.sweeps
     a = sweeps.arrays
-    training = np.flatnonzero(sweeps.is_training)
     pano = LinearPano(reference_quirks=True)
     scans, panos, rays, seconds = [], [], [], []
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         started = time.perf_counter()
-        source = sweeps.returns_of(int(training[nearest_earlier(a["time_s"][training], float(instant))]))
-        scans.append((a["points_m"][source], a["intensity"][source], a["laser"][source]))
-        panos.append(pano.project(a["points_m"][source], a["intensity"][source]))
+        source = _nearest_training(sweeps, float(instant))
+        points_m, intensity, laser = a["points_m"][source], a["intensity"][source], a["laser"][source]
+        scans.append((points_m, intensity, laser))
+        panos.append(pano.project(points_m, intensity))
         seconds.append(time.perf_counter() - started)
         own = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
-        rays.append(
-            copied_ranges(
-                a["points_m"][source],
-                a["laser"][source],
-                a["range_m"][source],
-                a["intensity"][source],
-                a["points_m"][own],
-                a["laser"][own],
-            )
-        )
+        aims = a["points_m"][own], a["laser"][own]
+        rays.append(copied_ranges(points_m, laser, a["range_m"][source], intensity, *aims))
     arrays = _joined(scans)
     arrays["pano_range_m"] = np.stack([range_m for range_m, _ in panos])
     arrays["pano_intensity"] = np.stack([intensity for _, intensity in panos])
@@ -144,16 +137,13 @@ def copied_sweeps(
             the drive's lasers as rows; `grid_firings` (n,), the firings that are not padding.
     """
     a = lidar.sweeps.arrays
-    training = np.flatnonzero(lidar.sweeps.is_training)
     pano = LinearPano(reference_quirks=True)
     lasers, firings = grid["grid_azimuth_rad"].shape[1:]
     laser = np.repeat(lidar.evidence.lasers.astype(np.int64), firings)
     scans, panos, rendered, seconds = [], [], [], []
     for instant, azimuth_rad in zip(plan.time_s, grid["grid_azimuth_rad"], strict=True):
         started = time.perf_counter()
-        source = lidar.sweeps.returns_of(
-            int(training[nearest_earlier(a["time_s"][training], float(instant))])
-        )
+        source = _nearest_training(lidar.sweeps, float(instant))
         scan = (a["points_m"][source], a["intensity"][source], a["laser"][source])
         towards = np.stack([np.cos(azimuth_rad).ravel(), np.sin(azimuth_rad).ravel()], axis=1)
         centre_m = np.linalg.norm(scan[0], axis=1)
@@ -171,6 +161,12 @@ def copied_sweeps(
         "grid_intensity": shine, "lidar_render_seconds": np.array(seconds),
         **{name: grid[name] for name in ("grid_azimuth_rad", "grid_elevation_rad", "grid_firings")},
     }  # fmt: skip
+
+
+def _nearest_training(sweeps: Sweeps, time_s: float) -> slice:
+    """The returns of the training scan nearest in time."""
+    training = np.flatnonzero(sweeps.is_training)
+    return sweeps.returns_of(int(training[nearest_earlier(sweeps.arrays["time_s"][training], time_s)]))
 
 
 def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.drives.catalogue import ViewEntry
+from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
-
-TEST = "test"
-"""Name of the view of the held-out frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +33,7 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
 
     def plan_of(recorded: np.ndarray) -> ViewPlan | None:
         wanted = tuple(frame for frame in test_frames if frame in recorded)
-        return _plan(recording, TEST, frames=wanted) if wanted else None
+        return _plan(recording, HELD_OUT, frames=wanted) if wanted else None
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {name: plan_of(camera.recorded_frame) for name, camera in recording.cameras.items()}
