@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import torch
-
 from nvsf_core.errors import StoreError
 from nvsf_core.stores.checksums import damaged_file, file_checksums
 from nvsf_core.stores.documents import read_document
@@ -127,6 +125,8 @@ def _is_inside(path: Any) -> bool:
 
 def machine() -> str:
     """Processor, cores, versions and GPU in one line."""
+    import torch  # importing this module must stay cheap
+
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
