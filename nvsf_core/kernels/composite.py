@@ -1,5 +1,7 @@
 """Compositing of rays with differing numbers of surfaces, and its adjoint, in numba on the CPU.
 
+Tensors of another device are copied to the CPU, and the results back to that device.
+
 Of a ray's surfaces i, front to back, with a = sigmoid(logit): w_i = a_i prod_{j<i} (1 - a_j). A ray's
 summary is (sum w f, W, sum w t / W / 50, sum w c / W, sum w b / W) with features f (d), W = sum w, range t,
 cosine c and brightness b; W is at least 1.2e-7 where it divides. A ray's sums belong to one thread.
@@ -117,10 +119,9 @@ class _Composite(torch.autograd.Function):
         surface_hit_prior: Tensor, hit_prior: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         given = (logit, range_m, features, facts)
-        arrays = [tensor.detach().contiguous().numpy() for tensor in given]
+        arrays = [_array(tensor) for tensor in (first, *given, surface_hit_prior, hit_prior)]
         weights, summary, median, asked = (
-            torch.from_numpy(array)
-            for array in _forward(first.numpy(), *arrays, surface_hit_prior.numpy(), hit_prior.numpy())
+            torch.from_numpy(array).to(logit.device) for array in _forward(*arrays)
         )
         ctx.save_for_backward(*given, first, weights, summary)
         ctx.mark_non_differentiable(median, asked)
@@ -129,11 +130,16 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         logit, range_m, features, facts, first, weights, summary = (
-            tensor.detach().contiguous().numpy() for tensor in ctx.saved_tensors
+            _array(tensor) for tensor in ctx.saved_tensors
         )
-        by_weights, by_summary = (grad.contiguous().numpy() for grad in grads[:2])
+        by_weights, by_summary = (_array(grad) for grad in grads[:2])
         found = _adjoint(first, logit, range_m, features, facts, weights, summary, by_weights, by_summary)
-        return (*(torch.from_numpy(array) for array in found), None, None, None, None)
+        return (*(torch.from_numpy(array).to(grads[0].device) for array in found), None, None, None, None)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    array: np.ndarray = tensor.detach().cpu().contiguous().numpy()
+    return array
 
 
 def composite_rays(
