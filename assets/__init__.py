@@ -1,1 +1,1 @@
-"""Dagster assets, one module a group; no maths."""
+"""Dagster assets made from the stages, one module per asset group; no maths."""

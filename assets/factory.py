@@ -1,4 +1,4 @@
-"""From a stage of the flow to an asset of the lineage."""
+"""Make a Dagster asset, with its checks and metadata, from a stage of the flow."""
 
 import base64
 import math
@@ -15,10 +15,10 @@ from nvsf_core.stages.runner.stage import NOT_RUN, NamedCheck, UnsoundOutputErro
 from nvsf_core.stores.documents import read_picture
 
 CHECK_NAME = "output_is_sound"
-"""Every asset's blocking check: all that the stage itself checked, each listed in the metadata. What a stage
-names is a check of its own beside it."""
+"""Every asset's blocking check: it sums up all checks of the stage and lists them in its metadata. Each of
+the stage's named checks is also a Dagster check of its own."""
 _PUBLISHED = dg.AssetCheckSeverity.WARN
-"""What was published failed no blocking check: another that it fails warns, and what reads it still runs."""
+"""A published output passed its blocking checks, so other failures only warn and later stages still run."""
 _PREVIEW_LIMIT_BYTES = 100_000
 _AssetEvent = dg.AssetCheckResult | dg.MaterializeResult
 _KINDS = {
@@ -32,7 +32,7 @@ scene_partitions = dg.StaticPartitionsDefinition([entry.name for entry in catalo
 
 
 def assets_of_group(group: str) -> list[dg.AssetsDefinition]:
-    """The assets of every stage of one group, in the flow's order."""
+    """One asset per stage of the group, in the flow's order."""
     return [asset_of(stage) for stage in STAGES if stage.group == group]
 
 
@@ -72,7 +72,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
 
 
 def check_specs(stage: Stage) -> list[dg.AssetCheckSpec]:
-    """One check over all that the stage checked, and one for each of its laws."""
+    """The check that sums up the stage, and one check for each of its named checks."""
     whole = dg.AssetCheckSpec(
         CHECK_NAME,
         asset=stage.name,
@@ -91,10 +91,10 @@ def check_specs(stage: Stage) -> list[dg.AssetCheckSpec]:
 
 
 def verdicts(stage: Stage, outcome: Outcome, scene: str) -> list[dict[str, Any]]:
-    """Arguments of each check's result or evaluation, for a stage's published output."""
+    """Keyword arguments of an `AssetCheckResult` (or evaluation) per check of a published output."""
     whole = {
         "check_name": CHECK_NAME,
-        "passed": is_sound(outcome),
+        "passed": all(check.passed for check in outcome.checks),
         "severity": _PUBLISHED,
         "description": f"scene {scene}",
         "metadata": check_metadata(outcome),
@@ -104,12 +104,12 @@ def verdicts(stage: Stage, outcome: Outcome, scene: str) -> list[dict[str, Any]]
 
 
 def reason_of(error: Exception, stage: Stage, scene: str) -> str:
-    """What an error says, without the scene and stage that the reader is told beside it."""
+    """The error's message without scene and stage, which are shown beside it."""
     return str(error).removeprefix(f"scene {scene}, stage {stage.name}: ")
 
 
 def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> list[dict[str, Any]]:
-    """The same for a stage that published nothing: that it failed, and what was judged before it did."""
+    """As `verdicts`, for a stage that published nothing: the failure, and the checks that ran before it."""
     whole = {"check_name": CHECK_NAME, "passed": False, "description": f"scene {scene}: {reason}"}
     judged = error.checks if isinstance(error, UnsoundOutputError) else ()
     found = {check.name: check for check in judged}
@@ -120,7 +120,7 @@ def failed_verdicts(stage: Stage, scene: str, error: Exception, reason: str) -> 
 
 
 def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, Any]:
-    """One check's: value and limit are numbers, so that the UI plots them over time."""
+    """As `verdicts`, of one named check. Value and limit are numbers, so that the UI plots them over time."""
     if check is None:
         reason = f"{NOT_RUN}: this output was made before the check was"
         return {"check_name": named.name, "passed": True, "description": f"scene {scene}: {reason}"}
@@ -142,13 +142,8 @@ def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, An
     }
 
 
-def is_sound(outcome: Outcome) -> bool:
-    """Whether every check of the stage holds."""
-    return all(check.passed for check in outcome.checks)
-
-
 def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
-    """What the UI shows of an output: where it lies, how long it took, its numbers and pictures."""
+    """Metadata of an output for the UI: path, seconds, its numbers and its preview pictures."""
     metadata: dict[str, dg.MetadataValue] = {
         "path": dg.MetadataValue.path(str(outcome.path)),
         "seconds": dg.MetadataValue.float(round(float(outcome.seconds), 3)),
@@ -161,7 +156,7 @@ def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
 
 
 def check_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
-    """Each check with its verdict and its numbers."""
+    """Name of each check to its verdict and detail."""
     return {
         check.name: dg.MetadataValue.text(f"{'holds' if check.passed else 'FAILS'}: {check.detail}")
         for check in outcome.checks
@@ -169,7 +164,7 @@ def check_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
 
 
 def scalar_metadata(values: Mapping[str, float | int | str | bool]) -> dict[str, dg.MetadataValue]:
-    """Plain values as Dagster's typed ones."""
+    """Convert plain values to Dagster's typed metadata values."""
     typed: dict[str, dg.MetadataValue] = {}
     for name, value in values.items():
         if isinstance(value, bool):
@@ -184,7 +179,7 @@ def scalar_metadata(values: Mapping[str, float | int | str | bool]) -> dict[str,
 
 
 def picture(path: Path) -> dg.MetadataValue:
-    """A PNG as markdown; it is kept in the event log, so a large one is named instead of shown."""
+    """A PNG file as inline markdown. The event log stores it, so of a large file only the path is given."""
     content = read_picture(path)
     if content is None:
         return dg.MetadataValue.text(f"no picture at {path}")
@@ -196,7 +191,7 @@ def picture(path: Path) -> dg.MetadataValue:
 def events_of(
     stage: Stage, outcome: Outcome, scene: str
 ) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
-    """What an op logs so that the scene's partition of the asset turns green, with its checks."""
+    """Events that an op logs so that Dagster counts the scene's partition as made, with its checks."""
     yield dg.AssetMaterialization(
         asset_key=outcome.stage,
         partition=scene,
@@ -208,7 +203,7 @@ def events_of(
 def failed_checks(
     stage: Stage, scene: str, error: Exception, reason: str
 ) -> Iterable[dg.AssetCheckEvaluation]:
-    """What an op logs of a stage that published nothing, and of the error that kept it from it."""
+    """Events that an op logs for a stage that failed with `error` and published nothing."""
     yield from _evaluations(stage, failed_verdicts(stage, scene, error, reason))
 
 

@@ -13,7 +13,7 @@ from nvsf_core.stages.benchmark_report import make_benchmark_report
 
 METRICS_STAGE = "scene_metrics"
 CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curves"
-"""What `make bench` measured of error over training time; the report shows it."""
+"""Folder where `make bench` stores error over training time; the report shows it."""
 
 
 @dg.asset(
@@ -24,7 +24,7 @@ CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curve
     "speed beside error.",
 )
 def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
-    """Make the page from whatever scenes have metrics, of any recipe and seed."""
+    """Make the page from all scenes that have metrics, of any recipe and seed."""
     home = workspace.home()
     written = write_benchmark_report(home)
     return dg.MaterializeResult(
@@ -37,7 +37,7 @@ def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
 
 
 class WrittenReport(NamedTuple):
-    """Where the page is, and how many scenes it holds."""
+    """Path of the page, and how many scenes it shows."""
 
     path: Path
     scenes: int
@@ -45,7 +45,7 @@ class WrittenReport(NamedTuple):
 
 
 def write_benchmark_report(home: Path) -> WrittenReport:
-    """Make the page from everything measured under a home, without Dagster."""
+    """Make the page from all metrics under `home`, without Dagster."""
     measured = measured_scenes(home)
     no_data = [entry.name for entry in catalogue() if entry.name not in measured and not has_data(entry)]
     path = make_benchmark_report(home, [], {}, no_data, CURVES)

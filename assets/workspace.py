@@ -1,4 +1,4 @@
-"""What a run was asked for and where its outputs lie: the one resource of every asset and op."""
+"""The resource of every asset and op: recipe, seeds, and the folder of the outputs."""
 
 import os
 from pathlib import Path
@@ -14,14 +14,14 @@ from nvsf_core.stores.scene_store import require_home
 
 
 class Workspace(dg.ConfigurableResource):
-    """Recipe, seeds and places of a run; what is left empty comes from the environment."""
+    """Recipe, seeds and data set label of a run; empty fields are read from the environment."""
 
     recipe: str = ""
     """Preset; empty = RECIPE, else the catalogue's choice for the scene, else `lean`."""
     seed: int | None = None
     """Seed of training; None = SEED, else 0."""
     draw_seed: int = 0
-    """Seed of what is random in a data set."""
+    """Seed of ray drop and range noise in a data set."""
     dataset_label: str = "manual"
     """First part of a data set's version."""
 
@@ -30,20 +30,20 @@ class Workspace(dg.ConfigurableResource):
         return home_from_environment(os.environ)
 
     def plan(self, scene: str) -> SceneRun:
-        """What to run on the scene of that name.
+        """The run of the scene of that name.
 
         Raises:
-            DataError: The catalogue has no such scene, or the label is no part of a folder's name.
-            RecipeError: There is no such recipe, or a seed is none.
+            DataError: The catalogue has no such scene, or the label cannot be part of a folder's name.
+            RecipeError: There is no such recipe, or a seed is not valid.
             StoreError: The home cannot be written to.
         """
         return plan_run(find_scene(scene), self.home(), **self._choices())
 
     def require_possible(self) -> None:
-        """Refuse a run that no scene could be run with.
+        """Check everything of a run that does not depend on the scene.
 
         Raises:
-            NvsfError: The recipe, a seed, the label or the home, as `plan` would say of each scene.
+            NvsfError: The recipe, a seed, the label or the home is not valid; the error that `plan` raises.
         """
         require_home(self.home())
         choices = self._choices()

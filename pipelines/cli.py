@@ -1,4 +1,4 @@
-"""The command `nvsf`: what make and Dagster do, for those who installed the package."""
+"""The command `nvsf`: run Dagster's jobs and reports from an installed package."""
 
 import importlib.util
 import os
@@ -17,10 +17,10 @@ _TEMPLATE = "dagster.yaml"
 
 
 class _Ours(click.Group):
-    """Says an error of ours in one line, without a stack trace."""
+    """A command group that shows this project's errors in one line, without a stack trace."""
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command that was asked for."""
+        """Run the chosen command."""
         try:
             return super().invoke(ctx)
         except NvsfError as error:
@@ -136,7 +136,7 @@ def doctor() -> None:
 
 
 def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
-    """Dagster's job over the scenes, in a process of its own, as `make train` runs it; its exit code."""
+    """Run Dagster's job over the scenes in its own process, as `make train` does; returns its exit code."""
     from nvsf_core.drives.catalogue import home_from_environment
 
     home = home_from_environment(os.environ)
@@ -150,12 +150,12 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
         place.mkdir(parents=True, exist_ok=True)
         with resources.as_file(_instance_template()) as template:
             shutil.copy(template, place / _TEMPLATE)
-        # Initialised by one process: two that meet an empty DAGSTER_HOME race for its tables.
+        # Initialise it with one process: two with an empty DAGSTER_HOME would race for its tables.
         subprocess.run([*dagster, "instance", "info"], env=environment, stdout=subprocess.DEVNULL, check=True)
     return subprocess.run([*dagster, "job", "execute", "-j", "train_all_scenes"], env=environment).returncode
 
 
 def _instance_template() -> resources.abc.Traversable:
-    """Of Dagster's instance: in the checkout, else in the wheel."""
+    """Configuration file of a new Dagster instance: from the checkout, else from the wheel."""
     here = resources.files("pipelines")
     return beside if (beside := here.joinpath("..", _TEMPLATE)).is_file() else here.joinpath(_TEMPLATE)

@@ -1,4 +1,4 @@
-"""The one code location: what Dagster loads."""
+"""The project's Dagster code location: assets, jobs, schedules and sensors."""
 
 import dagster as dg
 

@@ -1,4 +1,4 @@
-"""What of a machine is missing, and what that costs."""
+"""Examine what a machine lacks, and what cannot run without it."""
 
 import importlib.util
 import os
@@ -15,12 +15,12 @@ from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.scene_store import require_home
 
 _FREE_GB = 5.0
-"""A scene's outputs take about half of that."""
+"""Free space that is asked for; one scene takes about half of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one examination."""
 
     subject: str
     is_fine: bool
@@ -30,7 +30,7 @@ class Finding:
 
 
 def examine(environ: Mapping[str, str]) -> list[Finding]:
-    """Look at everything; nothing is written but an empty file that is removed again."""
+    """Examine everything; nothing is written but a temporary folder."""
     return [_machine(), _gpu(), _home(environ), _catalogue(environ), _open3d(), _lpips(), _executors()]
 
 

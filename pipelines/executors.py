@@ -1,4 +1,4 @@
-"""Where steps run: NVSF_EXECUTOR = in_process | multiprocess (default) | ray | k8s."""
+"""Dagster executors, chosen by NVSF_EXECUTOR = in_process | multiprocess (default) | ray | k8s."""
 
 import contextlib
 import os
@@ -10,22 +10,22 @@ from nvsf_core.errors import MissingLibraryError, RecipeError
 
 _THREADS_A_STEP = 2
 _MOST_STEPS = 4
-"""Memory bounds it: a step takes about 1.5 GB."""
+"""Most parallel steps: each takes about 1.5 GB of memory."""
 
 
 def executor_from_environment() -> dg.ExecutorDefinition:
     """The executor that NVSF_EXECUTOR names.
 
     Raises:
-        RecipeError: It names none of the four.
-        MissingLibraryError: It names one whose extra is not installed.
+        RecipeError: NVSF_EXECUTOR has another value.
+        MissingLibraryError: The extra of that executor is not installed.
     """
     name = os.environ.get("NVSF_EXECUTOR") or "multiprocess"
     if name == "in_process":
         return dg.in_process_executor
     if name == "multiprocess":
         return _processes(_local_steps())
-    # The other two are extras (`pip install -e .[ray]`, `.[k8s]`): imported only where asked for.
+    # The other two are extras (`pip install -e .[ray]`, `.[k8s]`), imported only if chosen.
     if name == "ray":
         with _extra(name):
             from dagster_ray import ray_executor
@@ -39,10 +39,10 @@ def executor_from_environment() -> dg.ExecutorDefinition:
 
 @contextlib.contextmanager
 def _extra(name: str) -> Iterator[None]:
-    """Around the import of an extra's package.
+    """Context of the import of an extra's package.
 
     Raises:
-        MissingLibraryError: It is not installed.
+        MissingLibraryError: The extra is not installed.
     """
     try:
         yield
@@ -54,19 +54,19 @@ def _extra(name: str) -> Iterator[None]:
 
 
 def timing_executor() -> dg.ExecutorDefinition:
-    """For what is measured: one step at a time, each in a process of its own, for honest time and memory."""
+    """An executor for measurements: one step at a time, in its own process, so time and memory are exact."""
     return _processes(1)
 
 
 def _processes(most_steps: int) -> dg.ExecutorDefinition:
-    # forkserver with everything imported once: spawn would import torch anew for every step.
+    # forkserver imports everything once; spawn would import torch again for every step.
     start = {"forkserver": {"preload_modules": ["pipelines.definitions"]}}
     return dg.multiprocess_executor.configured({"max_concurrent": most_steps, "start_method": start})
 
 
 def _local_steps() -> int:
-    """Steps at once on this machine: as many as get their threads.
+    """Number of parallel steps such that each has its own cores.
 
-    Threads that wait spin: a training beside another step on the same two cores took three times as long.
+    Waiting threads spin: with another step on the same two cores a training took three times as long.
     """
     return max(1, min(_MOST_STEPS, (os.cpu_count() or 1) // _THREADS_A_STEP))

@@ -1,4 +1,4 @@
-"""The jobs; `train_all_scenes` has a module of its own."""
+"""The Dagster jobs; `train_all_scenes` is built in `pipelines.train_all`."""
 
 import dagster as dg
 
@@ -9,7 +9,7 @@ from pipelines.train_all import make_train_all_scenes
 
 train_all_scenes = make_train_all_scenes()
 
-# One recipe and one seed a run, like every run: `make bench` (benchmarks/run.py) runs it for each of SEEDS.
+# Each run has one recipe and one seed; `make bench` (benchmarks/run.py) runs it for each of SEEDS.
 benchmark = make_train_all_scenes(
     without=["dataset"],
     name="benchmark",

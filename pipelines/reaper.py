@@ -1,8 +1,7 @@
-"""`stale_run_reaper`: runs whose processes are gone are marked as failed.
+"""`stale_run_reaper`: a sensor that marks runs as failed if their processes are gone.
 
-`dagster job execute` that is killed (SIGKILL, power) leaves its run STARTED for ever: it holds its pool slots
-and counts against `max_concurrent_runs`. Dagster's own run monitoring looks after runs that the daemon
-launched, not after these.
+A killed `dagster job execute` (SIGKILL, power) leaves its run STARTED for ever: it holds its pool slots and
+counts against `max_concurrent_runs`. Dagster's run monitoring only covers runs that the daemon launched.
 """
 
 import os
@@ -13,12 +12,12 @@ from pathlib import Path
 import dagster as dg
 
 HOST_TAG = "nvsf/host"
-"""`<host name>/<boot>` of the machine that holds a run's processes."""
+"""Tag of a run: `<host name>/<boot id>` of the machine of its processes."""
 _LOCAL_EXECUTORS = ("", "in_process", "multiprocess")
 _QUIET_S = 60.0
-"""Between two processes of a run, for example while a step's is started, none may be there for a moment."""
+"""A run may have no process for a moment, for example while the next step starts."""
 _CLOCK_SLACK_S = 2.0
-"""The kernel gives the boot's time in whole seconds."""
+"""Tolerance of process start times: the kernel gives the boot time in whole seconds."""
 _MESSAGE = (
     "The run's processes are gone (killed, or the machine went down). Run it again: what was finished is "
     "skipped, and training resumes."
@@ -26,7 +25,7 @@ _MESSAGE = (
 
 
 def host_tags() -> dict[str, str]:
-    """Tags for a job whose runs stay on this machine; none where the executor sends steps to others."""
+    """Tags for a job whose runs stay on this machine; none if the executor sends steps to other machines."""
     if os.environ.get("NVSF_EXECUTOR", "") not in _LOCAL_EXECUTORS:
         return {}
     return {HOST_TAG: f"{socket.gethostname()}/{_boot()}"}
@@ -38,7 +37,7 @@ def host_tags() -> dict[str, str]:
     description="Marks runs as failed whose processes on this machine are gone, and frees their pool slots.",
 )
 def stale_run_reaper(context: dg.SensorEvaluationContext) -> dg.SkipReason:
-    """Reap; no run is ever asked for."""
+    """Mark stale runs as failed; no run is requested."""
     reaped = reap(context.instance)
     return dg.SkipReason(f"marked as failed: {', '.join(reaped)}" if reaped else "no stale run")
 
@@ -47,11 +46,11 @@ def reap(instance: dg.DagsterInstance, quiet_s: float = _QUIET_S) -> list[str]:
     """Mark stale runs as failed.
 
     Args:
-        instance: Whose runs.
-        quiet_s: A run that said something less long ago is left alone.
+        instance: The Dagster instance.
+        quiet_s: A run with an event in the last `quiet_s` seconds is not stale.
 
     Returns:
-        Ids of the runs that were marked.
+        Ids of the marked runs.
     """
     started = dg.RunsFilter(statuses=[dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING])
     reaped = []
@@ -83,7 +82,7 @@ def _is_stale(instance: dg.DagsterInstance, run: dg.DagsterRun, quiet_s: float) 
 
 
 def _is_alive(pid: int, spoke_s: float) -> bool:
-    """Whether the process that spoke then still runs: not a zombie, and no later one that got its number."""
+    """Whether a process that logged at `spoke_s` still runs: not a zombie, nor a later process of that id."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:

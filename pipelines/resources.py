@@ -1,4 +1,4 @@
-"""Resources that every asset and op gets; a run's configuration may override each of their fields."""
+"""Resources of every asset and op; a run's configuration may override each of their fields."""
 
 from typing import Any
 

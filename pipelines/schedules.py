@@ -1,4 +1,4 @@
-"""When the flow runs by itself."""
+"""The schedule that makes new data sets every week."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ from pipelines.jobs import regenerate_synthetic
     description="Sundays at 3: a new version of every trained scene's synthetic data sets.",
 )
 def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.RunRequest | dg.SkipReason]:
-    """One run a scene that has a field, drawn with the ISO week as its seed."""
+    """Request one run per scene that has a field; the ISO week is the data set's seed."""
     year, week, _ = context.scheduled_execution_time.isocalendar()
     label = f"{year}-W{week:02d}"
     requested = 0
@@ -41,7 +41,7 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
 
 
 def _is_known(folder: Path) -> bool:
-    """Whether a field's folder is of a seed and of a recipe that a run can be asked for by name."""
+    """Whether a field's folder is named by a seed, below a preset's name."""
     try:
         preset(folder.parent.name)
     except RecipeError:
@@ -50,7 +50,7 @@ def _is_known(folder: Path) -> bool:
 
 
 def newest_field(scene_root: Path) -> tuple[str, int] | None:
-    """Recipe and seed of the scene's latest published field, or None where there is none that can be read."""
+    """Recipe and seed of the scene's latest published field; None if there is no readable one."""
     fields = [path.parent for path in published(scene_root, f"field/*/*/{RECORD_NAME}")]
     sound = [folder for folder in fields if _is_known(folder) and read_record(folder) is not None]
     if not sound:

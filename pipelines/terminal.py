@@ -1,4 +1,4 @@
-"""What a person at a terminal sees of a run: progress, warnings and errors, not Dagster's bookkeeping."""
+"""A logger for the terminal: progress, warnings and errors, without Dagster's own events."""
 
 import logging
 import sys
@@ -7,11 +7,11 @@ import time
 import dagster as dg
 
 TERSE_LOGGING = {"loggers": {"terse": {"config": {}}}}
-"""Run configuration that chooses this logger; Dagster falls back to its own where a job names none."""
+"""Run configuration that chooses this logger; without it a job has Dagster's own."""
 
 
 class _TerseFormatter(logging.Formatter):
-    """`HH:MM:SS message`; an unexpected error keeps its stack trace, a failure that was foreseen does not."""
+    """`HH:MM:SS message`; an unexpected error has its stack trace, an expected `Failure` has not."""
 
     def format(self, record: logging.LogRecord) -> str:
         clock = time.strftime("%H:%M:%S", time.localtime(record.created))
@@ -22,7 +22,7 @@ class _TerseFormatter(logging.Formatter):
         event = meta.get("dagster_event")
         error = getattr(getattr(event, "event_specific_data", None), "error", None)
         if error is not None:
-            # RUN_FAILURE repeats what STEP_FAILURE said before it.
+            # RUN_FAILURE repeats the message of STEP_FAILURE.
             told = event.is_run_failure or error.cls_name == "Failure"
             message = f"{message}\n{error.message if told else error.to_string()}".rstrip()
         return f"{clock} {message}" if record.levelno < logging.ERROR else f"{clock} ERROR {message}"
@@ -33,7 +33,7 @@ class _TerseFormatter(logging.Formatter):
     description="One short line a message on standard error.",
 )
 def terse_logger(context: dg.InitLoggerContext) -> logging.Logger:
-    """A logger for the terminal; log_level DEBUG shows Dagster's own events too."""
+    """The terminal's logger; with log_level DEBUG it shows Dagster's own events too."""
     level = str(context.logger_config["log_level"]).upper()
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_TerseFormatter())

@@ -30,11 +30,11 @@ from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
 
 SceneState = dict[str, Any]
-"""Goes from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
+"""Passed from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
 
-# A killed child (out of memory) gets a second try, which resumes from the last checkpoint; the third only
-# writes down that the scene failed: a failed step would keep the report of all others from being made.
-# Errors of a scene never get here: they are caught and recorded.
+# A killed process (out of memory) gets a second try, which resumes from the last checkpoint; the third only
+# records that the scene failed: a failed step would prevent the report of all other scenes.
+# Errors that a scene raises are caught and recorded; they never lead to a retry.
 _RETRY_KILLED = dg.RetryPolicy(max_retries=2)
 _KILLED_TWICE = (
     "its process died twice (killed, out of memory, or crashed); the run's log names the signal. Run again "
@@ -43,10 +43,10 @@ _KILLED_TWICE = (
 
 
 class SceneChoice(dg.Config):
-    """Which scenes to train."""
+    """The scenes to train."""
 
     scenes: list[str] = Field(default=[])
-    """Names; empty = SCENES (separated by blanks), else every scene of the catalogue that has data."""
+    """Names; empty = SCENES (separated by blanks), else all scenes of the catalogue that have data."""
 
 
 @dg.op(
@@ -54,7 +54,7 @@ class SceneChoice(dg.Config):
     description="Name the scenes: those asked for, else every one that has data; the demo drive is written.",
 )
 def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice) -> Iterator[Any]:
-    """Fan out over the scenes; one asked for by name without data goes on as failed, others are dropped."""
+    """Fan out over the scenes. Without data, one asked for by name counts as failed; others are left out."""
     try:
         workspace.require_possible()
     except NvsfError as error:
@@ -69,7 +69,7 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
             absent.append(name)
             context.log.info(f"[{name}] no data, left out: {failure}")
             continue
-        # Dagster's keys know neither `-` nor `.`, and come once each.
+        # Dagster's mapping keys allow neither `-` nor `.`, and must be unique.
         key = re.sub(r"\W", "_", name, flags=re.ASCII) or "scene"
         while key in keys:
             key += "_"
@@ -80,7 +80,7 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
 
 
 def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
-    """Why the scene's drive cannot be used; empty = it is there."""
+    """Why the scene's drive cannot be used; empty if it can."""
     try:
         entry = find_scene(name)
         if entry.name == DEMO_SCENE:
@@ -94,12 +94,12 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
 
 @functools.cache
 def _stage_ops(stages: tuple[Stage, ...]) -> tuple[dg.OpDefinition, ...]:
-    """Made once for all jobs: a code location refuses two ops of one name."""
+    """One op per stage, shared by all jobs: a code location refuses two ops of the same name."""
     return tuple(_stage_op(stage, position + 1, stages) for position, stage in enumerate(stages))
 
 
 def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefinition:
-    # Later stages first: a scene is finished before the next one is begun, and a first result is early.
+    # Later stages have priority: a scene is finished before the next one begins.
     @dg.op(
         name=f"{stage.name}_of_scene",
         description=stage.description,
@@ -120,7 +120,7 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
         except NvsfError as error:
             return _failed(context, state, stage, error, reason_of(error, stage, scene))
         except Exception as error:
-            # A defect, not bad data; yet a failed step would keep the report of all scenes from being made.
+            # A defect of the code; still, a failed step would prevent the report of all scenes.
             context.log.exception(f"[{scene}] {stage.name}: unexpected error")
             return _failed(context, state, stage, error, f"{type(error).__name__}: {error}")
         done = {"stage": stage.name, "seconds": outcome.seconds, "skipped": outcome.skipped}
@@ -159,9 +159,9 @@ def _exports(outcome: Outcome) -> list[str]:
 def report_all(
     context: dg.OpExecutionContext, workspace: Workspace, states: list[dict], absent: list[str]
 ) -> list[str]:
-    """Make the report whether or not scenes failed; returns what failed, one line a scene.
+    """Make the report, also if scenes failed; returns the failures, one line per scene.
 
-    The page holds everything measured under the home; the table on the terminal, this run.
+    The page shows everything measured under the home, the table on the terminal only this run.
     """
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
@@ -210,7 +210,7 @@ def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
 def fail_if_any_failed(failures: list[str]) -> None:
-    """Turn recorded failures into the run's exit code."""
+    """Fail the run if there are recorded failures."""
     if failures:
         raise dg.Failure(
             description=f"{len(failures)} scene(s) failed: " + " | ".join(failures), allow_retries=False
@@ -225,13 +225,13 @@ def make_train_all_scenes(
     description: str = str(__doc__),
     executor: dg.ExecutorDefinition | None = None,
 ) -> dg.JobDefinition:
-    """The job over a list of stages.
+    """The job that runs a list of stages on every scene, then the report.
 
     Args:
-        stages: In order, every input before its reader.
+        stages: The stages, each after its inputs.
         without: Names of stages to leave out.
-        name: Of the job.
-        description: Of the job.
+        name: Name of the job.
+        description: Description of the job, shown in the UI.
         executor: Default: the code location's.
     """
     made = zip(stages, _stage_ops(tuple(stages)), strict=True)

@@ -55,12 +55,14 @@ class _Mode(TorchDispatchMode):
 
 
 class _Data(TorchFunctionMode):
-    """Brings numbers of Python there, which no meta tensor would keep."""
+    """Brings numbers of Python there, which no meta tensor would keep, and back."""
 
     def __torch_function__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         kwargs = kwargs or {}
+        if func is torch.Tensor.tolist and isinstance(args[0], _Elsewhere):
+            return args[0].here.tolist()
         if func is torch.Tensor.new_tensor and args[0].device == OTHER:
             return torch.tensor(*args[1:], dtype=kwargs.get("dtype", args[0].dtype)).to(OTHER)
         if func in (torch.tensor, torch.as_tensor) and torch.device(kwargs.get("device") or "cpu") == OTHER:

@@ -85,7 +85,7 @@ class RefineNetwork(nn.Module):
             shown: (c, h, w) share of the sources that show the point.
             share: (3, h, w) probability of each hypothesis, 0..1.
         """
-        believed = (share + _OFFSET[:, None, None])[:, None]
+        believed = (share + _OFFSET.to(share)[:, None, None])[:, None]
         is_lidar = torch.zeros_like(believed)
         is_lidar[-1] = 1.0
         spread, pair, shown = (x.reshape(HYPOTHESES, -1, *x.shape[1:]) for x in (spread, pair, shown))
@@ -138,7 +138,7 @@ class BlendNetwork(nn.Module):
         weighted = seen * nearness.repeat(HYPOTHESES)[:, None, None]
         offset = ((colour - coarse) * seen[:, None]).flatten(0, 1)
         out = self._network(torch.cat([offset, weighted, share, coarse - 0.5])[None])[:, :height, :width]
-        believed = share + _OFFSET[:, None, None]
+        believed = share + _OFFSET.to(share)[:, None, None]
         prior = (believed[:, None] * nearness[None, :, None, None]).flatten(0, 1)
         prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)])
         # A placeholder source has nearness 0, whose logarithm has no finite gradient.

@@ -43,6 +43,11 @@ class CellNetwork(nn.Module):
                 cast(Tensor, convolution.bias).zero_()
             cast(nn.Conv2d, self.layers[-1]).weight.zero_()
 
+    @torch.no_grad()
+    def corrections(self, features: Tensor) -> Tensor:
+        """Corrections (outputs, h, w) of one image (features, h, w), both on the CPU wherever weights lie."""
+        return self(features[None].to(next(self.parameters()).device))[0].cpu()
+
     def forward(self, features: Tensor) -> Tensor:
         """Corrections (b, outputs, h, w), to be added to logits, from `features` (b, features, h, w)."""
         x = features

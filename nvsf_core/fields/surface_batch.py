@@ -174,6 +174,10 @@ class SurfaceBatch:
     hit_prior: Tensor
     """(m,): share of a moving object's nearest scans that had a return there; -1 on static surfaces."""
 
+    def to(self, device: torch.device) -> "SurfaceBatch":
+        """The same batch on `device`."""
+        return SurfaceBatch(*(getattr(self, name).to(device) for name in self.__slots__))
+
     def spread(self, values: Tensor) -> Tensor:
         """`values` (m, c) of all surfaces as (r, k, c), with 0 behind a ray's last surface."""
         rows = self.is_there.view(-1).nonzero()

@@ -1,4 +1,4 @@
-"""Raw arrays in, raw arrays out: encodings and adjoints, by torch (oracle), numba (CPU), Triton (CUDA)."""
+"""Inner loops over plain arrays, compiled by numba (CPU) or Triton (CUDA); torch versions check them."""
 
 import os
 

@@ -17,13 +17,13 @@ class MovingBounds(NamedTuple):
     """A box that moves, and the rays that may meet it at all."""
 
     axis: np.ndarray
-    """(3,) unit: a ray that meets the box runs within an angle of it..."""
+    """(3,) unit: rays that meet the box run within an angle of this direction."""
     least_cosine: float
-    """...whose cosine this is."""
+    """Cosine of that angle."""
     first_s: float
-    """The box is there from this time..."""
+    """Time from which the box is there, seconds."""
     last_s: float
-    """...to this one."""
+    """Time until which it is there, seconds."""
     path_time_s: np.ndarray
     """(k,) float64 ascending, k >= 1."""
     path_pose: np.ndarray

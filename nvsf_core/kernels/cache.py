@@ -13,7 +13,7 @@ _OURS = "nvsf-kernels-"
 _HERE = Path(__file__).parent
 _SOURCES = b"".join(path.read_bytes() for path in sorted(_HERE.rglob("*.py")))
 COMPILED = _HERE / "__pycache__" / f"{_OURS}{hashlib.sha256(_SOURCES).hexdigest()[:16]}"
-"""Unless the environment's NUMBA_CACHE_DIR names another folder than a parent process of ours has set."""
+"""The folder, unless NUMBA_CACHE_DIR names one that no parent process of ours has set."""
 
 if Path(os.environ.get("NUMBA_CACHE_DIR", _OURS)).name.startswith(_OURS):
     os.environ["NUMBA_CACHE_DIR"] = str(COMPILED)

@@ -1,5 +1,7 @@
 """Compositing of rays with differing numbers of surfaces, and its adjoint, in numba on the CPU.
 
+Tensors of another device are copied to the CPU, and the results back to that device.
+
 Of a ray's surfaces i, front to back, with a = sigmoid(logit): w_i = a_i prod_{j<i} (1 - a_j). A ray's
 summary is (sum w f, W, sum w t / W / 50, sum w c / W, sum w b / W) with features f (d), W = sum w, range t,
 cosine c and brightness b; W is at least 1.2e-7 where it divides. A ray's sums belong to one thread.
@@ -19,8 +21,8 @@ N_MEANS = 4
 _COSINE, _BRIGHTNESS = 1, 4
 _LEAST_TOTAL = float(np.finfo(np.float32).eps)
 OWN_PRIOR_SHARE = 0.3
-"""Of a ray's weight: where surfaces with votes of their own have as much, the ray ends among them.
-A wheel that most rays pass by would vanish from a scan whose every ray takes its likeliest end."""
+"""Share of a ray's weight from which surfaces with a hit prior of their own (moving objects) decide its end.
+By the likeliest end alone a wheel that most rays pass by would vanish from the scan."""
 
 
 @njit(inline="always")
@@ -43,7 +45,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             light = 1.0
-            total, distance, cosine, brightness, moving, own_vote = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            total, distance, cosine, brightness, moving, own_prior = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for i in range(first[ray], first[ray + 1]):
                 seen, left = _seen_and_left(float(logit[i]))
                 weight = light * seen
@@ -55,7 +57,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
                 brightness += weight * facts[i, _BRIGHTNESS]
                 if surface_hit_prior[i] >= 0.0:
                     moving += weight
-                    own_vote += weight * surface_hit_prior[i]
+                    own_prior += weight * surface_hit_prior[i]
                 for c in range(width):
                     summary[ray, c] += np.float32(weight) * features[i, c]
             divisor = max(total, _LEAST_TOTAL)
@@ -64,7 +66,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
             is_own = moving > 0.0 and moving >= OWN_PRIOR_SHARE * total
-            asked[ray] = own_vote / moving if is_own else hit_prior[ray]
+            asked[ray] = own_prior / moving if is_own else hit_prior[ray]
             half, so_far = 0.5 * (moving if is_own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
@@ -117,10 +119,9 @@ class _Composite(torch.autograd.Function):
         surface_hit_prior: Tensor, hit_prior: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         given = (logit, range_m, features, facts)
-        arrays = [tensor.detach().contiguous().numpy() for tensor in given]
+        arrays = [_array(tensor) for tensor in (first, *given, surface_hit_prior, hit_prior)]
         weights, summary, median, asked = (
-            torch.from_numpy(array)
-            for array in _forward(first.numpy(), *arrays, surface_hit_prior.numpy(), hit_prior.numpy())
+            torch.from_numpy(array).to(logit.device) for array in _forward(*arrays)
         )
         ctx.save_for_backward(*given, first, weights, summary)
         ctx.mark_non_differentiable(median, asked)
@@ -129,11 +130,16 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         logit, range_m, features, facts, first, weights, summary = (
-            tensor.detach().contiguous().numpy() for tensor in ctx.saved_tensors
+            _array(tensor) for tensor in ctx.saved_tensors
         )
-        by_weights, by_summary = (grad.contiguous().numpy() for grad in grads[:2])
+        by_weights, by_summary = (_array(grad) for grad in grads[:2])
         found = _adjoint(first, logit, range_m, features, facts, weights, summary, by_weights, by_summary)
-        return (*(torch.from_numpy(array) for array in found), None, None, None, None)
+        return (*(torch.from_numpy(array).to(grads[0].device) for array in found), None, None, None, None)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    array: np.ndarray = tensor.detach().cpu().contiguous().numpy()
+    return array
 
 
 def composite_rays(
@@ -153,9 +159,9 @@ def composite_rays(
 
     Returns:
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
-        of the ray's weight up to it (of a ray without surfaces its `first`), of the surfaces with votes of
-        their own alone where these have at least `OWN_PRIOR_SHARE` of it; votes (n,): the surfaces' mean
-        where those with votes of their own decide where the ray ends, else `hit_prior`.
+        of the ray's weight up to it (without surfaces, the ray's `first`), counting only surfaces with a hit
+        prior of their own where these have at least `OWN_PRIOR_SHARE` of the weight; hit prior (n,): the
+        mean of those surfaces where they decide where the ray ends, else `hit_prior`.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_hit_prior, hit_prior

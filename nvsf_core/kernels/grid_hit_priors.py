@@ -1,4 +1,4 @@
-"""Whether scans' grids of lasers and firings returned towards places: read between their cells."""
+"""Share of recorded scans that returned in the direction of given places, interpolated between their rays."""
 
 import math
 from typing import NamedTuple
@@ -15,15 +15,15 @@ class FiringLasers(NamedTuple):
     """Where the lasers of a sensor look."""
 
     turned_down_rad: float
-    """By which a ray in the world lies above the same ray as recorded."""
+    """Angle by which a ray in the world lies above the same ray as recorded."""
     number: np.ndarray
     """(l,) int64 lasers that ever return, at least one."""
     elevation_rad: np.ndarray
     """(L,) of all lasers."""
     vertical_offset_m: np.ndarray
-    """(L,)."""
+    """(L,) lever arm across the ray, upwards."""
     horizontal_offset_m: np.ndarray
-    """(L,)."""
+    """(L,) lever arm across the ray, to the left."""
     shift_rad: np.ndarray
     """(L,) by which a laser looks ahead of the encoder."""
 

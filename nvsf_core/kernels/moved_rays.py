@@ -1,4 +1,4 @@
-"""A turn's rays on their way into the scene: turned up, mounted, and moved with the sensor, in numba."""
+"""The rays of a sweep from the sensor into the scene: pitch correction, mounting, motion; in numba."""
 
 import math
 

@@ -120,7 +120,7 @@ def _normal_equations(source, source_normal, target, target_normal, motion, gate
 
 @njit
 def _solve(system, right):  # type: ignore[no-untyped-def]
-    """Solve a symmetric, positive definite system (n, n) by Cholesky's way; `right` (n,) becomes the answer.
+    """Solve a positive definite system (n, n) by Cholesky's method; `right` (n,) becomes the solution.
 
     The system is overwritten. Numba's own solver takes 8 s to compile, more than all else in this file.
     """

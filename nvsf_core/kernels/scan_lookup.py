@@ -1,4 +1,4 @@
-"""Values looked up in a recorded sweep, in the direction of given points; numba on the CPU.
+"""What a recorded sweep measured in the direction of given points; numba on the CPU.
 
 For each point the laser with the nearest elevation (e + v / r) and the firing with the nearest azimuth are
 found, with the sensor's pose at that firing's time.

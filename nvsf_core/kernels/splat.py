@@ -1,4 +1,4 @@
-"""Points into an image by a z-buffer, without those that shine through a nearer surface, in numba.
+"""Points projected into an image by a z-buffer, without those hidden by a nearer surface, in numba.
 
 A point hides what lies behind it within a small disc of the world, `radius_m`: between the returns of
 one wall there are gaps of pixels through which the returns behind it would otherwise be seen.

@@ -1,4 +1,4 @@
-"""The surfaces that rays may end on, one ray after the other without gaps, and what is known of each."""
+"""Candidate surfaces of rays as flat arrays, one ray after the other, with the features of each surface."""
 
 import math
 

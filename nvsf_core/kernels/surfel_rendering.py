@@ -6,7 +6,7 @@ from numba import njit, prange
 from nvsf_core.kernels.voxel_march import RAYS_A_TASK, walk
 
 _HANDS = 16
-"""Hands that tasks are dealt out to; threads that divide it get equally much of each part of a turn."""
+"""Groups that tasks are dealt out to, so that each thread gets an equal share of every part of a sweep."""
 
 
 @njit(parallel=True, cache=True)

@@ -1,4 +1,4 @@
-"""What every other scan says about a return: seen through, hidden, confirmed, or nothing; in numba."""
+"""Whether each other scan saw through a return's place, had it hidden, or confirmed it; in numba."""
 
 import math
 
@@ -11,10 +11,10 @@ _CHUNK = 1024
 _OFF_ROW_SHARE = 0.75
 _ON_ROW_SHARE = 0.25
 _LEFT_SCANS = 3
-"""So many scans in a row that see through a place say that what was there has left: what is confirmed
-later is another thing, such as the next car of a queue."""
+"""After so many scans in a row that saw through a place, what was there has left: a later confirmation is of
+another object, such as the next car of a queue."""
 _APART_M = 0.35
-"""Where lasers look farther apart than this a laser that does not look at a place knows nothing of it."""
+"""Where neighbouring lasers are farther apart than this, only the one that looks at a place counts."""
 
 
 @njit(inline="always", fastmath=True)
@@ -78,7 +78,7 @@ def _row(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[n
 
 @njit(inline="always")
 def _look(image, first_row, end_row, column, range_m, margin_m):  # type: ignore[no-untyped-def]
-    """What three cells of each of some rows say about a surface at this range."""
+    """Compare three cells of each of some rows with a surface at this range."""
     cells = image.shape[1]
     filled, farther, nearer = 0, 0, 0
     for i in range(first_row, end_row):

@@ -18,7 +18,7 @@ BRICK = 8
 _NO_PLANE_COSINE = 0.5
 _NEVER_M = 1e300
 _REACH = 6.25
-"""Square of how many standard deviations of a voxel's returns a ray may pass them by and still meet them."""
+"""Square of the largest distance, in standard deviations of a voxel's returns, at which a ray meets them."""
 _FALL = 0.2
 """At `apart` squared standard deviations off, returns that are no plane stop exp(-_FALL * apart) of what they
 stop in their middle. Planes stop as much out to their ends: walls must not leak between voxels."""
@@ -58,7 +58,16 @@ class WalkLimits(NamedTuple):
 
 @njit(inline="always")
 def clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untyped-def]
-    """[t_near, t_far] cut to a slab along one axis; an empty interval has t_near > t_far."""
+    """[t_near, t_far] of a ray cut to a slab along one axis; an empty interval has t_near > t_far.
+
+    Args:
+        origin: Of the ray, along the axis.
+        direction: Of the ray, along the axis.
+        low: Lower face of the slab.
+        high: Upper face.
+        t_near: Start of the interval, metres along the ray.
+        t_far: Its end.
+    """
     if direction == 0.0:
         if origin < low or origin >= high:
             return 1.0, 0.0
@@ -134,7 +143,16 @@ def _cross_brick(  # type: ignore[no-untyped-def]
 def count_passes(  # type: ignore[no-untyped-def]
     origins, directions, stops_m, grid, means, precisions, n_threads
 ):  # fmt: skip
-    """How often each voxel's returns were seen through by rays that end at `stops_m` (shape (n,)).
+    """How often each voxel's returns were seen through by rays that end at given distances.
+
+    Args:
+        origins: (n, 3) float32, scene-local.
+        directions: (n, 3) float32, of unit length.
+        stops_m: (n,) float32 where each ray ends.
+        grid: A `VoxelIndex`.
+        means: (v, 3) float32 mean of each voxel's returns.
+        precisions: (v, 6) float32, or (0, 6) without shapes.
+        n_threads: Parts that the rays are divided into.
 
     Returns:
         (v,) int32: rays that met a voxel's returns (see above; without shapes, that crossed the voxel) and

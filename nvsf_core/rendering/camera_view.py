@@ -37,6 +37,10 @@ class ShownImages:
     small: Tensor
     """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
 
+    def to(self, device: torch.device) -> "ShownImages":
+        """The same images on `device`."""
+        return ShownImages(*(images.to(device) for images in (self.full, self.middle, self.small)))
+
     def mirrored(self) -> "ShownImages":
         """The images with left and right exchanged."""
         return ShownImages(self.full.flip(-1), self.middle.flip(-1), self.small.flip(-1))
@@ -77,6 +81,24 @@ class CameraView:
     label: Tensor | None = None
     """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 
+    def to(self, device: torch.device) -> "CameraView":
+        """The same view with all tensors on `device`."""
+        return replace(
+            self,
+            inverse=self.inverse.to(device),
+            gap_px=self.gap_px.to(device),
+            images=self.images.to(device),
+            motion=self.motion.to(device),
+            nearness=self.nearness.to(device),
+            moved=None if self.moved is None else self.moved.to(device),
+            label=None if self.label is None else self.label.to(device),
+        )
+
+    @property
+    def device(self) -> torch.device:
+        """The device of all its tensors."""
+        return self.inverse.device
+
     @property
     def small(self) -> Pinhole:
         """Intrinsics of the images on which planes are compared."""
@@ -94,7 +116,7 @@ class CameraView:
 
     def mirrored(self) -> "CameraView":
         """The view of the mirrored scene: x becomes -x in every camera's frame."""
-        flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0]))
+        flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0], device=self.device))
         return replace(
             self,
             pinhole=replace(self.pinhole, cx=self.pinhole.width - 1 - self.pinhole.cx),

@@ -37,10 +37,11 @@ def planes_of(
         spec: Recipe of the camera networks.
         window: Part of the shrunk image.
     """
-    inverses, small = plane_inverses(spec), view.small
+    inverses, small = plane_inverses(spec, view.device), view.small
     label = view.label_of(view.factor, window)
     sources = view.sources(view.images.small)
-    volume = plane_volume(sources, plane_rays(small)[window], small, inverses[:, None, None], label)
+    rays = plane_rays(small, view.device)[window]
+    volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
     features = volume_features(volume, prior, gap_px / view.factor, inverses)
     return network(features).softmax(dim=0), volume.mean_colour()
@@ -50,7 +51,7 @@ def planes_of(
 def believe_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> DepthBelief:
     """Likeliest depths of all shrunk pixels of a view; without gradients."""
     probability, colour = planes_of(network, view, spec)
-    return depth_belief(probability, colour, plane_inverses(spec))
+    return depth_belief(probability, colour, plane_inverses(spec, view.device))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +138,12 @@ def refine(
         window: Part of the image of the middle size.
     """
     count = spec.refinements
-    offsets = (torch.arange(count) - count // 2) * _FINER * _plane_step(spec)
+    offsets = (torch.arange(count, device=view.device) - count // 2) * _FINER * _plane_step(spec)
     depths = (coarse.inverse.detach()[:, None] + offsets[:, None, None]).clamp_min(0.0).flatten(0, 1)
     middle = view.middle
     label = view.label_of(middle_factor(view.factor), window)
-    volume = plane_volume(view.sources(view.images.middle), plane_rays(middle)[window], middle, depths, label)
+    rays = plane_rays(middle, view.device)[window]
+    volume = plane_volume(view.sources(view.images.middle), rays, middle, depths, label)
     spread, pair, shown, _ = volume.agreement()
     probability = network(spread, pair, shown, coarse.share)
     each = probability.reshape(-1, count, *probability.shape[1:])
@@ -180,7 +182,7 @@ def blend_sources(
         places = _places(view, 1, middle, part)[window]
         found = refinement.hypotheses.resized(places, _JUMP * _plane_step(spec))
     coarse = sample(belief.colour, _places(view, 1, view.factor)[window])
-    sources, rays = view.sources(view.images.full), plane_rays(view.pinhole)[window]
+    sources, rays = view.sources(view.images.full), plane_rays(view.pinhole, view.device)[window]
     volume = plane_volume(sources, rays, view.pinhole, found.inverse, view.label_of(1, window))
     colour = networks.blend(
         volume.colour.permute(2, 0, 1, 3, 4).flatten(0, 1),
@@ -207,7 +209,7 @@ def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) ->
     image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
     believed = torch.stack(depths).median(dim=0).values
     return RenderedImage(
-        image.permute(1, 2, 0).contiguous().numpy(), ray_length(believed, view.pinhole).numpy()
+        image.permute(1, 2, 0).contiguous().cpu().numpy(), ray_length(believed, view.pinhole).cpu().numpy()
     )
 
 
@@ -233,6 +235,6 @@ def _places(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE)
     sides = []
     for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):
         first, last, _ = side.indices(length // shrunk_by)
-        place = (torch.arange(length // factor) + 0.5) * factor / shrunk_by - first
+        place = (torch.arange(length // factor, device=view.device) + 0.5) * factor / shrunk_by - first
         sides.append(place * 2.0 / (last - first) - 1.0)
     return torch.stack(torch.meshgrid(*sides, indexing="ij")[::-1], dim=-1)

@@ -54,7 +54,7 @@ class PlaneVolume:
 
     def mean_colour(self) -> Tensor:
         """Mean colour (d, 3, h, w), mostly of the two nearest sources; 0 where none shows the plane."""
-        weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT)
+        weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT, device=self.seen.device)
         weight[:_NEAREST] = 1.0
         weight = weight * self.seen[:, None]
         mean = (weight * self.colour).sum(dim=0) / weight.sum(dim=0).clamp_min(1e-6)
@@ -80,9 +80,10 @@ class DepthBelief:
         return DepthBelief(*padded)
 
 
-def plane_inverses(spec: CameraSpec) -> Tensor:
-    """Inverse depths (d,) of the planes, 1/m, ascending, evenly spaced."""
-    return torch.linspace(1.0 / spec.far_m, 1.0 / spec.near_m, spec.planes)
+def plane_inverses(spec: CameraSpec, device: torch.device | None = None) -> Tensor:
+    """Inverse depths (d,) of the planes, 1/m, ascending, evenly spaced; None = on the CPU."""
+    # Always computed on the CPU, so that every device gets the same bits.
+    return torch.linspace(1.0 / spec.far_m, 1.0 / spec.near_m, spec.planes).to(device)
 
 
 def plane_volume(
@@ -141,7 +142,7 @@ def depth_belief(probability: Tensor, mean_colour: Tensor, inverses: Tensor) -> 
         inverses: (d,) inverse depths of the planes, 1/m.
     """
     first = probability.argmax(dim=0)
-    apart = (torch.arange(len(inverses))[:, None, None] - first).abs() > _MODE_PLANES + 1
+    apart = (torch.arange(len(inverses), device=first.device)[:, None, None] - first).abs() > _MODE_PLANES + 1
     second = (probability * apart).argmax(dim=0)
     modes = [_mode(probability, index, inverses) for index in (first, second)]
     return DepthBelief(
@@ -153,7 +154,7 @@ def depth_belief(probability: Tensor, mean_colour: Tensor, inverses: Tensor) -> 
 
 def _mode(probability: Tensor, index: Tensor, inverses: Tensor) -> tuple[Tensor, Tensor]:
     """Mean inverse depth (h, w) of the planes around plane `index` (h, w), and their probability (h, w)."""
-    planes = index + torch.arange(-_MODE_PLANES, _MODE_PLANES + 1)[:, None, None]
+    planes = index + torch.arange(-_MODE_PLANES, _MODE_PLANES + 1, device=index.device)[:, None, None]
     inside = (planes >= 0) & (planes < len(inverses))
     planes = planes.clamp(0, len(inverses) - 1)
     near = probability.gather(0, planes) * inside

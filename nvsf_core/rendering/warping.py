@@ -12,6 +12,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.numerics import require_finite
 
+_CPU = torch.device("cpu")
 _NEAREST_Z = 1e-3
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
 
@@ -37,7 +38,8 @@ def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhol
             [2.0 * pinhole.fx / width, 0.0, (2.0 * pinhole.cx + 1.0) / width - 1.0],
             [0.0, 2.0 * pinhole.fy / height, (2.0 * pinhole.cy + 1.0) / height - 1.0],
             [0.0, 0.0, 1.0],
-        ]
+        ],
+        device=motion.device,
     )
     turned = rays @ (to_grid @ motion[:3, :3]).T
     shift = to_grid @ motion[:3, 3]
@@ -64,15 +66,15 @@ def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "
 
 
 @functools.lru_cache(maxsize=16)
-def plane_rays(pinhole: Pinhole) -> Tensor:
+def plane_rays(pinhole: Pinhole, device: torch.device = _CPU) -> Tensor:
     """(H, W, 3) float32 directions (x, y, 1) of a camera's pixels: times depth along z they give points."""
     directions = pinhole.rays(pinhole.pixels())
-    return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32))
+    return torch.from_numpy((directions / directions[..., 2:]).astype(np.float32)).to(device)
 
 
 def ray_length(inverse: Tensor, pinhole: Pinhole) -> Tensor:
     """Range (H, W) in metres from inverse depth q (H, W) along z: |(x, y, 1)| / q; infinite where q <= 0."""
-    return torch.linalg.vector_norm(plane_rays(pinhole), dim=-1) / inverse.clamp_min(0.0)
+    return torch.linalg.vector_norm(plane_rays(pinhole, inverse.device), dim=-1) / inverse.clamp_min(0.0)
 
 
 def relative_motion(target_pose: np.ndarray, source_pose: np.ndarray) -> Tensor:

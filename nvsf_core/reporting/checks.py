@@ -1,4 +1,4 @@
-"""The report's section on what was checked of a scene's outputs: value, limit, and a verdict in words."""
+"""The report's section on the checks of a scene's outputs: value, limit and verdict."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -12,9 +12,9 @@ _WORDS = (1, 4)
 
 
 def checks_section(scene: SceneOutputs) -> str:
-    """Every doubt, then what was compared with a limit; empty where there is neither.
+    """HTML of the checks: failed ones first, then those with a limit; empty if there are none.
 
-    The newest run of a recipe stands in the open, older ones are folded away.
+    The checks of the newest run are visible, those of older runs are folded.
     """
     newest = f" {scene.runs[0].recipe} {scene.runs[0].seed}" if scene.runs else ""
     shown = [record for record in scene.records if " " not in record.stage or record.stage.endswith(newest)]
@@ -39,7 +39,7 @@ def checks_section(scene: SceneOutputs) -> str:
 
 
 def _shown(record: StageRecord) -> list[Mapping[str, Any]]:
-    """Checks that failed, whatever they look at, and those that have a limit, or would have one if run."""
+    """The checks that failed, that have a limit, or that were not run."""
     return [
         check
         for check in record.checks
@@ -76,6 +76,6 @@ def _row(record: StageRecord, check: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _digits(check: Mapping[str, Any]) -> int:
-    """Counts are whole; shares and lengths have three digits."""
+    """Decimal digits: none for counts, three for shares and lengths."""
     numbers = [check[key] for key in ("value", "limit") if check.get(key) is not None]
     return 0 if all(float(one).is_integer() for one in numbers) else 3

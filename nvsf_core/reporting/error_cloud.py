@@ -1,4 +1,4 @@
-"""The paper's error cloud: where a recorded scan was answered wrongly, from above."""
+"""The paper's error cloud: a recorded scan seen from above, coloured by range error."""
 
 import numpy as np
 
@@ -19,19 +19,20 @@ _DARKEST, _LIGHTEST = 120.0, 225.0
 def error_cloud_png(
     points_m: np.ndarray, range_error_m: np.ndarray, extent_m: float = 40.0, pixels: int = 640
 ) -> bytes:
-    """Recorded returns seen from above, forward up: red where the range error exceeds 1 m, else grey.
+    """PNG of recorded returns seen from above, forward up: red above 1 m of range error, else grey.
 
     The greys run from dark (no error) to light (1 m). A cell shows the worst of its returns.
 
     Args:
-        points_m: (N, 3) recorded returns in the sensor's frame.
-        range_error_m: (N,) absolute error along each return's own ray; infinite = no answer, which is red.
-        extent_m: From the sensor to the picture's border.
-        pixels: A side of the picture.
+        points_m: (N, 3) recorded returns in the sensor's frame, metres.
+        range_error_m: (N,) absolute error along each return's own ray, metres; infinite = no return was
+            rendered, which is red.
+        extent_m: From the sensor to the picture's border, metres.
+        pixels: Side of the square picture.
     """
     cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
     inside = ((cell >= 0) & (cell < pixels)).all(axis=1)
-    # NaN is no small error: it is drawn red too.
+    # A NaN is red too.
     wrong = ~(range_error_m[inside] <= WRONG_M)
     share = np.where(wrong, 0.0, range_error_m[inside] / WRONG_M)
     level = np.where(wrong, _RED, 1 + np.rint(share * (_GREYS - 1)).astype(np.int64))
@@ -44,7 +45,7 @@ def error_cloud_png(
 
 
 def error_cloud_figure(png: bytes | None) -> str:
-    """The picture of `error_cloud_png` with its legend, as HTML; empty where there is none."""
+    """HTML of the picture of `error_cloud_png` with its legend; empty for None."""
     if png is None:
         return ""
     return (

@@ -1,4 +1,4 @@
-"""Pieces of an HTML page that needs nothing but itself: no script, no link to elsewhere."""
+"""Pieces of a self-contained HTML page: no script, no external link."""
 
 import base64
 import html
@@ -66,25 +66,25 @@ class Column:
     """One column of a table of methods."""
 
     group: str
-    """Heading above several columns."""
+    """Heading above neighbouring columns of the same group."""
     title: str
     unit: str
     higher_is_better: bool | None
-    """None = nothing is marked as best."""
+    """None = no value is marked as best."""
     values: list[float]
-    """One a method; NaN where undefined."""
+    """One per method; NaN = undefined."""
     notes: list[str]
-    """One a method, shown on pointing: for example how many frames are undefined."""
+    """Tooltip of each value, for example how many frames are undefined; empty = none."""
     digits: int
 
 
 def escape(value: Any) -> str:
-    """Any value as text that HTML shows as it is."""
+    """Any value as text with HTML's special characters escaped."""
     return html.escape(str(value))
 
 
 def page(title: str, body: str) -> str:
-    """The whole document."""
+    """The whole HTML document around a ready-made body."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -94,23 +94,23 @@ def page(title: str, body: str) -> str:
 
 
 def image(png: bytes, alt: str, css: str = "") -> str:
-    """A picture that travels inside the page."""
+    """An image tag with the PNG embedded; `css` is its class."""
     data = base64.b64encode(png).decode()
     return f'<img class="{css}" alt="{escape(alt)}" src="data:image/png;base64,{data}">'
 
 
 def plot(png: bytes, alt: str) -> str:
-    """A plot of 144 dots an inch at its natural size."""
+    """An image tag of a plot of 144 dots per inch, shown at its natural size."""
     width = round(int.from_bytes(png[16:20], "big") * 96 / 144)
     return image(png, alt).replace("<img ", f'<img style="width:{width}px" ', 1)
 
 
 def methods_table(methods: Sequence[tuple[str, str, bool]], columns: Sequence[Column]) -> str:
-    """Methods as rows; the best value of a column stands out, a tie at the shown digits all of it.
+    """HTML table with one row per method; the best value of a column is marked, ties too.
 
     Args:
-        methods: Name, what it is, and whether it learned.
-        columns: In groups that stand together.
+        methods: Name, description, and whether it is a trained model.
+        columns: Columns of the same group next to each other.
     """
     groups: list[list[Any]] = []
     for column in columns:
@@ -139,7 +139,7 @@ def methods_table(methods: Sequence[tuple[str, str, bool]], columns: Sequence[Co
 
 
 def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[int] = ()) -> str:
-    """A table of ready-made cells (HTML); columns in `words` are set as running text."""
+    """HTML table of ready-made cells (HTML); columns whose index is in `words` wrap as text."""
 
     def css(i: int) -> str:
         return ' class="words"' if i in words else ""
@@ -152,7 +152,7 @@ def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Seque
 
 
 def number(value: float, digits: int) -> str:
-    """A number for a table: a dash where undefined, groups of three from 10 000 on."""
+    """A number for a table: a dash for NaN, groups of three digits from 10 000 on."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -161,7 +161,7 @@ def number(value: float, digits: int) -> str:
 
 
 def best_rows(column: Column) -> set[int]:
-    """Rows that hold the column's best value, as shown; empty where fewer than two are defined."""
+    """Rows whose shown value is the column's best; empty if fewer than two values are finite."""
     finite = [value for value in column.values if math.isfinite(value)]
     if column.higher_is_better is None or len(finite) < 2:
         return set()
@@ -170,12 +170,12 @@ def best_rows(column: Column) -> set[int]:
 
 
 def higher_is_better(metric: str) -> bool:
-    """Whether a larger value of a metric is the better one."""
+    """Whether larger values of a metric are better, by its name."""
     return any(word in metric for word in _UP)
 
 
 def unit_text(unit: str) -> str:
-    """A stored unit as it is printed; a bare number has none."""
+    """A stored unit as it is printed; empty for a bare number."""
     return _UNITS.get(unit, unit)
 
 

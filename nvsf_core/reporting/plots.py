@@ -1,6 +1,5 @@
 """The report's pictures, each as the bytes of a PNG."""
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,10 +8,15 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from nvsf_core.reporting.previews import MAX_RANGE_M, indexed_png, palette_png, range_preview
+from nvsf_core.reporting.previews import (
+    MAX_RANGE_M,
+    empty_figure,
+    figure_png,
+    indexed_png,
+    palette_png,
+    range_preview,
+)
 
 MAX_ERROR_M = 1.0
 MISSED_COLOUR, INVENTED_COLOUR = (64, 196, 255), (232, 62, 200)
@@ -22,15 +26,16 @@ MODEL_COLOUR, BASELINE_COLOURS = (
 )
 RANGE_TICKS_M = (0, 5, 20, 45, 80)
 """Ticks of the range scale, which is linear in the square root."""
+_DPI = 144
 _ROW_REPEAT = 2
 _LABEL_PT = (70.0, 10.0)
-"""What a point's name takes: wide and high, in points."""
+"""Width and height of a point's label, in points."""
 _MISSED, _INVENTED, _LEVELS = 254, 255, 252
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostPoint:
-    """One method of one scene: what it cost and how wrong it is."""
+    """One method of one scene: its training time and its error."""
 
     label: str
     seconds: float
@@ -40,17 +45,17 @@ class CostPoint:
 
 
 def range_image_png(range_m: np.ndarray) -> bytes:
-    """A range image (H, W) in metres; no return is black."""
+    """PNG of a range image (H, W) in metres; no return is black."""
     return range_preview(range_m, row_repeat=_ROW_REPEAT)
 
 
 def range_scale_png() -> bytes:
-    """The colours of `range_image_png` from 0 to 80 m, for a legend."""
+    """PNG of the colour scale of `range_image_png`, 0 to 80 m."""
     return indexed_png(np.tile(np.arange(1, 256), (8, 1)), "turbo")
 
 
 def error_image_png(recorded_m: np.ndarray, rendered_m: np.ndarray) -> bytes:
-    """|rendered - recorded| of two range images (H, W): dark = 0, yellow = 1 m or more.
+    """PNG of |rendered - recorded| of two range images (H, W) in metres: dark = 0, yellow = 1 m or more.
 
     Black = no return in either; blue = recorded, but missed; pink = rendered, but not recorded.
     """
@@ -65,19 +70,20 @@ def error_image_png(recorded_m: np.ndarray, rendered_m: np.ndarray) -> bytes:
 
 
 def error_scale_png() -> bytes:
-    """The colours of `error_image_png` from 0 to 1 m, for a legend."""
+    """PNG of the colour scale of `error_image_png`, 0 to 1 m."""
     return palette_png(np.tile(np.arange(1, _LEVELS + 2), (8, 1)), _error_palette())
 
 
 def curve_png(curve: dict[str, list[Any]]) -> bytes:
-    """Loss and its terms over seconds, one panel for each value of a column of words (sensor, phase).
+    """PNG of the loss and its terms over seconds, one panel per value of the first text column.
 
     Args:
-        curve: Columns `step`, `seconds`, `loss`; others that are no speed or memory are drawn as terms.
+        curve: Columns `step`, `seconds`, `loss`; other numeric columns are terms of the loss, except speeds,
+            memory and rates, which are left out.
     """
     words = [name for name, column in curve.items() if column and isinstance(column[0], str)]
     groups = sorted(set(curve[words[0]])) if words else [""]
-    figure = _figure(4.6 * len(groups) + 0.6, 3.2)
+    figure = empty_figure(4.6 * len(groups) + 0.6, 3.2, _DPI)
     all_axes = figure.subplots(1, len(groups), squeeze=False)[0]
     for axes, group in zip(all_axes, groups, strict=True):
         rows = [i for i in range(len(curve["step"])) if not words or curve[words[0]][i] == group]
@@ -85,7 +91,7 @@ def curve_png(curve: dict[str, list[Any]]) -> bytes:
         for name, column in curve.items():
             if name in ("step", "seconds", *words) or name.endswith(("_per_s", "_mb", "_rate")):
                 continue
-            # A term that this panel's sensor does not have is stored as None.
+            # Terms that the sensor of this panel does not have are stored as None.
             values = np.array([np.nan if column[i] is None else column[i] for i in rows], dtype=float)
             values[values <= 0.0] = np.nan
             if np.isnan(values).all():
@@ -102,13 +108,13 @@ def curve_png(curve: dict[str, list[Any]]) -> bytes:
         axes.set(xlabel="seconds of training", ylabel="loss", yscale="log", title=group)
         if axes.lines:
             axes.legend(frameon=False, fontsize=8)
-        _tidy(axes)
-    return _png(figure)
+        tidy_axes(axes)
+    return figure_png(figure)
 
 
 def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
-    """Error over training time, one panel a metric; seconds are linear up to 1, then logarithmic."""
-    figure = _figure(4.6 * len(panels) + 0.4, 3.4)
+    """PNG of error over training time, one panel per metric; seconds are linear up to 1, then logarithmic."""
+    figure = empty_figure(4.6 * len(panels) + 0.4, 3.4, _DPI)
     all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, points) in zip(all_axes, panels, strict=True):
         finite = [p for p in points if math.isfinite(p.seconds) and math.isfinite(p.error)]
@@ -123,19 +129,19 @@ def cost_error_png(panels: Sequence[tuple[str, Sequence[CostPoint]]]) -> bytes:
         axes.set_xticks(ticks, [str(tick) for tick in ticks])
         axes.minorticks_off()
         axes.margins(y=0.25)
-        _tidy(axes)
+        tidy_axes(axes)
         _label(axes, finite)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def _label(axes: Axes, points: Sequence[CostPoint]) -> None:
-    """Each point's name on its right; from the lowest up, none on another: one is lifted where two meet."""
+    """Write each point's name on its right; a label that would overlap a lower one is moved up."""
     points_per_pixel = 72.0 / axes.figure.dpi
     named: list[tuple[float, float]] = []
     for point in sorted(points, key=lambda point: point.error):
         right, height = axes.transData.transform((point.seconds, point.error)) * points_per_pixel
         label = height - 4.0
-        # In the order of their heights a label that was lifted stands highest of its neighbours.
+        # Points come from the lowest up, so a label only has to clear those placed before it.
         for other_right, other in named:
             if abs(right - other_right) < _LABEL_PT[0]:
                 label = max(label, other + _LABEL_PT[1])
@@ -147,12 +153,12 @@ def _label(axes: Axes, points: Sequence[CostPoint]) -> None:
 
 
 def method_colour(recipe: str) -> str:
-    """The colour that a method has in every plot."""
+    """The colour of a method in every plot."""
     return BASELINE_COLOURS.get(recipe, MODEL_COLOUR)
 
 
 def range_tick_percent(range_m: float) -> float:
-    """Where a range lies on the scale of `range_scale_png`, in percent from its left end."""
+    """Position of a range on the scale of `range_scale_png`, in percent from its left end."""
     return 100.0 * math.sqrt(range_m / MAX_RANGE_M)
 
 
@@ -164,19 +170,8 @@ def _error_palette() -> np.ndarray:
     return palette
 
 
-def _figure(width_in: float, height_in: float) -> Figure:
-    figure = Figure(figsize=(width_in, height_in), dpi=144, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _tidy(axes: Axes) -> None:
+def tidy_axes(axes: Axes) -> None:
+    """The common look of all plots: a light grid, two spines, a small title."""
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.title.set_fontsize(10)
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()

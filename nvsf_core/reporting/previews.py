@@ -1,4 +1,4 @@
-"""Small pictures of a stage's output, each a PNG below 100 kB so that it fits in an event log."""
+"""Preview pictures of stage outputs, each a PNG below 100 kB so that it fits in Dagster's event log."""
 
 import io
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ _USE_WORDS = {"whole": "", "part": ", something left out", "none": ", nothing us
 
 
 def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_repeat: int = 4) -> bytes:
-    """A range image (H, W) in metres as colours: near violet, far red, no return (0, inf, NaN) black."""
+    """PNG of a range image (H, W) in metres: near violet, far red, no return (0, inf, NaN) black."""
     valid = np.isfinite(range_m) & (range_m > 0.0)
     near = np.where(valid, range_m, 1.0)
     # Square root: half of the returns lie within 15 m and would share two colours otherwise.
@@ -27,12 +27,16 @@ def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_rep
 
 
 def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> bytes:
-    """A cloud (N, 3) in the sensor's frame seen from above, forward up, coloured by height (-2.5 to 4 m)."""
+    """PNG of points (N, 3) in the sensor's frame, metres, from above, forward up, coloured by height."""
     return indexed_png(top_view_levels(points_m, extent_m, pixels), "viridis", darkest=0.2)
 
 
 def top_view_levels(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> np.ndarray:
-    """(pixels, pixels) levels of the highest point in each cell, 0 = none; forward is up, left is left."""
+    """Height image of points (N, 3) in the sensor's frame, metres; forward is up, left is left.
+
+    Returns:
+        (pixels, pixels) int64, level 1..255 of the highest point in each cell (-2.5 to 4 m); 0 = none.
+    """
     points_m = points_m[np.isfinite(points_m).all(axis=1)]
     cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
     inside = ((cell >= 0) & (cell < pixels)).all(axis=1)
@@ -43,7 +47,7 @@ def top_view_levels(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 
 
 
 def image_preview(rgb: np.ndarray, max_width: int = 704) -> bytes:
-    """A camera picture (H, W, 3) uint8, made smaller until it fits."""
+    """PNG of an image (H, W, 3) uint8, scaled down until it fits."""
     picture = Image.fromarray(rgb)
     width = min(max_width, picture.width)
     while True:
@@ -54,17 +58,15 @@ def image_preview(rgb: np.ndarray, max_width: int = 704) -> bytes:
         width = int(width * 0.8)
 
 
-def curve_preview(x: np.ndarray, y: np.ndarray, x_label: str, y_label: str) -> bytes:
-    """A curve, for example loss over steps, with a logarithmic y axis where all values are positive."""
-    figure = Figure(figsize=(6.0, 2.6), dpi=90, layout="constrained")
+def empty_figure(width_in: float, height_in: float, dpi: int) -> Figure:
+    """An empty figure that can be drawn without a display; `figure_png` makes its PNG."""
+    figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.plot(x, y, color="#2a6f97", linewidth=1.2)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    if len(y) and np.min(y) > 0:
-        axes.set_yscale("log")
-    axes.grid(alpha=0.3)
+    return figure
+
+
+def figure_png(figure: Figure) -> bytes:
+    """The figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
@@ -73,16 +75,15 @@ def curve_preview(x: np.ndarray, y: np.ndarray, x_label: str, y_label: str) -> b
 def path_preview(
     path_m: np.ndarray, frames: Sequence[int], splits: Sequence[str], uses: Sequence[str]
 ) -> bytes:
-    """The drive from above: where each frame was taken, its split as colour, its use as mark.
+    """PNG of the drive from above: a mark per frame, with its split as colour and its use as shape.
 
     Args:
-        path_m: (N, 2) scene-local positions, x to the right, y up.
-        frames: Their numbers; the first and the last are written beside their marks.
-        splits: `train` or `test` of each.
-        uses: `whole` (all of the frame can be used), `part` or `none`, of each.
+        path_m: (N, 2) scene-local positions, metres, x to the right, y up.
+        frames: Frame numbers; the first and the last are written beside their marks.
+        splits: `train` or `test`, per frame.
+        uses: `whole` (all data of the frame are usable), `part` or `none`, per frame.
     """
-    figure = Figure(figsize=(6.0, 4.0), dpi=90, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(6.0, 4.0, 90)
     axes = figure.add_subplot()
     axes.plot(path_m[:, 0], path_m[:, 1], color="#c3cad3", linewidth=1.0, zorder=1)
     for split, colour in _SPLIT_COLOURS.items():
@@ -105,15 +106,13 @@ def path_preview(
     axes.grid(alpha=0.3)
     if len(path_m):
         axes.legend(fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    return figure_png(figure)
 
 
 def indexed_png(levels: np.ndarray, colours: str, row_repeat: int = 1, darkest: float = 0.0) -> bytes:
-    """Levels 0..255 (H, W) as a palette PNG: 0 is black, 1..255 run through a matplotlib colour map.
+    """Palette PNG of levels 0..255 (H, W): 0 is black, 1..255 run through a matplotlib colour map.
 
-    `darkest` is where in the map level 1 lies: above 0 it stands out from the black ground.
+    `darkest` (0..1) is the place of level 1 in the map: above 0 it differs from the black background.
     """
     palette = np.zeros((256, 3), np.uint8)
     palette[1:] = np.rint(colormaps[colours](np.linspace(darkest, 1.0, 255))[:, :3] * 255)
@@ -121,7 +120,7 @@ def indexed_png(levels: np.ndarray, colours: str, row_repeat: int = 1, darkest: 
 
 
 def palette_png(levels: np.ndarray, palette: np.ndarray, row_repeat: int = 1) -> bytes:
-    """Indices (H, W) into a palette (K, 3) uint8 as PNG, every row repeated; thinned until it fits."""
+    """PNG of indices (H, W) into a palette (K, 3) uint8, each row repeated; thinned until it fits."""
     index = np.repeat(levels.astype(np.uint8), row_repeat, axis=0)
     while True:
         picture = Image.fromarray(index)

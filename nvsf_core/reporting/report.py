@@ -1,4 +1,4 @@
-"""The report over all scenes: one offline HTML page for a reader who knows nothing of this project."""
+"""The report over all scenes: one offline HTML page for readers who do not know this project."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -14,6 +14,7 @@ from nvsf_core.reporting.html import escape, image, number, page, plain_table, p
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.reporting.scene_notes import not_run, profile_table
 from nvsf_core.reporting.scene_outputs import (
+    METHODS,
     CameraPair,
     FieldRun,
     SceneOutputs,
@@ -32,7 +33,6 @@ from nvsf_core.reporting.tables import (
     wins,
 )
 
-_METHOD_ORDER = ("model", *BASELINES)
 _OF_IMAGES = (
     " Its lasers look above those that recorded: what no return answers there is told by images, with"
     " the scene's mean intensity."
@@ -48,9 +48,9 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
     """The page, as text.
 
     Args:
-        scenes: What each scene's outputs hold, in the order to show them.
+        scenes: The scenes' outputs, in the order to show them.
         no_data: Catalogue scenes whose recordings are not on this machine.
-        more: Ready-made sections (HTML) that stand below the scenes.
+        more: Ready-made sections (HTML) to put below the scenes.
     """
     shown = [_shown(scene) for scene in scenes]
     scenes = [scene for scene, _ in shown]
@@ -61,12 +61,12 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
 
 
 def _shown(scene: SceneOutputs) -> tuple[SceneOutputs, str]:
-    """The scene and its section; nothing of it but the reason where its numbers cannot be drawn."""
+    """The scene and its section; if its numbers cannot be shown, a scene with only the reason."""
     try:
         section = _scene(scene)
         if scene.runs:
             _summary([scene], [scene], [])
-    except Exception as error:  # a plot's or a format's, of numbers that no stage writes
+    except Exception as error:  # plots and formats fail on numbers that no stage writes
         reasons = [scene.failure, f"what was published cannot be shown: {error!r:.200}"]
         scene = SceneOutputs(name=scene.name, failure="; ".join(filter(None, reasons)))
         section = _scene(scene)
@@ -88,13 +88,10 @@ def _intro(scenes: Sequence[SceneOutputs]) -> str:
     return (
         "<h1>Benchmark report</h1>"
         "<p>A car with a spinning laser scanner (LiDAR) and cameras drove through a street. From that"
-        " recording a"
-        " model of the scene was trained, and from the model new scans and pictures were rendered. Some"
-        " recorded"
-        " instants were <b>held out</b>: the model never saw them. This page compares what the model renders"
-        " there"
-        " with what was really recorded, beside simple methods that learn nothing, and says what each"
-        " took in time.</p>"
+        " recording a model of the scene was trained, and from the model new scans and pictures were"
+        " rendered. Some recorded instants were <b>held out</b>: the model never saw them. This page"
+        " compares what the model renders there with what was really recorded, beside simple methods that"
+        " learn nothing, and says what each took in time.</p>"
         f'<p class="soft">Made {made}. This page is one file and needs no network.</p><nav>{links}</nav>'
     )
 
@@ -127,10 +124,8 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
         parts.append(plain_table(head, lines, words=(0, 1)))
         parts.append(
             '<p class="soft">Means over the held-out frames; LiDAR by the protocol'
-            " <code>lidar4d_scan</code>, images by"
-            " <code>image</code>, mean over the cameras. “Best in” counts the main numbers of a scene in"
-            " which a"
-            " method is the best one.</p>"
+            " <code>lidar4d_scan</code>, images by <code>image</code>, mean over the cameras. “Best in”"
+            " counts the main numbers of a scene in which a method is the best one.</p>"
             '<p class="soft">The page holds <b>everything that was measured in this folder</b>, not only the'
             " last run. A trained model’s row is named by its recipe (what was trained, and how long) and"
             " seed (of its random numbers); commit: the version of the code that measured it; measured: when,"
@@ -149,13 +144,11 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
         names = ", ".join(f"<code>{escape(name)}</code>" for name in no_data)
         parts.append(
             f'<div class="note"><b>No data on this machine</b> for these scenes of the catalogue:'
-            f" {names}."
-            " They were not run, and nothing is claimed about them.</div>"
+            f" {names}. They were not run, and nothing is claimed about them.</div>"
         )
     parts.append(
         '<p class="soft">Not measured on KITTI-360’s ten scenes that papers report on: their recordings were'
-        " never at"
-        " hand. Numbers published elsewhere are of other scenes, so none stand here beside"
+        " never at hand. Numbers published elsewhere are of other scenes, so none stand here beside"
         " ours.</p></section>"
     )
     return "".join(parts)
@@ -171,7 +164,7 @@ def _on(machine: str) -> str:
 
 
 def _provenance(scene: SceneOutputs) -> str:
-    """Which run each row of the scene's tables is from."""
+    """The runs that the rows of the scene's tables come from."""
     runs = "; ".join(
         f"<b>{escape(run.recipe)}</b>, seed {run.seed}: commit {_commit(run)}, "
         f"{run.measured:%Y-%m-%d %H:%M} UTC{_on(run.machine)}"
@@ -192,20 +185,16 @@ def _how_to_read() -> str:
         f"{methods}</ul><p>A model earns its training time only where it beats them all.</p>"
         "<details><summary>Measures and protocols</summary><ul>"
         "<li><b>Chamfer</b>: mean squared distance from each point of one cloud to the nearest of the other,"
-        " both ways"
-        " added; small is good. <b>F-score</b>: how much of both clouds lies within 22 cm (d² below 0.05 m²)"
-        " of the"
-        " other; 1 is perfect.</li>"
+        " both ways added; small is good. <b>F-score</b>: how much of both clouds lies within 22 cm (d²"
+        " below 0.05 m²) of the other; 1 is perfect.</li>"
         "<li><b>Range error</b>: distance between predicted and recorded return along the very rays that the"
-        " recording"
-        " returned on. A ray without an answer counts as infinitely wrong; <b>no answer</b> is their"
-        " share.</li>"
+        " recording returned on. A ray without an answer counts as infinitely wrong; <b>no answer</b> is"
+        " their share.</li>"
         "<li><b>Hit accuracy</b>: share of the laser’s directions for which it is rightly told whether"
         " anything comes"
         " back. The unknown phase of the scanner’s turn keeps a real sensor from exceeding about 0.99.</li>"
         "<li><b>PSNR, SSIM</b>: likeness of pictures; large is good.</li></ul><p>A protocol says what"
-        " exactly is"
-        f" compared:</p><ul>{protocols}</ul></details>"
+        f" exactly is compared:</p><ul>{protocols}</ul></details>"
         "<p>In tables, ↓ means that lower is better, ↑ that higher is; the best value of a column has a"
         " <span style='background:var(--best);color:var(--best-ink);padding:1px 6px'>green ground</span>."
         " “–” is undefined, never zero; * is undefined on some frames (point at it).</p></section>"
@@ -250,7 +239,7 @@ def _scene(scene: SceneOutputs) -> str:
 
 
 def _verdict(rows: Sequence[Row]) -> str:
-    """Who is best in how many of the main numbers, in one sentence."""
+    """One sentence: which model is best in how many of the main numbers."""
     count = wins(rows)
     total = sum(column.higher_is_better is not None for column in headline_columns(rows))
     models = [name for name, _, learned in methods_of(rows) if learned]
@@ -261,8 +250,7 @@ def _verdict(rows: Sequence[Row]) -> str:
     css = "good" if count[best] > total / 2 else ""
     return (
         f'<div class="note {css}"><b>{escape(best)}</b> is best in {count[best]} of {total} main numbers at'
-        " the"
-        f" held-out frames ({others}).</div>"
+        f" the held-out frames ({others}).</div>"
     )
 
 
@@ -310,7 +298,7 @@ def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
     recorded = view.recorded_range_m
     folded: list[str] = []
     pictures = [] if recorded is None else [strip("recorded range", plots.range_image_png(recorded))]
-    for method in _METHOD_ORDER:
+    for method in METHODS:
         if method not in view.rendered_range_m:
             continue
         name, range_m = names.get(method, method), view.rendered_range_m[method]
@@ -327,8 +315,7 @@ def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
         )
     caption = (
         "What the laser scanner sees, unrolled: a full turn from left to right, straight ahead in the"
-        " middle, one row"
-        " an elevation. Black: nothing came back."
+        " middle, one row an elevation. Black: nothing came back."
     )
     more = f"<details><summary>The baselines’ range images</summary>{''.join(folded)}</details>"
     return _figure([*pictures, f"<div>{legend}</div>"], caption) + (more if folded else "")
@@ -336,9 +323,7 @@ def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
 
 def _top_views(view: ViewPictures, names: Mapping[str, str]) -> str:
     clouds = [("recorded", view.recorded_points_m)] if view.recorded_points_m is not None else []
-    clouds += [
-        (names.get(m, m), view.rendered_points_m[m]) for m in _METHOD_ORDER if m in view.rendered_points_m
-    ]
+    clouds += [(names.get(m, m), view.rendered_points_m[m]) for m in METHODS if m in view.rendered_points_m]
     cells = [
         f'<div><div class="label">{escape(name)}: {number(len(points_m), 0)} returns</div>'
         f"{image(scan_top_view(points_m), name + ' from above')}</div>"
@@ -350,7 +335,7 @@ def _top_views(view: ViewPictures, names: Mapping[str, str]) -> str:
 
 def _camera_pair(pair: CameraPair, names: Mapping[str, str]) -> str:
     pictures = [("recorded", pair.recorded)] if pair.recorded is not None else []
-    pictures += [(names.get(m, m), pair.rendered[m]) for m in _METHOD_ORDER if m in pair.rendered]
+    pictures += [(names.get(m, m), pair.rendered[m]) for m in METHODS if m in pair.rendered]
     cells = [
         "<div><div"
         f' class="label">{escape(name)}</div>{image(image_preview(rgb), f"{pair.camera} {name}")}</div>'

@@ -1,29 +1,24 @@
-"""What the report says of one scene in words: what it needs, and what was not run."""
+"""Notes of the report on one scene: its profile, and the baselines that were not run."""
 
 from nvsf_core.reporting.html import escape, number, plain_table
 from nvsf_core.reporting.scene_outputs import SceneOutputs
 
 
 def profile_table(scene: SceneOutputs) -> str:
-    """The profile of a scene and what each recipe needs for it; empty where neither is known."""
+    """HTML table of the scene's profile and of the model size each recipe needs; empty if unknown."""
     rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
     if not rows:
         return ""
-    table = plain_table(
-        ["what", "value"], [[escape(_words(key)), _value(value)] for key, value in rows], words=(1,)
-    )
+    cells = [[escape(key.replace("_", " ")), _value(value)] for key, value in rows]
+    table = plain_table(["what", "value"], cells, words=(1,))
     return f"<h3>Profile: what this scene needs, by its own returns</h3>{table}"
 
 
 def not_run(scene: SceneOutputs) -> str:
-    """Why a baseline is not in the tables."""
+    """HTML with the reason why a baseline is not in the tables; empty if all were run."""
     reasons = [str(record.metadata.get(record.stage, "")) for record in scene.records]
     said = [reason for reason in reasons if reason.startswith("not run")]
     return "".join(f'<p class="soft"><code>mesh</code>: {escape(reason)}</p>' for reason in said)
-
-
-def _words(key: str) -> str:
-    return key.replace("_", " ")
 
 
 def _value(value: object) -> str:

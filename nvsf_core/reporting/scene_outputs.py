@@ -1,4 +1,4 @@
-"""What the report shows of one scene, read from its published outputs; what is absent stays empty."""
+"""Read from a scene's published outputs what the report shows; absent outputs leave fields empty."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.metrics.table import BASELINES, mean_rows
+from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
@@ -18,26 +18,26 @@ from nvsf_core.stores.documents import foreign, read_picture
 from nvsf_core.stores.scene_store import SceneStore, published
 from nvsf_core.stores.tables import read_rows, read_table
 
-METHODS = ("model", "reproject", "copy_nearest", "mesh")
-TEST_VIEW = "test"
+METHODS = ("model", *BASELINES)
+"""Methods whose rendered views are stored, in the order in which they are measured and shown."""
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageRecord:
-    """What a stage wrote down of its own run."""
+    """A stage's record of its own run."""
 
     stage: str
-    """Name of the stage, with recipe and seed where they belong to it."""
+    """Name of the stage, followed by recipe and seed for stages that are run per recipe."""
     seconds: float
     metadata: dict[str, Any]
     checks: list[dict[str, Any]]
-    """Each with `name`, `passed`, `detail`."""
+    """Each with `name`, `passed`, `detail` and, if it has them, `value`, `limit`, `unit`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPair:
-    """One instant of one camera: recorded (None at a view nobody recorded) and as each method sees it."""
+    """Images of one camera at one instant, (H, W, 3) uint8: recorded (or None) and by method."""
 
     camera: str
     frame: int
@@ -53,11 +53,11 @@ class ViewPictures:
     frame: int
     sensor: str
     by_images: bool = False
-    """Whether images answered rays above the recorded lasers."""
+    """Whether images supplied the rays above the recorded lasers."""
     recorded_range_m: np.ndarray | None = None
-    """(H, W) range image, 0 = no return; None where the instant was not recorded."""
+    """(H, W) range image in metres, 0 = no return; None if the instant was not recorded."""
     rendered_range_m: dict[str, np.ndarray] = field(default_factory=dict)
-    """Method to range image."""
+    """Method to range image (H, W) in metres."""
     recorded_points_m: np.ndarray | None = None
     rendered_points_m: dict[str, np.ndarray] = field(default_factory=dict)
     cameras: list[CameraPair] = field(default_factory=list)
@@ -65,23 +65,23 @@ class ViewPictures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldRun:
-    """One trained field: a recipe and a seed."""
+    """One trained field (a recipe and a seed) with its metrics and pictures."""
 
     recipe: str
     seed: int
     commit: str
-    """Of the code that measured it; empty where there are no rows."""
+    """Commit of the code that measured it; empty if there are no rows."""
     machine: str
-    """That measured it; empty where its record does not say."""
+    """Machine that measured it; empty if unknown."""
     measured: datetime
-    """When its metrics were published, UTC."""
+    """Time when its metrics were published, UTC."""
     means: list[dict[str, Any]]
-    """Rows of `metrics.table.mean_rows`, the baselines' included."""
+    """Rows of `metrics.table.mean_rows`, baselines included."""
     curve: dict[str, list[Any]]
-    """Training curve by column; empty where there is none."""
+    """Training curve by column; empty if there is none."""
     pictures: list[ViewPictures]
     error_cloud: bytes | None = None
-    """PNG of where the model is wrong; only of the newest run."""
+    """PNG of `error_cloud_png`; only for the newest run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,15 +91,15 @@ class SceneOutputs:
     name: str
     records: list[StageRecord] = field(default_factory=list)
     runs: list[FieldRun] = field(default_factory=list)
-    """Newest first; the pictures are of the newest."""
+    """Newest first; only the newest has pictures."""
     profile: dict[str, Any] = field(default_factory=dict)
-    """What the evidence says that this scene needs."""
+    """The scene's profile, by the stage `evidence`, and the needs of each recipe."""
     failure: str | None = None
-    """Why its last run failed; outputs of earlier runs may be there all the same."""
+    """Why its last run failed; outputs of earlier runs may still be shown."""
 
 
 def measured_scenes(home: Path) -> list[str]:
-    """Names of the scenes below a home that have metrics of any recipe and seed, by name."""
+    """Sorted names of the scenes below `home` that have metrics of any recipe and seed."""
     if not home.is_dir():
         return []
     named = [
@@ -116,7 +116,7 @@ def collect_scene(
     """Read one scene's metrics, curves and pictures from `<home>/<name>/`.
 
     Raises:
-        StoreError: What lies there is damaged, a link, or another scene's.
+        StoreError: An output is damaged, a link, or belongs to another scene.
     """
     store = SceneStore(home, name)
     for stage in _READ:
@@ -141,7 +141,7 @@ def collect_scene(
                 means=mean_rows(rows),
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, root / "novel_views" / recipe / seed) if position == 0 else [],
-                error_cloud=_error_cloud(table.parent) if position == 0 else None,
+                error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
             )
         )
     return SceneOutputs(
@@ -150,7 +150,7 @@ def collect_scene(
 
 
 def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
-    """All mean rows, each with a `method` to show and its `run`; a baseline comes once, from the newest."""
+    """All mean rows, each with the `method` name to show and its `run`; baselines of the newest run only."""
     several = len({run.recipe for run in scene.runs}) < len(scene.runs)
     rows: list[dict[str, Any]] = []
     for position, run in enumerate(scene.runs):
@@ -169,13 +169,13 @@ def _machine(records: Sequence[StageRecord], recipe: str, seed: str) -> str:
 
 
 def _metric_tables(root: Path) -> list[Path]:
-    """Published tables only: a killed writer leaves hidden folders behind."""
+    """Published metric tables; a killed writer's hidden folders are left out."""
     found = published(root, "scene_metrics/*/*/metrics.parquet")
     return [path for path in found if is_seed_folder(path.parent.name)]
 
 
 def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
-    """The evidence's own words and numbers, and above them what each recipe was found to need."""
+    """What each recipe needs, then the metadata of the stage `evidence`."""
     needs = {
         f"needs of {record.stage.removeprefix('field ')}": record.metadata["needs"]
         for record in records
@@ -185,23 +185,19 @@ def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
     return needs | (dict(own[0]) if own else {})
 
 
-def _error_cloud(metrics: Path) -> bytes | None:
-    return read_picture(metrics / ERROR_CLOUD_NAME)
-
-
 def _pictures(root: Path, views: Path) -> list[ViewPictures]:
     if not views.is_dir():
         return []
     names = sorted(path.parent.name for path in published(views, "*/model.zarr"))
-    names.sort(key=lambda name: name != TEST_VIEW)
+    names.sort(key=lambda name: name != HELD_OUT)
     return [_view_pictures(root, views / name) for name in names]
 
 
 def _view_pictures(root: Path, folder: Path) -> ViewPictures:
-    """The middle instant of a view, beside what was recorded then if it is the held-out view."""
+    """The middle instant of a view; for the held-out view with the recorded data of that instant."""
     attrs = read_attrs(folder / "model.zarr")
     frames = read_arrays(folder / "model.zarr", "frame")["frame"]
-    is_test = folder.name == TEST_VIEW
+    is_test = folder.name == HELD_OUT
     methods = {m: folder / f"{m}.zarr" for m in METHODS if (folder / f"{m}.zarr").is_dir()}
     found = [_camera(root, methods, camera, is_test) for camera in attrs.get("cameras", [])]
     cameras = [pair for pair in found if pair is not None]
@@ -226,7 +222,7 @@ def _view_pictures(root: Path, folder: Path) -> ViewPictures:
 
 
 def _recorded_scan(root: Path, frame: int) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Linear range image and points of a recorded frame."""
+    """Linear range image (H, W) and points (N, 3) of a recorded frame, metres; None where absent."""
     pano, returns = root / "pano" / "pano.zarr", root / "sweeps" / "returns.zarr"
     range_m = points_m = None
     if pano.is_dir():
@@ -241,7 +237,7 @@ def _recorded_scan(root: Path, frame: int) -> tuple[np.ndarray | None, np.ndarra
 
 
 def _camera(root: Path, methods: dict[str, Path], camera: str, is_test: bool) -> CameraPair | None:
-    """The middle picture of one camera, or None where the view has none."""
+    """The middle image of one camera; None if the view has none of it."""
     frames = read_arrays(methods["model"], f"{camera}_frame")[f"{camera}_frame"]
     if not frames.size:
         return None
@@ -263,12 +259,12 @@ def _camera(root: Path, methods: dict[str, Path], camera: str, is_test: bool) ->
 
 
 def mean_of(rows: Sequence[dict[str, Any]], protocol: str, metric: str) -> tuple[float, int, int]:
-    """Mean over sensors of one metric at the held-out frames: value, frames defined, frames."""
+    """One metric at the held-out frames: its mean over sensors, frames where it is defined, frames."""
     mine = [
         row
         for row in rows
         if (row["protocol"], row["metric"]) == (protocol, metric)
-        and (row["split"], row["region"]) == (TEST_VIEW, "all")
+        and (row["split"], row["region"]) == (HELD_OUT, "all")
     ]
     values = [row["value"] for row in mine if row["n_defined"]]
     value = sum(values) / len(values) if values else math.nan

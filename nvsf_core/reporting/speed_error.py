@@ -1,7 +1,7 @@
-"""Error over training time: what `make bench` measured, read from its JSONs, and the report's section on it.
+"""Error over training time, read from the JSON files of `make bench`, as curves and table cells.
 
-A JSON is one run: `run` says what was trained, on what and where; `points` are rows of recipe, scene,
-seed, mark (seconds that were asked for; null = the end), seconds (when it really was), metric, value.
+A JSON file is one run: `run` says what was trained, on which scene and machine; `points` are rows of recipe,
+scene, seed, mark (requested seconds; null = end of training), seconds (actual), metric, value.
 """
 
 import json
@@ -19,7 +19,7 @@ Run = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A metric that is drawn."""
+    """A metric of the curves and tables."""
 
     key: str
     title: str
@@ -33,7 +33,7 @@ METRICS = (
     Metric("range_abs_error_median_m", "raw median range error [m]", 3),
     Metric("image_psnr_db", "camera PSNR [dB]", 2, higher_is_better=True),
 )
-"""One panel and one table each."""
+"""Each has one panel and one table."""
 
 COSTS = (
     ("train_seconds", "training s", 0), ("parameters", "parameters", 0), ("model_mb", "model MB", 1),
@@ -41,30 +41,29 @@ COSTS = (
     ("rays_per_s", "rays/s in training", 0), ("sweep_seconds", "a sweep s", 2),
     ("image_seconds", "an image s", 2),
 )  # fmt: skip
-"""Fact of a run, its title and its digits."""
+"""Key in `run`, column title and decimal digits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """One recipe at one time, over its seeds."""
+    """Mean of one recipe at one time, over its seeds."""
 
     mark_s: float | None
-    """Seconds that were asked for; None = the end of training."""
+    """Requested seconds; None = end of training."""
     seconds: float
     value: float
-    """Mean."""
     spread: float | None
-    """Standard deviation; None of one seed, or where a value is not finite."""
+    """Standard deviation; None for one seed, or if a value is not finite."""
     seeds: int
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """All runs below a folder of results, by scene, split, recipe and seed."""
+    """All runs below a folder of results, in the order of their paths."""
     return [json.loads(path.read_text()) for path in sorted(folder.glob("*/*/*.json"))]
 
 
 def groups(runs: Iterable[Run]) -> dict[tuple[str, str], list[Run]]:
-    """Scene and split to its runs, in the order of the runs."""
+    """Scene and split to their runs, in the order of the runs."""
     found: dict[tuple[str, str], list[Run]] = {}
     for run in runs:
         found.setdefault((run["run"]["scene"], run["run"]["split"]), []).append(run)
@@ -72,18 +71,18 @@ def groups(runs: Iterable[Run]) -> dict[tuple[str, str], list[Run]]:
 
 
 def recipes_of(runs: Sequence[Run]) -> list[str]:
-    """What learned, by name, then the baselines in their own order."""
+    """Trained recipes by name, then the baselines in their own order."""
     names = {run["run"]["recipe"] for run in runs}
     return sorted(names - set(BASELINES)) + [name for name in BASELINES if name in names]
 
 
 def final_values(run: Run) -> dict[str, float]:
-    """Metric to its value at the end."""
+    """Metric to its value at the end of training."""
     return {point["metric"]: point["value"] for point in run["points"] if point["mark"] is None}
 
 
 def curve(runs: Sequence[Run], recipe: str, metric: str) -> list[Point]:
-    """A recipe's points in the order of time."""
+    """Points of one recipe and metric, in the order of time."""
     rows: dict[float | None, list[Mapping[str, Any]]] = {}
     for run in runs:
         for point in run["points"]:
@@ -103,7 +102,7 @@ def curve(runs: Sequence[Run], recipe: str, metric: str) -> list[Point]:
 
 
 def pareto_front(curves: Mapping[str, Sequence[Point]], metric: Metric) -> list[tuple[str, Point]]:
-    """Points than which nothing that took less time is as good, in the order of time."""
+    """Points that are better than every faster point, with their recipes, in the order of time."""
     everything = [(name, point) for name, points in curves.items() for point in points]
     sign = -1.0 if metric.higher_is_better else 1.0
     front, best = [], math.inf
@@ -115,10 +114,10 @@ def pareto_front(curves: Mapping[str, Sequence[Point]], metric: Metric) -> list[
 
 
 def labelled(runs: Sequence[Run], metric: Metric) -> tuple[list[float], list[tuple[str, list[str]]]]:
-    """A metric's table: marks in seconds, then each recipe with a cell a mark and one for the end.
+    """A metric's table: the marks in seconds, then per recipe one cell per mark and one for the end.
 
-    A cell is the mean and, of several seeds, their standard deviation; `**` around it: on the Pareto
-    front; an em dash: there was no model yet, or training had ended.
+    A cell is the mean and, for several seeds, the standard deviation. `**` around it: on the Pareto front.
+    An em dash: there was no model yet, or training had ended.
     """
     curves = {name: curve(runs, name, metric.key) for name in recipes_of(runs)}
     front = {id(point) for _, point in pareto_front(curves, metric)}
@@ -134,7 +133,7 @@ def labelled(runs: Sequence[Run], metric: Metric) -> tuple[list[float], list[tup
 
 
 def cost_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Recipe, seeds and means of the costs, as they are printed."""
+    """Printed rows of recipe, number of seeds, and mean of each of `COSTS`."""
     rows = []
     for name in recipes_of(runs):
         facts = [run["run"] for run in runs if run["run"]["recipe"] == name]
@@ -149,7 +148,7 @@ def cost_rows(runs: Sequence[Run]) -> list[list[str]]:
 
 
 def provenance(runs: Sequence[Run]) -> str:
-    """Scene, split, protocol, seeds, machine and commit in words, of runs of one scene."""
+    """One sentence on scene, split, protocol, seeds, machine and commit of runs of one scene."""
     facts = [run["run"] for run in runs]
     first = facts[0]
     seeds = sorted({str(f["seed"]) for f in facts if f["recipe"] not in BASELINES})

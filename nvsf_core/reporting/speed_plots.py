@@ -1,17 +1,15 @@
 """Plots of error over training time, and the section of the report that shows them."""
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting.html import escape, image, plain_table
-from nvsf_core.reporting.plots import BASELINE_COLOURS
+from nvsf_core.reporting.plots import BASELINE_COLOURS, tidy_axes
+from nvsf_core.reporting.previews import empty_figure, figure_png
 from nvsf_core.reporting.speed_error import (
     COSTS,
     METRICS,
@@ -30,17 +28,17 @@ from nvsf_core.reporting.speed_error import (
 
 _COLOURS = ("#1f6feb", "#8250df", "#cf222e", "#1a7f37", "#bf3989", "#9a6700")
 _EARLIEST_S = 2.0
-"""Where what learns nothing stands on the logarithmic axis."""
+"""Place of baselines (no training) on the logarithmic axis."""
 _TICKS_S = (5, 15, 30, 60, 120, 300, 600, 1800)
 _INNER_SPLITS = ("val",)
-"""Splits that only choose something; their runs are no result."""
+"""Validation splits; their runs are not shown as results."""
 
 
 def curves_png(runs: Sequence[Run]) -> bytes:
-    """One panel a metric that was measured: a curve a recipe, a level a baseline, rings on the front.
+    """PNG with one panel per measured metric: a curve per recipe, a level per baseline, the Pareto front.
 
     Args:
-        runs: Of one scene and split.
+        runs: Runs of one scene and split.
     """
     names = recipes_of(runs)
     learned = [name for name in names if name not in BASELINES]
@@ -48,26 +46,23 @@ def curves_png(runs: Sequence[Run]) -> bytes:
     panels = []
     for metric in METRICS:
         every = {name: curve(runs, name, metric.key) for name in names}
-        # An error is infinite where most rays got no answer.
+        # An error is infinite where most rays have no rendered return.
         curves = {name: [p for p in points if math.isfinite(p.value)] for name, points in every.items()}
         curves = {name: points for name, points in curves.items() if points}
         if curves:
             panels.append((metric, curves))
     rows = math.ceil(len(panels) / 2)
-    figure = Figure(figsize=(10.4, 3.7 * rows), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(10.4, 3.7 * rows, 110)
     all_axes = figure.subplots(rows, 2, squeeze=False).reshape(-1)
     for axes, (metric, curves) in zip(all_axes, panels, strict=False):
         _panel(axes, metric, curves, colours)
     for axes in all_axes[len(panels) :]:
         axes.set_visible(False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    return figure_png(figure)
 
 
 def speed_section(folder: Path | None) -> str:
-    """The report's section on everything measured below a folder; empty where there is nothing."""
+    """HTML section on all runs below `folder`; empty if there are none."""
     runs = [] if folder is None else read_runs(folder)
     shown = {key: mine for key, mine in groups(runs).items() if key[1] not in _INNER_SPLITS}
     if not shown:
@@ -130,14 +125,12 @@ def _panel(
     )
     everything = [point for points in curves.values() for point in points]
     _scale(axes, everything, log_values=not metric.higher_is_better)
-    axes.title.set_fontsize(10)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy_axes(axes)
     axes.legend(frameon=False, fontsize=8)
 
 
 def _scale(axes: Axes, points: Sequence[Point], *, log_values: bool) -> None:
-    """Seconds logarithmic; errors too, because a coarse field's are a hundred times a good one's."""
+    """Set logarithmic scales. Errors need one too: a coarse field's are a hundred times a good one's."""
     axes.set_xscale("log")
     longest = max(_shown_s(point) for point in points)
     ticks = [tick for tick in _TICKS_S if tick <= longest * 1.05]

@@ -1,12 +1,12 @@
-"""The report's tables of methods, made from mean metric rows."""
+"""The report's tables of methods, made from rows of mean metrics."""
 
 import math
 from collections.abc import Sequence
 from typing import Any
 
-from nvsf_core.metrics.table import BASELINES
+from nvsf_core.metrics.table import BASELINES, HELD_OUT
 from nvsf_core.reporting.html import Column, best_rows, higher_is_better, methods_table, unit_text
-from nvsf_core.reporting.scene_outputs import TEST_VIEW, mean_of
+from nvsf_core.reporting.scene_outputs import mean_of
 
 HEADLINES = (
     ("lidar4d_scan", "chamfer_m2", "Chamfer"), ("lidar4d_scan", "f_score", "F-score"),
@@ -16,24 +16,22 @@ HEADLINES = (
     ("raw", "intensity_rmse", "intensity RMSE"), ("image", "image_psnr_db", "PSNR"),
     ("image", "image_ssim", "SSIM"),
 )  # fmt: skip
-"""Protocol, metric and title of the columns that every scene shows first."""
+"""Protocol, metric and title of the main columns of every scene."""
 
 PROTOCOLS = {
     "lidar4d": "as published by LiDAR4D: the recorded scan projected to a 66×1030 range image, against the"
-    " range image"
-    " that the model renders",
+    " range image that the model renders",
     "lidar4d_scan": "the same, but the prediction is the exported scan, projected in the same way",
     "raw": "the recorded scan itself, 0 to 80 m: errors along the recorded rays, hits on a grid of 64 × 2000"
     " cells",
     "masked": "inside and outside the boxes of moving objects",
     "image": "all pixels of the recorded camera image",
 }
-"""What a protocol compares, in words."""
+"""Description of each protocol."""
 
 METHOD_WORDS = {
     "reproject": "baseline: the recorded returns of the other frames, rendered along the sensor's rays;"
-    " nothing is"
-    " learned",
+    " nothing is learned",
     "copy_nearest": "baseline: the recorded scan and image nearest in time, as they are",
     "mesh": "baseline: what a library gives, a Poisson mesh of the other frames' returns, along whose surface"
     " the sensor's rays end and images are warped",
@@ -54,7 +52,7 @@ Row = dict[str, Any]
 
 
 def methods_of(rows: Sequence[Row]) -> list[tuple[str, str, bool]]:
-    """Name, words and whether it learned, of each method in the rows: models first."""
+    """Name, description and whether it is trained, of each method in the rows: models first."""
     found = {row["method"]: row for row in rows}
     order = sorted(found.values(), key=lambda row: (_rank(row["recipe"]), row["method"]))
     return [
@@ -64,7 +62,7 @@ def methods_of(rows: Sequence[Row]) -> list[tuple[str, str, bool]]:
 
 
 def headline_columns(rows: Sequence[Row]) -> list[Column]:
-    """The main errors at the held-out frames, with time and size beside them."""
+    """Columns of the main errors at the held-out frames, then of time and size."""
     methods = [name for name, _, _ in methods_of(rows)]
     by_method = {name: [row for row in rows if row["method"] == name] for name in methods}
     columns = []
@@ -90,15 +88,15 @@ def headline_columns(rows: Sequence[Row]) -> list[Column]:
 
 
 def headline_table(rows: Sequence[Row]) -> str:
-    """The model beside the baselines."""
+    """HTML table of `headline_columns`."""
     return methods_table(methods_of(rows), headline_columns(rows))
 
 
 def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Heading and table for each split, protocol, region and sensor that was measured."""
+    """Heading and HTML table for each measured split, protocol, region and sensor."""
     keys = sorted(
         {(row["split"], row["protocol"], row["region"], row["sensor"]) for row in rows},
-        key=lambda key: (key[0] != TEST_VIEW, *key),
+        key=lambda key: (key[0] != HELD_OUT, *key),
     )
     tables = []
     for key in keys:
@@ -118,7 +116,7 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
             )
         split, protocol, region, sensor = key
         frames = max(row["n_frames"] for row in mine)
-        where = "held-out frames" if split == TEST_VIEW else f"split {split}"
+        where = "held-out frames" if split == HELD_OUT else f"split {split}"
         place = "" if region == "all" else f", {region}"
         heading = f"{where}, protocol {protocol}, {sensor}{place}: mean of {frames} frames"
         tables.append((heading, methods_table(methods_of(mine), columns)))
@@ -126,7 +124,7 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def wins(rows: Sequence[Row]) -> dict[str, int]:
-    """How many of the headline errors each method is best in; a tie counts for all who share it."""
+    """Number of headline errors in which each method is best; a tie counts for each of them."""
     methods = [name for name, _, _ in methods_of(rows)]
     count = dict.fromkeys(methods, 0)
     for column in headline_columns(rows):
@@ -154,11 +152,11 @@ def _metric_column(
 
 
 def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
-    """A cost of a method; `kind` restricts render times to the LiDAR's or the images' rows."""
+    """Mean of a cost over a method's held-out rows; `kind` is `lidar`, `image` or None for both."""
     values = [
         float(row[key])
         for row in rows
-        if row["split"] == TEST_VIEW and (kind is None or (row["sensor"] != "lidar") == (kind == "image"))
+        if row["split"] == HELD_OUT and (kind is None or (row["sensor"] != "lidar") == (kind == "image"))
         if row[key] is not None and not math.isnan(row[key])
     ]
     return sum(values) / len(values) if values else math.nan

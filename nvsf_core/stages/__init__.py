@@ -1,6 +1,6 @@
-"""The flow: one file a stage, and here, in order, the only list of them.
+"""The flow: one file per stage, and the only list of the stages, in order.
 
-Importing this package is cheap; the stages themselves are imported when `STAGES` is first asked for.
+Importing this package is cheap; the stages are imported when `STAGES` is first read.
 """
 
 from importlib import import_module

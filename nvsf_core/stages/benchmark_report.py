@@ -1,4 +1,4 @@
-"""`benchmark_report`: one offline HTML page over all scenes. It belongs to no scene, so it is no `Stage`."""
+"""`benchmark_report`: one offline HTML page over all scenes. It is no `Stage`: a stage runs on one scene."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import publish_folder, published
 
 _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
-"""Where stages leave their records below a scene's folder: plain, by recipe and seed, and the data sets'."""
+"""Patterns of stage records below a scene's folder: once per scene, per recipe and seed, per data set."""
 
 
 def make_benchmark_report(
@@ -22,22 +22,22 @@ def make_benchmark_report(
     no_data: Sequence[str],
     curves: Path | None = None,
 ) -> Path:
-    """Make the page from everything that was measured under a home, and publish it whole.
+    """Make the page from all metrics under `home`, and publish it whole.
 
-    A scene whose outputs cannot be read is named on the page with the reason, and costs no other its place.
+    A scene whose outputs cannot be read is listed with the reason; the others are shown all the same.
 
     Args:
         home: NVSF_HOME.
         scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
-        failures: Scene to the reason why its run failed; such a scene is shown with what it has.
+        failures: Scene to the reason why its run failed; its earlier outputs are shown.
         no_data: Catalogue scenes whose recordings are not on this machine.
-        curves: Where `make bench` left its runs of error over training time, if anywhere.
+        curves: Folder with error over training time by `make bench`; None = not shown.
 
     Returns:
         Path of `<home>/benchmark_report/index.html`.
 
     Raises:
-        StoreError: The disk refuses it.
+        StoreError: The page cannot be written.
     """
     own = list(dict.fromkeys([*scene_names, *failures]))
     others = [name for name in measured_scenes(home) if name not in own]
@@ -56,17 +56,17 @@ def make_benchmark_report(
 
 
 def _collected(home: Path, name: str, failure: str | None) -> SceneOutputs:
-    """A scene; where what it published is damaged or of earlier code, nothing of it but that."""
+    """A scene's outputs; if they are damaged or of earlier code, only that reason."""
     try:
         return collect_scene(home, name, _records(home / name), failure)
-    # What was stored in whatever shape must not cost the others their report: anything may be raised here.
+    # Any error may be raised here, and no scene's stored data may prevent the report of the others.
     except Exception as error:
         fault = f"what was published cannot be read: {error if isinstance(error, NvsfError) else repr(error)}"
         return SceneOutputs(name=name, failure=f"{failure}; {fault}" if failure else fault)
 
 
 def _records(root: Path) -> list[StageRecord]:
-    """The stages' records in the order of the flow, the newest version of each data set only."""
+    """The stages' records in the order of the flow; of data sets only the newest of each recipe and seed."""
     found: dict[str, tuple[int, Path]] = {}
     for pattern in _RECORDS:
         for path in published(root, pattern):
@@ -79,14 +79,8 @@ def _records(root: Path) -> list[StageRecord]:
     for name in sorted(found, key=_flow_rank):
         record = read_record(found[name][1])
         if record is not None:
-            records.append(
-                StageRecord(
-                    stage=name,
-                    seconds=record["seconds"],
-                    metadata=record["metadata"],
-                    checks=record["checks"],
-                )
-            )
+            shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
+            records.append(StageRecord(stage=name, **shown))
     return records
 
 

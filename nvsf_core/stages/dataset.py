@@ -1,7 +1,7 @@
-"""Versioned synthetic data sets: what is random is drawn, files are exported, a manifest says of what.
+"""Stage `dataset`: versioned synthetic data sets with sampled ray drop and range noise, and a manifest.
 
-Rendering is free of chance; a real scan is not. Here each ray of the rendered grid returns or not by its
-hit probability, and each return's range gets the sensor's noise, from a seed of the data set's own.
+Rendering is deterministic; a real scan is not. Here each ray of the rendered grid is sampled as return or
+drop by its hit probability, and each range gets the sensor's noise, from the data set's own seed.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ _PACKAGES = ("numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-cont
 
 
 def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> str:
-    """`<label>-<8 hex>`: the hex digits are of the SHA-256 over recipe, seed, draw seed, view and sources."""
+    """Version name `<label>-<8 hex digits>`, of the SHA-256 over recipe, seeds, view and source checksums."""
     facts = {
         "recipe": task.config.recipe.identity(),
         "seed": task.config.seed,
@@ -93,7 +93,7 @@ def _run(task: Task) -> StageOutput:
 
 
 def _identity(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
-    """What the manifest says of where the data set comes from."""
+    """The manifest's entries on the origin of the data set."""
     recipe = task.config.recipe
     return {
         "scene": task.scene.name,
@@ -107,13 +107,17 @@ def _identity(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
 
 
 def _why_absent(rendered: Path, view: str) -> str:
-    """Why `novel_views` published no such view, in its own words."""
+    """Why `novel_views` published no such view, by its record."""
     said = (read_record(rendered) or {"metadata": {}})["metadata"]
     return str(said.get(view, "not rendered: none of its frames was recorded"))
 
 
 def _read_view(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a rendered view; a number that is none is an error, "no answer" being infinite or 0."""
+    """All arrays of a rendered view.
+
+    Raises:
+        StoreError: Values are NaN (no return is infinite or 0, never NaN), or arrays of the grid are missing.
+    """
     arrays = read_arrays(path)
     for name in ("points_m", "intensity", *GRID_ARRAYS):
         broken = int(np.isnan(arrays[name]).sum()) if name in arrays else 0
@@ -126,7 +130,7 @@ def _read_view(path: Path) -> dict[str, np.ndarray]:
 
 
 def _scans(task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """(N, 4) float32 a scan: drawn where the view has a grid, as rendered where it has points alone."""
+    """(N, 4) float32 per scan (x, y, z in metres, intensity): sampled from the grid if the view has one."""
     if GRID_ARRAYS[0] in arrays:
         key = f"{task.scene.name} {view.name} {task.config.recipe.identity()} {task.config.seed}"
         words = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
@@ -155,7 +159,7 @@ def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
 def _write_scans(
     folder: Path, view: ViewEntry, scans: list[np.ndarray], arrays: Mapping[str, np.ndarray]
 ) -> list[dict[str, Any]]:
-    """Write each scan in the formats that the view asks for; returns one manifest row a scan."""
+    """Write each scan in the formats that the view asks for; returns one manifest row per scan."""
     if not scans:
         return []
     numbers = file_numbers(arrays["frame"])
@@ -180,7 +184,7 @@ def _with_poses(scans: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -
 
 
 def _write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Write every rendered picture as PNG; returns one manifest row a picture."""
+    """Write every rendered image as PNG; returns one manifest row per image."""
     rows: list[dict[str, Any]] = []
     for camera, index, number, file in write_images(folder, arrays):
         nearest = int(arrays[f"{camera}_frame"][index])
@@ -207,7 +211,7 @@ def _source_checksums(task: Task) -> dict[str, str]:
 
 
 def _field_metrics(task: Task) -> list[dict[str, Any]]:
-    """Means over frames of the source field's metrics; what is no finite number is None in JSON."""
+    """Means over frames of the field's metrics; values that are not finite become None, for JSON."""
     config = task.config
     path = task.store.require(f"scene_metrics/{config.recipe.name}/{config.seed}") / "metrics.parquet"
     return [
@@ -231,7 +235,7 @@ def _software() -> dict[str, str]:
 
 
 def _is_plain(value: Any) -> bool:
-    """Whether strict JSON can hold it: NaN and infinity it cannot."""
+    """Whether strict JSON can hold the value; it cannot hold NaN and infinity."""
     try:
         json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):

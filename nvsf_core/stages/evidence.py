@@ -58,14 +58,14 @@ def _run(task: Task) -> StageOutput:
 
 
 def _plane_thickness(surfels: Surfels) -> dict[str, float]:
-    """Median thickness of the planes; nothing where a sparse drive has no plane at all."""
+    """Metadata with the planes' median thickness; empty if a sparse drive has no plane."""
     if not surfels.is_planar.any():
         return {}
     return {"median_plane_thickness_m": float(np.median(surfels.thickness_m[surfels.is_planar]))}
 
 
 def _profile(evidence: SceneEvidence, sweeps: Sweeps, task: Task) -> dict[str, Scalar]:
-    """What this scene needs, in words and numbers."""
+    """The scene's profile: its properties in words and numbers."""
     cameras = read_rows(task.store.require("frames") / "cameras.parquet")
     names = sorted({row["camera"] for row in cameras if row["image_valid"]})
     times_s = sweeps.arrays["time_s"][sweeps.is_training]

@@ -1,4 +1,4 @@
-"""Stage `field`: the scene's model, trained on all training frames; resumes where it was killed."""
+"""Stage `field`: train the scene's model on all training frames; a killed training resumes."""
 
 import json
 import resource
@@ -24,22 +24,22 @@ def load_model(task: Task, recording: Recording) -> SceneModel:
 
     Raises:
         StoreError: It was never published, or its weights cannot be read.
-        RecipeError: The recipe beside them is of another version.
+        RecipeError: The stored recipe is of another version.
     """
     return load_trained(task.store.require(STAGE.location(task.config)), recording)
 
 
 def load_trained(folder: Path, recording: Recording, *, with_camera: bool = True) -> SceneModel:
-    """The model whose weights and recipe lie in a folder of this stage.
+    """The model whose weights and recipe lie in an output folder of this stage.
 
     Args:
-        folder: Of this stage.
+        folder: Output folder of this stage.
         recording: The drive that it was trained on.
-        with_camera: Whether images are asked of it, too; preparing them takes seconds.
+        with_camera: Whether it shall render images too; preparing this takes seconds.
 
     Raises:
         StoreError: The weights cannot be read.
-        RecipeError: The recipe beside them is of another version.
+        RecipeError: The stored recipe is of another version.
     """
     recipe = recipe_from_json(read_document(folder / "recipe.json"))
     weights = StoredWeights.read(folder / "weights.safetensors")
@@ -79,7 +79,7 @@ def _run(task: Task) -> StageOutput:
 
 
 def _ends(trained: Trained) -> dict[str, Scalar]:
-    """First and last recorded loss, and the speed where rays are drawn, by part of the model."""
+    """First and last recorded loss, and the speed in rays per second if known, by part of the model."""
     found: dict[str, Scalar] = {}
     for part, curve in trained.curves.items():
         found |= {f"{part}_loss_first": curve[0]["loss"], f"{part}_loss_last": curve[-1]["loss"]}
@@ -94,7 +94,7 @@ def _write(task: Task, trained: Trained, recording: Recording) -> None:
     recipe = task.config.recipe
     (task.folder / "recipe.json").write_text(json.dumps(recipe.to_json(), indent=1, sort_keys=True))
     rows = [{"sensor": sensor, **row} for sensor, curve in trained.curves.items() for row in curve]
-    # Sensors have different loss terms: what one has not is unknown in its rows.
+    # Sensors have different loss terms: a missing one is None in the sensor's rows.
     names = dict.fromkeys(name for row in rows for name in row)
     write_table(task.folder / "curve.parquet", {name: [row.get(name) for row in rows] for name in names})
 

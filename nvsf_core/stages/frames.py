@@ -1,9 +1,8 @@
-"""Stage `frames`: what the drive holds, validated, as tables."""
+"""Stage `frames`: tables of the drive's frames, images and boxes, validated."""
 
 import itertools
 import json
-import time
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,9 @@ from nvsf_core.drives.catalogue import has_data
 from nvsf_core.drives.kitti360.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
 from nvsf_core.reporting.previews import path_preview
-from nvsf_core.stages.runner.stage import Check, Progress, Stage, StageOutput, Task
-from nvsf_core.stores.tables import write_rows
+from nvsf_core.stages.runner.heartbeat import sparse
+from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stores.tables import write_table
 
 FRAME_COLUMNS = (
     "frame",
@@ -32,13 +32,13 @@ BOX_COLUMNS = ("frame", "object_id", "label", "dynamic", "box_to_world")
 
 _SECONDS_PER_LINE = 2.0
 _POSE_TOLERANCE_M = 0.02
-"""World coordinates of some 1000 m, printed in files whose rotations have 6 digits on a 1.6 m lever."""
+"""Rounding of the pose files: world coordinates of some 1000 m, rotations of 6 digits on a 1.6 m lever."""
 _POSE_TOLERANCE_DEG = 0.01
 _MAX_SPEED_M_S = 70.0
 _FEWEST_OF_MEDIAN = 0.5
-"""Of the median scan's returns; 0.87 at least over real streets."""
+"""Least returns of a scan, as a share of the median scan's; 0.87 at least over real streets."""
 _JUMP_M_S = 700.0
-"""Twice the speed of sound: no car, and no error of its poses that still lets a scene be told."""
+"""Speed between poses above which one of them is certainly wrong; twice the speed of sound."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -49,59 +49,17 @@ def _run(task: Task) -> StageOutput:
             f"{entry.last_frame} of {entry.sequence} under {entry.root}, found none; correct its root, or "
             "set NVSF_KITTI360_ROOT"
         )
-    drive = read_drive(task.scene, _sparse(task.progress, task.scene.name))
+    say = sparse(task.progress, _SECONDS_PER_LINE)
+    drive = read_drive(task.scene, lambda line: say(f"[{task.scene.name}] frames: {line}"))
     _write(task.folder, drive)
     (task.folder / "path.png").write_bytes(_path_picture(drive))
     return StageOutput(metadata=_metadata(drive), checks=_checks(drive), previews={"path": "path.png"})
 
 
 def _write(folder: Path, drive: Drive) -> None:
-    write_rows(
-        folder / "frames.parquet",
-        [
-            {
-                "frame": row.frame,
-                "time_s": row.time_s,
-                "split": row.split,
-                "lidar_to_world": _flat(row.lidar_to_world),
-                "pose_valid": row.pose_valid,
-                "scan_valid": row.scan_valid,
-                "reason": row.reason,
-                "checksum": row.checksum,
-            }
-            for row in drive.frames
-        ],
-        FRAME_COLUMNS,
-    )
-    write_rows(
-        folder / "cameras.parquet",
-        [
-            {
-                "frame": row.frame,
-                "camera": row.camera,
-                "camera_to_world": _flat(row.camera_to_world),
-                "image_valid": row.image_valid,
-                "reason": row.reason,
-                "checksum": row.checksum,
-            }
-            for row in drive.images
-        ],
-        CAMERA_COLUMNS,
-    )
-    write_rows(
-        folder / "boxes.parquet",
-        [
-            {
-                "frame": box.frame,
-                "object_id": box.object_id,
-                "label": box.label,
-                "dynamic": box.dynamic,
-                "box_to_world": _flat(box.box_to_world),
-            }
-            for box in drive.boxes
-        ],
-        BOX_COLUMNS,
-    )
+    _write_table(folder / "frames.parquet", drive.frames, FRAME_COLUMNS)
+    _write_table(folder / "cameras.parquet", drive.images, CAMERA_COLUMNS)
+    _write_table(folder / "boxes.parquet", drive.boxes, BOX_COLUMNS)
     facts: dict[str, Any] = {
         "scene_origin_m": drive.scene_origin_m.tolist(),
         "sweep_period_s": drive.times.sweep_period_s,
@@ -111,6 +69,17 @@ def _write(folder: Path, drive: Drive) -> None:
         "notes": list(drive.notes),
     }
     (folder / "drive.json").write_text(json.dumps(facts, indent=1))
+
+
+def _write_table(path: Path, rows: Iterable[object], names: Sequence[str]) -> None:
+    """Write attributes of each row as columns; poses row by row as lists, empty for an unknown pose."""
+
+    def stored(value: Any, name: str) -> Any:
+        if not name.endswith("_to_world"):
+            return value
+        return [] if value is None else value.reshape(-1).tolist()
+
+    write_table(path, {name: [stored(getattr(row, name), name) for row in rows] for name in names})
 
 
 def _metadata(drive: Drive) -> dict[str, Scalar]:
@@ -210,14 +179,16 @@ def _checks(drive: Drive) -> list[Check]:
 
 
 def _listing(name: str, faults: list[Any], what: str) -> Check:
-    detail = f"{len(faults)} {what}"
-    if faults:
-        detail += ": " + "; ".join(str(fault) for fault in faults[:5]) + ("; ..." if len(faults) > 5 else "")
+    detail = f"{len(faults)} {what}" + (f": {_first(faults)}" if faults else "")
     return Check(name=name, passed=not faults, detail=detail)
 
 
+def _first(faults: list[Any]) -> str:
+    return "; ".join(str(fault) for fault in faults[:5]) + ("; ..." if len(faults) > 5 else "")
+
+
 def _sizes_check(drive: Drive) -> Check:
-    """A scan of a fraction of the others' returns was cut, or its sensor was covered."""
+    """Check for scans with far fewer returns than the others: cut files, or a covered sensor."""
     counts = {row.frame: row.n_returns for row in drive.frames if row.scan_valid}
     median = float(np.median(list(counts.values()))) if counts else 0.0
     few = [f"{frame}: {count}" for frame, count in counts.items() if count < _FEWEST_OF_MEDIAN * median]
@@ -227,7 +198,7 @@ def _sizes_check(drive: Drive) -> Check:
 
 
 def _repeats(name: str, files: list[tuple[int, str]]) -> Check:
-    """No sensor records the same bytes twice: its noise differs even where nothing moves."""
+    """Check for identical files: sensor noise differs between frames even if nothing moves."""
     frames: dict[str, list[int]] = {}
     for frame, checksum in files:
         if checksum:
@@ -237,7 +208,7 @@ def _repeats(name: str, files: list[tuple[int, str]]) -> Check:
 
 
 def _speed_check(drive: Drive) -> Check:
-    """No car is faster: a jump means a pose of another frame, or times in another unit."""
+    """Check the car's speed: a jump means a pose of another frame, or times in another unit."""
     fastest, _, frame = max(_speeds_m_s(drive), default=(0.0, 0, 0))
     return Check(
         name="car_moves_plausibly",
@@ -247,7 +218,7 @@ def _speed_check(drive: Drive) -> Check:
 
 
 def _jump_check(drive: Drive) -> Check:
-    """A pose that nothing on wheels reaches is wrong, and makes the scene too large to be trained."""
+    """Check, blocking, for impossible jumps: such poses make the scene too large to be trained."""
     jumps = [
         f"frame {there} ({speed_m_s:.3g} m/s from frame {here})"
         for speed_m_s, here, there in _speeds_m_s(drive)
@@ -255,13 +226,12 @@ def _jump_check(drive: Drive) -> Check:
     ]
     detail = f"{len(jumps)} jumps of more than {_JUMP_M_S:.0f} m/s"
     if jumps:
-        shown = "; ".join(jumps[:5]) + ("; ..." if len(jumps) > 5 else "")
-        detail += f": {shown}; correct these poses, or delete their lines of poses.txt"
+        detail += f": {_first(jumps)}; correct these poses, or delete their lines of poses.txt"
     return Check(name="no_pose_jumps", passed=not jumps, detail=detail, blocking=True)
 
 
 def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
-    """Speed from each posed frame to the next, with their numbers."""
+    """Speed in m/s from each posed frame to the next, with both frame numbers."""
     placed = [
         (row.frame, row.time_s, row.lidar_to_world[:3, 3])
         for row in drive.frames
@@ -271,24 +241,6 @@ def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
         (float(np.linalg.norm(there_m - here_m)) / (then_s - now_s), here, there)
         for (here, now_s, here_m), (there, then_s, there_m) in itertools.pairwise(placed)
     ]
-
-
-def _flat(matrix: np.ndarray | None) -> list[float]:
-    """Row major; empty for a pose that is not known."""
-    return [] if matrix is None else matrix.reshape(-1).tolist()
-
-
-def _sparse(progress: Progress, scene: str) -> Callable[[str], None]:
-    """Say a line at most every few seconds."""
-    spoken_s = time.monotonic()
-
-    def say(line: str) -> None:
-        nonlocal spoken_s
-        if time.monotonic() - spoken_s >= _SECONDS_PER_LINE:
-            spoken_s = time.monotonic()
-            progress(f"[{scene}] frames: {line}")
-
-    return say
 
 
 STAGE = Stage(

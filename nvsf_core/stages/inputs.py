@@ -1,5 +1,6 @@
-"""What earlier stages published, read back as the drive that models are trained on."""
+"""Read the outputs of earlier stages as the `Recording` that models are trained on."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +21,7 @@ from nvsf_core.stores.tables import read_rows
 
 
 def read_sweeps(store: SceneStore) -> Sweeps | None:
-    """Read the stage `sweeps`; None for a drive without LiDAR."""
+    """Read the output of the stage `sweeps`; None for a drive without LiDAR."""
     folder = store.require("sweeps") / "returns.zarr"
     arrays, attrs = read_arrays(folder), read_attrs(folder)
     if len(arrays["frame"]) == 0:
@@ -44,7 +45,10 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
 
 
 def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
-    """Where the drive's LiDAR frame was, from all rows of `frames.parquet` with a pose."""
+    """Trajectory of the LiDAR frame, from all rows of `frames.parquet` with a pose.
+
+    `scene_origin_m` is (3,) float64, the scene's origin in the world, metres.
+    """
     posed = [row for row in rows if row["pose_valid"]]
     return Trajectory(
         np.array([row["time_s"] for row in posed]),
@@ -53,18 +57,24 @@ def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Tra
     )
 
 
+def pinhole_of(facts: Mapping[str, Any]) -> Pinhole:
+    """The camera of stored `fx`, `fy`, `cx`, `cy`, `width` and `height`, all in pixels."""
+    fx, fy, cx, cy = (float(facts[key]) for key in ("fx", "fy", "cx", "cy"))
+    return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=int(facts["width"]), height=int(facts["height"]))
+
+
 def read_evidence(store: SceneStore) -> SceneEvidence | None:
-    """Read the stage `evidence`; None for a drive without LiDAR."""
+    """Read the output of the stage `evidence`; None for a drive without LiDAR."""
     arrays = read_arrays(store.require("evidence") / "evidence.zarr")
     return SceneEvidence.from_arrays(arrays) if arrays else None
 
 
 def read_recording(store: SceneStore) -> Recording:
-    """Read what the stages up to `evidence` published.
+    """Read the outputs of the stages up to `evidence`.
 
     Raises:
         DataError: There is neither a scan nor a training image.
-        StoreError: A stage's output is absent.
+        StoreError: The output of a stage is absent.
     """
     frames = store.require("frames")
     rows = sorted(read_rows(frames / "frames.parquet"), key=lambda row: row["frame"])
@@ -112,10 +122,10 @@ def _read_cameras(
             continue
         local = pose[used].copy()
         local[:, :3, 3] -= scene_origin_m
-        pinhole = Pinhole(**{key: facts[key] for key in ("fx", "fy", "cx", "cy", "width", "height")})
+
         lidar_to_world = np.array(row_of[int(frame[0])]["lidar_to_world"], np.float64).reshape(4, 4)
         found[name] = CameraRecording(
-            training=CameraImages(pinhole, rgb[used], local, np.flatnonzero(valid.reshape(-1))),
+            training=CameraImages(pinhole_of(facts), rgb[used], local, np.flatnonzero(valid.reshape(-1))),
             training_time_s=np.array([row_of[number]["time_s"] for number in frame[used].tolist()]),
             recorded_frame=frame,
             in_lidar=np.linalg.inv(lidar_to_world) @ pose[0],

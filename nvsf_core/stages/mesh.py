@@ -11,16 +11,16 @@ from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 
 SPACING_M = 0.1
-"""Points nearer to each other are averaged."""
+"""Voxel size in which points are averaged."""
 DEPTH = 10
-"""Of the octree: cells of about 18 cm in a street 170 m long (docs/decisions/0011-mesh-baseline.md)."""
+"""Depth of the octree: cells of about 18 cm in a street 170 m long (docs/decisions/0011-mesh-baseline.md)."""
 TRIM_M = 0.25
-"""Triangles farther from every point are what Poisson closed holes with."""
+"""Triangles farther than this from every point only fill holes, and are removed."""
 _FOLDER = "mesh.zarr"
 
 
 def read_mesh(store: SceneStore) -> Mesh | None:
-    """The scene's mesh; None where none could be made.
+    """The scene's mesh; None if it could not be made.
 
     Raises:
         StoreError: The stage was never run.
@@ -36,7 +36,7 @@ def _run(task: Task) -> StageOutput:
             raise DataError("this drive has no LiDAR")
         mesh = _make(sweeps)
     except (MissingLibraryError, DataError) as error:
-        # A baseline that cannot be had is no reason to train nothing.
+        # A missing baseline must not stop the training.
         write_arrays(task.folder / _FOLDER, {})
         reason = str(error).removeprefix("not run: ")
         task.progress(f"[{task.scene.name}] mesh: not run: {reason}")

@@ -1,4 +1,4 @@
-"""Stage `novel_views`: the held-out frames and every view that was asked for, rendered."""
+"""Stage `novel_views`: render the held-out frames and every view of the catalogue."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -13,9 +13,9 @@ from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_LAWS
+from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_CHECKS
 from nvsf_core.stages.checks.images import check_images
-from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_LAWS
+from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
 from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
@@ -79,7 +79,7 @@ def _with_images(
     task: Task, recording: Recording, models: Mapping[str, SceneModel], asked: Sequence[View | None],
     output: StageOutput,
 ) -> dict[str, SceneModel]:  # fmt: skip
-    """The models, and for what looks above the lasers what images show there; the mesh stays as it is."""
+    """The models; if a view looks above the recorded lasers, all but the mesh get images for that part."""
     lidar = recording.lidar
     plans = [view.sweeps for view in asked if view is not None and view.sweeps is not None]
     if lidar is None or not any(looks_above(lidar, plan) for plan in plans):
@@ -98,7 +98,7 @@ def _asks_images(recording: Recording, view: View, model: SceneModel) -> bool:
 
 
 def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel | None:
-    """The baseline `mesh`, and why not in the output where there is none."""
+    """The baseline `mesh`; None without one, then `output` says why."""
     try:
         mesh = mesh_baseline(read_mesh(task.store), recording)
     except MissingLibraryError as error:
@@ -113,7 +113,7 @@ def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel |
 def _render_held_out(
     task: Task, recording: Recording, view: View, models: Mapping[str, SceneModel], output: StageOutput
 ) -> None:
-    """The held-out frames, by the model and by the baselines; only these are scored."""
+    """Render the held-out frames, which are scored, by the model and the baselines."""
     for method, model in models.items():
         arrays = _rendered(task, recording, view, model, method)
         if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
@@ -132,7 +132,7 @@ def _render_beside(
     task: Task, recording: Recording, view: View, models: Mapping[str, SceneModel],
     by_model: Mapping[str, np.ndarray],
 ) -> None:  # fmt: skip
-    """The baselines' sweeps of a view that can be scored, as the demo's can: its world is known exactly."""
+    """Render the baselines' sweeps of a view of the demo: its world is known, so the view can be scored."""
     if recording.lidar is None or view.sweeps is None or "grid_azimuth_rad" not in by_model:
         return
     for method, model in models.items():
@@ -147,7 +147,7 @@ def _render_beside(
 def _rendered(
     task: Task, recording: Recording, view: View, model: SceneModel, method: str
 ) -> dict[str, np.ndarray]:
-    """What a model makes of a view, by the sensors that drive, view and model have."""
+    """Arrays that a model renders of a view, for the sensors that drive, view and model all have."""
     arrays: dict[str, np.ndarray] = {}
     if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
         arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model, method)
@@ -162,7 +162,7 @@ def _publish(
     task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], output: StageOutput, *,
     by_images: bool = False,
 ) -> None:  # fmt: skip
-    """The model's arrays, its files as a driver finds them, and what is said of them."""
+    """Write the model's arrays, scan and image files of a view, and describe them in `output`."""
     _write(task, recording, view, arrays, MODEL, by_images=by_images)
     folder = task.folder / view.name
     if "points_m" in arrays:
@@ -198,5 +198,5 @@ STAGE = Stage(
     reads_views=True,
     check=_check,
     check_version="2",
-    named_checks=(*VIEW_LAWS, *IMAGE_LAWS),
+    named_checks=(*VIEW_CHECKS, *IMAGE_CHECKS),
 )

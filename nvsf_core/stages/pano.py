@@ -1,6 +1,5 @@
-"""`pano`: the recorded scans as range images, on the papers' linear grid and on the sensor's own lasers."""
+"""Stage `pano`: recorded scans as range images, on the papers' linear grid and with one row per laser."""
 
-import time
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,14 @@ from nvsf_core.reporting.previews import range_preview
 from nvsf_core.sensors.beam_table import BeamPano
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable, sensor_table
+from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 ARRAYS_NAME = "pano.zarr"
 
 _ROUND_TRIP_SCANS = 3
-"""Scans whose round trip is measured: a KD-tree of 120,000 points takes half a second."""
-_SAY_EVERY_S = 4.0
+"""Number of scans whose round trip is measured: a KD-tree of 120,000 points takes half a second."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -53,7 +52,7 @@ def _project_all(
     for name, shape in shapes.items():
         arrays[f"{name}_range_m"] = np.zeros((n, *shape), np.float32)
         arrays[f"{name}_intensity"] = np.zeros((n, *shape), np.float32)
-    said_s = time.monotonic()
+    say = sparse(task.progress)
     for k in range(n):
         part = slice(returns["offsets"][k], returns["offsets"][k + 1])
         points_m, intensity = returns["points_m"][part], returns["intensity"][part]
@@ -61,9 +60,7 @@ def _project_all(
         if beam:
             images = beam.project(points_m, intensity, returns["laser"][part])
             arrays["beam_range_m"][k], arrays["beam_intensity"][k] = images
-        if time.monotonic() - said_s > _SAY_EVERY_S:
-            said_s = time.monotonic()
-            task.progress(f"[{task.scene.name}] pano: projected {k + 1} of {n} scans")
+        say(f"[{task.scene.name}] pano: projected {k + 1} of {n} scans")
     return arrays
 
 
@@ -74,7 +71,7 @@ def _measure(
     linear: LinearPano,
     beam: BeamPano | None,
 ) -> None:
-    """Round trip of some scans through each grid, against the raw scan below the grid's range."""
+    """Measure some scans' round trip through each grid, against the raw scan within the grid's range."""
     n = len(returns["frame"])
     chosen = np.unique(np.linspace(0, n - 1, min(n, _ROUND_TRIP_SCANS)).astype(np.int64))
     grids: dict[str, LinearPano | BeamPano] = {"linear": linear}
@@ -106,7 +103,7 @@ def _measure(
 
 
 def _attrs(linear: LinearPano, table: LaserTable) -> dict[str, Any]:
-    """What a reader needs to turn the images back into points."""
+    """Attributes that a reader needs to convert the images back to points."""
     return {
         "linear": {
             "height": linear.height, "width": linear.width, "fov_up_deg": linear.fov_up_deg,

@@ -1,4 +1,4 @@
-"""`scene_metrics`: the held-out frames, measured for the model and the baselines."""
+"""Stage `scene_metrics`: metrics of the held-out frames, for the model and the baselines."""
 
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,6 +15,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
+from nvsf_core.reporting.scene_outputs import METHODS
 from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metrics
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
@@ -31,18 +32,18 @@ from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 
-METHODS = ("model", "reproject", "copy_nearest", "mesh")
-"""Stored predictions of a view, in the order in which they are measured."""
 _THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One method and sensor of one view: measured by itself, beside others."""
+    """One method and sensor of one view; parts are measured in parallel."""
 
     name: str
+    method: Mapping[str, Any]
+    """Columns on the method and its cost."""
     measure: Callable[[Ledger], Iterator[str]]
-    """Adds rows to a ledger and says what is done."""
+    """Adds rows to a ledger; yields progress."""
 
 
 def _run(task: Task) -> StageOutput:
@@ -62,7 +63,7 @@ def _run(task: Task) -> StageOutput:
 def _measure_held_out(
     task: Task, view: Path, recording: RecordedScans | None, ledger: Ledger
 ) -> dict[str, Scalar]:
-    """Rows of the held-out frames; returns what was found of moving objects."""
+    """Add the rows of the held-out frames; returns metadata on moving objects."""
     lpips, boxes = load_lpips(), read_moving_boxes(task.store)
     images, parts = task.store.path("undistorted") / "images.zarr", list[_Part]()
     for name in METHODS:
@@ -72,17 +73,17 @@ def _measure_held_out(
             continue
         method, attrs = _method(task, path)
         if recording is not None and _holds_sweeps(attrs):
-            lidar = partial(measure_lidar, path, recording, boxes, method, lpips=lpips)
-            parts.append(_Part(f"{name}, lidar", lidar))
+            lidar = partial(measure_lidar, path, recording, boxes, lpips=lpips)
+            parts.append(_Part(f"{name}, lidar", method, lidar))
         for camera in attrs.get("cameras", []):
-            image = partial(measure_camera, path, images, camera, boxes, recording, method, lpips=lpips)
-            parts.append(_Part(f"{name}, {camera}", image))
+            image = partial(measure_camera, path, images, camera, boxes, recording, lpips=lpips)
+            parts.append(_Part(f"{name}, {camera}", method, image))
     _measure(task, parts, ledger)
     return {"foreground": NO_BOXES if boxes is None else f"{boxes.objects} moving objects, by their boxes"}
 
 
 def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Scalar]:
-    """Rows of the demo's own views; returns what was found of its truth, nothing for other drives."""
+    """Add the rows of the demo's views; returns metadata on its exact truth, empty for other drives."""
     asked = [view for view in task.scene.views if (views / view.name).is_dir()]
     truth = read_demo_truth(task) if asked else None
     if truth is None:
@@ -96,40 +97,40 @@ def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Sc
             path = views / view.name / f"{name}.zarr"
             if not (path / "grid_hit").is_dir():
                 continue
-            measure = partial(measure_demo_view, path, view, truth, _method(task, path)[0])
-            parts.append(_Part(f"{name}, view {view.name},", measure))
+            measure = partial(measure_demo_view, path, view, truth)
+            parts.append(_Part(f"{name}, view {view.name},", _method(task, path)[0], measure))
     _measure(task, parts, ledger)
     return about
 
 
 def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
-    """Measure parts side by side; their rows stand in the ledger in the order of the parts."""
+    """Measure parts in parallel; the ledger has their rows in the order of the parts."""
 
     def run(part: _Part) -> Ledger:
-        own = Ledger(facts=ledger.facts)
+        own = Ledger(facts={**ledger.facts, **part.method})
         for done in part.measure(own):
             task.progress(f"[{task.scene.name}] scene_metrics: {part.name} {done}")
         return own
 
-    # Parts share the cores among them: each stays on one, in torch too (which counts by thread).
+    # Each part uses one core, in torch too (whose setting is per thread).
     with ThreadPoolExecutor(_THREADS, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         for own in pool.map(run, parts):
             ledger.take(own)
 
 
 def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
-    """Columns that say who made a stored prediction, and its attributes."""
+    """Columns on the method and its cost, of a stored prediction, and its attributes."""
     attrs = read_attrs(path)
     return method_columns(path.stem, attrs, task.config.recipe.name, task.config.seed), attrs
 
 
 def _holds_sweeps(attrs: Mapping[str, Any]) -> bool:
-    """Whether a LiDAR took part: of held-out frames whose scans are all unusable there are images alone."""
+    """Whether the view has scans; there are only images if all held-out scans are unusable."""
     return attrs.get("sensor") != ""
 
 
 def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, output: StageOutput) -> None:
-    """The middle held-out frame's returns from above, by the model's range error along their rays."""
+    """Write the error cloud of the middle held-out frame, and add it to the output."""
     if recording is None or not path.is_dir() or not _holds_sweeps(read_attrs(path)):
         return
     found = recorded_range_errors(path, recording)
@@ -143,7 +144,7 @@ def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, o
 
 
 def _commit() -> str:
-    """Commit of the checkout that this code lies in; `unknown` outside one."""
+    """Git commit of this code; `unknown` outside a checkout."""
     folder = Path(__file__).resolve().parent
     try:
         done = subprocess.run(
@@ -169,4 +170,3 @@ STAGE = Stage(
     check_version="1",
     named_checks=NAMED_CHECKS,
 )
-"""What is measured and under which protocol."""

@@ -1,6 +1,5 @@
-"""`sweeps`: every return with its laser, its firing, its time, and the ray in the world that measured it."""
+"""Stage `sweeps`: every return with its laser, firing, time, and motion-compensated ray in the scene."""
 
-import time
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +12,11 @@ from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_b
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
-from nvsf_core.sensors.sweep import Trajectory, compensate
+from nvsf_core.sensors.sweep import compensate
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
+from nvsf_core.stages.inputs import trajectory_of
+from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
@@ -26,7 +27,7 @@ SENSOR = HDL_64E
 """The sensor of KITTI and KITTI-360."""
 
 _OWN_VEHICLE_CELLS = 2000
-_SAY_EVERY_S = 4.0
+
 _MAP_RANGE_M = 40.0
 _MAP_RETURNS = 600_000
 _MAP_VOXEL_M = 0.4
@@ -34,12 +35,14 @@ _MAP_VOXEL_M = 0.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scan:
-    """One scan with what was recovered of it."""
+    """One recorded scan, with the recovered laser, firing and time of its returns."""
 
     row: dict[str, Any]
     """Its row of `frames.parquet`."""
     points_m: np.ndarray
+    """(n, 3) float32, sensor's frame, file order."""
     intensity: np.ndarray
+    """(n,) float32, 0..1."""
     timing: ScanTiming
 
 
@@ -73,21 +76,19 @@ def _run(task: Task) -> StageOutput:
 def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
     layout = DriveLayout(task.scene.root, task.scene.sequence)
     scans = []
-    said_s = time.monotonic()
+    say = sparse(task.progress)
     for row in rows:
         points = read_scan(layout.scan_path(row["frame"]), row["checksum"])
         timing = recover_timing(points[:, :3], SENSOR)
         scans.append(_Scan(row, np.ascontiguousarray(points[:, :3]), points[:, 3].copy(), timing))
-        if time.monotonic() - said_s > _SAY_EVERY_S:
-            said_s = time.monotonic()
-            task.progress(f"[{task.scene.name}] sweeps: read {len(scans)} of {len(rows)} scans")
+        say(f"[{task.scene.name}] sweeps: read {len(scans)} of {len(rows)} scans")
     return scans
 
 
 def _learn_own_vehicle(scans: list[_Scan]) -> OwnVehicle:
     training = [scan for scan in scans if scan.row["split"] == "train"]
     firings = [scan.timing.firings for scan in training if scan.timing.firings > 0]
-    # Cells finer than the firings would stay empty by chance and hide the car.
+    # Cells finer than the firings would be empty by chance and miss the car.
     cells = min(_OWN_VEHICLE_CELLS, min(firings, default=_OWN_VEHICLE_CELLS))
     return learn_own_vehicle(
         SENSOR, [(scan.points_m, scan.intensity, scan.timing.laser) for scan in training], cells
@@ -104,13 +105,9 @@ def _arrays(
 ) -> dict[str, np.ndarray]:
     rays = []
     if scans:
-        # Held-out and scan-less frames too: a pose is known of every frame, and motion is read off poses.
-        trajectory = Trajectory(
-            np.array([row["time_s"] for row in posed]),
-            np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
-            np.array(drive["scene_origin_m"], np.float64),
-        )
-        said_s = time.monotonic()
+        # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
+        trajectory = trajectory_of(posed, np.array(drive["scene_origin_m"], np.float64))
+        say = sparse(task.progress)
         for scan in scans:
             rays.append(
                 compensate(
@@ -119,9 +116,7 @@ def _arrays(
                     compensated=task.scene.compensate, elevation_correction_rad=correction_rad,
                 )
             )  # fmt: skip
-            if time.monotonic() - said_s > _SAY_EVERY_S:
-                said_s = time.monotonic()
-                task.progress(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
+            say(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
     counts = [len(scan.points_m) for scan in scans]
     poses = np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
     return {
@@ -164,7 +159,7 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
 
 
 def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Each laser's own errors, learned from the training scans, and all scans' ranges without their part."""
+    """Range bias and intensity gain of each laser, learned from training scans; all ranges without bias."""
     of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
     used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"])
     bias_m = learn_range_bias(
@@ -181,10 +176,17 @@ def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str
 
 
 def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> float:
-    """How thick the map's surfaces are: median over flat voxels of the deviation across the plane, in metres.
+    """Thickness of the map's surfaces: median over flat voxels of the standard deviation across the plane.
 
-    A voxel counts as flat with at least 30 points and a second eigenvalue of its covariance at least four
-    times the smallest. NaN where no voxel is flat.
+    A voxel is flat if it has at least 30 points and its covariance's second eigenvalue is above four times
+    the smallest.
+
+    Args:
+        points_m: (n, 3) points of all scans, scene-local, metres.
+        voxel_m: Side of a voxel.
+
+    Returns:
+        Metres; NaN if no voxel is flat.
     """
     cell = np.floor(points_m / voxel_m).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
@@ -203,7 +205,7 @@ def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> floa
 
 
 def _thickness(arrays: dict[str, np.ndarray]) -> float:
-    """Thickness of the map of all scans, thinned evenly, own vehicle left out."""
+    """Thickness of the map of all scans, metres; thinned evenly, without the own vehicle."""
     part = slice(None, None, max(1, len(arrays["range_m"]) // _MAP_RETURNS))
     kept = (arrays["range_m"][part] < _MAP_RANGE_M) & ~arrays["is_own_vehicle"][part]
     range_m = arrays["range_m"][part][kept, None].astype(np.float64)

@@ -1,6 +1,5 @@
-"""`undistorted`: every camera's frames as pinhole images with their intrinsics and a validity mask."""
+"""Stage `undistorted`: camera frames as pinhole images, with intrinsics and a mask of valid pixels."""
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,22 +13,23 @@ from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.reporting.previews import image_preview
+from nvsf_core.stages.inputs import pinhole_of
+from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
-_PROGRESS_S = 4.0
 _EDGE_LEVELS = 4
 _LEAST_EDGES = 0.02
-"""Of the demo's and KITTI-360's street images a quarter and more are edges."""
+"""Least share of edges; street images of the demo and of KITTI-360 have a quarter and more."""
 
 
 def _run(task: Task) -> StageOutput:
     frames = task.store.require("frames")
     drive: dict[str, Any] = read_document(frames / "drive.json")
     rows = read_rows(frames / "cameras.parquet")
-    # A frame without a pose says nothing about where its image was taken: its row has an empty pose.
+    # Without a pose the place of an image is unknown.
     usable = [row for row in rows if row["image_valid"] and len(row["camera_to_world"] or ()) == 16]
     output = StageOutput()
     arrays: dict[str, np.ndarray] = {}
@@ -63,7 +63,7 @@ def _run(task: Task) -> StageOutput:
 
 
 def _structure_check(camera: str, images: np.ndarray, valid: np.ndarray, frames: list[int]) -> Check:
-    """Whether images show edges: of sky, fog or a covered lens no depth is learned, and errors are tiny."""
+    """Check that images show edges: from sky, fog or a covered lens no depth can be learned."""
     both = valid[:, 1:] & valid[:, :-1]
     bare = []
     for frame, image in zip(frames, images, strict=True):
@@ -82,20 +82,16 @@ def _structure_check(camera: str, images: np.ndarray, valid: np.ndarray, frames:
 def _undistort(
     task: Task, camera: str, calibration: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
 ) -> tuple[np.ndarray, np.ndarray, Pinhole, np.ndarray]:
-    """Images (n, H, W, 3) uint8, validity (H, W), their camera, and a picture of what was done.
+    """Images (n, H, W, 3) uint8, validity (H, W) bool, their pinhole camera, and a preview picture.
 
-    Args:
-        task: The stage's own.
-        camera: Its name.
-        calibration: Its own.
-        rows: Of `cameras.parquet`, one an image.
+    `rows` are those of `cameras.parquet`, one per image.
     """
     layout = DriveLayout(task.scene.root, task.scene.sequence)
     width, height = int(calibration["width"]), int(calibration["height"])
     undistorter, view = _camera_of(camera, calibration)
     images = np.zeros((len(rows), view.height, view.width, 3), np.uint8)
     brightest = np.zeros((height, width, 3), np.uint8)
-    said = time.monotonic()
+    say = sparse(task.progress)
     first = brightest
     for i, row in enumerate(rows):
         path = layout.image_path(camera, int(row["frame"]))
@@ -106,9 +102,7 @@ def _undistort(
         else:
             images[i] = undistorter.apply(image)
             brightest = np.maximum(brightest, image)
-        if time.monotonic() - said > _PROGRESS_S:
-            said = time.monotonic()
-            task.progress(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(rows)} images")
+        say(f"[{task.scene.name}] undistorted: {camera} {i + 1}/{len(rows)} images")
     if undistorter is None:
         return images, np.ones((height, width), np.bool_), view, images[0]
     valid = undistorter.apply_mask(lens_circle(brightest))
@@ -116,29 +110,18 @@ def _undistort(
 
 
 def _camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
-    """The perspective camera of a calibration, with the resampling that leads to it if one is needed."""
-    width, height = int(calibration["width"]), int(calibration["height"])
+    """The pinhole camera of a calibration, and for a fisheye the resampling to it."""
     if calibration["kind"] == "perspective":
-        fx, fy, cx, cy = (float(calibration[key]) for key in ("fx", "fy", "cx", "cy"))
-        return None, Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+        return None, pinhole_of(calibration)
     if calibration["kind"] != "fisheye":
         raise CalibrationError(
             f"{camera}: expected a perspective or fisheye camera in drive.json, "
             f"found {calibration['kind']!r}; run the stage `frames` again"
         )
-    fisheye = MeiFisheye(
-        xi=float(calibration["xi"]),
-        k1=float(calibration["k1"]),
-        k2=float(calibration["k2"]),
-        p1=float(calibration["p1"]),
-        p2=float(calibration["p2"]),
-        gamma1=float(calibration["gamma1"]),
-        gamma2=float(calibration["gamma2"]),
-        u0=float(calibration["u0"]),
-        v0=float(calibration["v0"]),
-        width=width,
-        height=height,
-    )
+    names = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0")
+    values = {name: float(calibration[name]) for name in names}
+    width, height = int(calibration["width"]), int(calibration["height"])
+    fisheye = MeiFisheye(**values, width=width, height=height)
     view = perspective_view(fisheye)
     return make_undistorter(fisheye, view), view
 
@@ -151,13 +134,13 @@ def _facts(view: Pinhole, kind: str) -> dict[str, float | int | str]:
 
 
 def _field_deg(view: Pinhole) -> float:
-    """Horizontal field of view, from border to border."""
+    """Horizontal field of view in degrees, from border to border."""
     left, right = (view.cx + 0.5) / view.fx, (view.width - 0.5 - view.cx) / view.fx
     return float(np.degrees(np.arctan(left) + np.arctan(right)))
 
 
 def _beside(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Two pictures side by side, the first brought to the second's height by taking every so many pixels."""
+    """Two pictures side by side, the first scaled to the second's height by nearest pixels."""
     height, width = second.shape[0], round(first.shape[1] * second.shape[0] / first.shape[0])
     rows = np.arange(height) * first.shape[0] // height
     columns = np.arange(width) * first.shape[1] // width

@@ -1,1 +1,1 @@
-"""Everything on disk: published whole, in Zarr, Parquet and safetensors."""
+"""Read and write outputs on disk, published whole: Zarr, Parquet, safetensors, JSON."""

@@ -1,7 +1,6 @@
 """Named arrays in one Zarr group on local disk, each chunk with a checksum (crc32c).
 
-What is read is what was written, or a StoreError: a chunk that is missing would be zeros to Zarr, and a
-flipped byte would be data.
+Reading gives what was written, or a StoreError. Zarr alone would read missing chunks as zeros.
 """
 
 import contextlib
@@ -41,7 +40,7 @@ def write_arrays(
             dtype=array.dtype,
             chunks=_chunks(array),
             compressors=[ZstdCodec(level=0), Crc32cCodec()],
-            # Else chunks of zeros are not written, and one that got lost looks like them.
+            # Else chunks of zeros are not written, and a lost chunk looks like one of them.
             config={"write_empty_chunks": True},
         )
         if array.size:
@@ -53,7 +52,7 @@ def read_arrays(path: Path, *names: str) -> dict[str, np.ndarray]:
     """Read the named arrays, or all of them, into memory.
 
     Raises:
-        StoreError: The group or one of the arrays is absent, damaged, or not what the data contract says.
+        StoreError: The group or an array is absent, damaged, or breaks the data contract.
     """
     with _reading(path):
         group = _open(path)
@@ -66,17 +65,17 @@ def read_arrays(path: Path, *names: str) -> dict[str, np.ndarray]:
 
 
 def read_part(path: Path, rows: slice, *names: str) -> dict[str, np.ndarray]:
-    """Read rows of the named arrays' first axis; little else is fetched.
+    """Read some rows of the named arrays; only their chunks are fetched.
 
     Raises:
-        StoreError: The group or one of the arrays is absent, damaged, or not what the data contract says.
+        StoreError: The group or an array is absent, damaged, or breaks the data contract.
     """
     with _reading(path):
         return _read(_open(path), path, names, rows)
 
 
 def array_layouts(path: Path) -> dict[str, np.ndarray]:
-    """Name to an array of the stored one's type and shape that takes no memory; no chunk is read.
+    """Name to a dummy array of the stored type and shape, without memory of its own; no chunk is read.
 
     Raises:
         StoreError: The group is absent or damaged.
@@ -87,7 +86,7 @@ def array_layouts(path: Path) -> dict[str, np.ndarray]:
 
 
 def array_names(path: Path, kind: str) -> list[str]:
-    """Names of the arrays of one kind, `f` floating or `i` integer, without reading any.
+    """Names of the arrays of one kind: `f` (floating) or `i` (integer); none is read.
 
     Raises:
         StoreError: The group is absent or damaged.
@@ -119,7 +118,7 @@ def _read(
     found: Contents[np.ndarray] = Contents(path)
     for name in wanted:
         stored: Any = members[name]
-        # Before anything is read: a shape that somebody changed may ask for more memory than there is.
+        # Checked before reading: a manipulated shape may need more memory than there is.
         faults = () if spec is None else field_faults(spec, name, stored.dtype, stored.shape)
         for fault in faults:
             raise foreign(path, fault)
@@ -129,16 +128,16 @@ def _read(
 
 
 def _require_chunks(path: Path, name: str, stored: Any, *, is_whole: bool) -> None:
-    """Count chunks by their files: to list those that a shape of 10^13 would have takes all memory.
+    """Check number and size of an array's chunk files; Zarr's own list of a huge shape would take all memory.
 
     Args:
-        path: Of the group.
-        name: Of the array.
+        path: Path of the group.
+        name: Name of the array.
         stored: The array.
-        is_whole: Whether the group was written with all chunks, those of zeros, too; earlier ones were not.
+        is_whole: Whether chunks of zeros were written too; older groups lack them.
 
     Raises:
-        StoreError: Chunks are missing, or larger than they can be.
+        StoreError: Chunks are missing or too large.
     """
     chunk_bytes = math.prod(stored.chunks) * stored.dtype.itemsize
     expected = math.prod(-(-n // chunk) for n, chunk in zip(stored.shape, stored.chunks, strict=True))
@@ -153,7 +152,7 @@ def _require_chunks(path: Path, name: str, stored: Any, *, is_whole: bool) -> No
 
 
 def _is_checked(stored: zarr.Array) -> bool:
-    """Whether the array was written with checksums, and so with all of its chunks, as all now are."""
+    """Whether the array was written with checksums, and so with all its chunks; older ones were not."""
     return any(isinstance(codec, Crc32cCodec) for codec in stored.compressors)
 
 
@@ -162,7 +161,7 @@ def _open(path: Path) -> zarr.Group:
         raise StoreError(f"no Zarr group at {path}; run the stage that makes it")
     for folder, _, files in os.walk(path):
         for name in files:
-            # Who opens a pipe waits for ever. (Links to folders are no files to `walk`, either.)
+            # Opening a pipe would block for ever. (`walk` lists links to folders as folders, not as files.)
             found = (Path(folder) / name).lstat()
             if not stat.S_ISREG(found.st_mode):
                 raise foreign(path, f"expected regular files, found something else at {Path(folder) / name}")
@@ -175,10 +174,10 @@ def _open(path: Path) -> zarr.Group:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Zarr, its codecs and JSON raise some dozen kinds of errors of their own on a damaged group.
+    """Turn the many kinds of errors that Zarr, its codecs and JSON raise on damaged data into one.
 
     Raises:
-        StoreError: Instead of any of them.
+        StoreError: Anything failed inside.
     """
     try:
         yield
@@ -189,7 +188,7 @@ def _reading(path: Path) -> Iterator[None]:
 
 
 def _chunks(array: np.ndarray) -> tuple[int, ...]:
-    """Cut along the first axis only: rows are frames or returns."""
+    """Chunk shape: cut along the first axis only, whose rows are frames or returns."""
     if array.ndim == 0 or array.size == 0:
         return tuple(max(1, n) for n in array.shape)
     row_bytes = max(1, array.nbytes // array.shape[0])

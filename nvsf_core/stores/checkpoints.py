@@ -1,4 +1,4 @@
-"""Tensors on disk as safetensors, replaced atomically; no pickle is ever read."""
+"""Tensors on disk as safetensors, replaced atomically; pickle is never used."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from nvsf_core.stores.documents import Contents, foreign
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, Any] | None = None) -> None:
-    """Write named tensors and JSON-able facts; the file at `path` is the old one or the new one."""
+    """Write named tensors and JSON-able facts atomically: a reader sees the old file or the new one."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     save_file(contiguous, str(temporary), metadata={"json": json.dumps(dict(meta or {}))})
@@ -26,7 +26,7 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, A
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_tensors` wrote.
+    """Tensors and facts of a file by `save_tensors`.
 
     Raises:
         StoreError: The file is absent or no safetensors file.
@@ -48,7 +48,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class StoredWeights:
-    """Weights and facts of a trained model, and the file that they are from."""
+    """Weights and facts of a trained model, and their file."""
 
     tensors: dict[str, Tensor]
     facts: dict[str, Any]
@@ -56,7 +56,7 @@ class StoredWeights:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read what `save_tensors` wrote.
+        """Read a file by `save_tensors`.
 
         Raises:
             StoreError: The file is absent or no safetensors file.
@@ -64,18 +64,18 @@ class StoredWeights:
         return cls(*load_tensors(path), path)
 
     def has(self, prefix: str, /) -> bool:
-        """Whether any weight's name begins so."""
+        """Whether any weight's name begins with `prefix`."""
         return any(name.startswith(prefix) for name in self.tensors)
 
     def load_into(self, model: nn.Module, prefix: str, /) -> None:
-        """Give a network the weights whose names begin with a prefix, which is taken off.
+        """Load the weights whose names begin with `prefix` into a network, whose names lack it.
 
         Args:
-            model: Of the size that the weights were trained at.
-            prefix: `lidar.` or the like.
+            model: A network of the trained size.
+            prefix: For example `lidar.`.
 
         Raises:
-            StoreError: Names or shapes are not the network's, or a weight is not finite.
+            StoreError: Names or shapes differ from the network's, or a weight is not finite.
         """
         found = {name: value for name, value in self.tensors.items() if name.startswith(prefix)}
         named = {name.removeprefix(prefix): value for name, value in found.items()}
@@ -84,7 +84,7 @@ class StoredWeights:
             raise foreign(self.source, f"expected finite weights, found NaN or infinity in {broken[0]!r}")
         try:
             model.load_state_dict(named)
-        except RuntimeError as error:  # torch's word for other names or shapes
+        except RuntimeError as error:  # torch raises it for other names or shapes
             raise foreign(
                 self.source,
                 f"expected the weights of a {type(model).__name__} under {prefix!r}, found others "

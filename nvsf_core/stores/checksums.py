@@ -1,4 +1,4 @@
-"""Which files an output was published with: sizes and checksums, to tell whether it is still whole."""
+"""Sizes and checksums of an output's files, to detect missing or changed ones."""
 
 import zlib
 from collections.abc import Mapping
@@ -10,22 +10,17 @@ _BLOCK_BYTES = 4 << 20
 
 
 def file_checksums(folder: Path, leave_out: frozenset[str] = frozenset()) -> dict[str, str]:
-    """Every file below a folder: its path there to `<bytes>-<crc32 in hex>`.
-
-    Args:
-        folder: A published folder, or one about to be.
-        leave_out: Paths below it that are not listed.
-    """
+    """Path of every file below `folder`, except those in `leave_out`, to `<bytes>-<crc32 in hex>`."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     named = ((path.relative_to(folder).as_posix(), path) for path in files)
     return {name: _checksum(path) for name, path in named if name not in leave_out}
 
 
 def damaged_file(folder: Path, listed: Mapping[str, str]) -> str | None:
-    """The first listed file that is absent or not what it was; None where all are. Others do not count."""
+    """The first listed file that is absent or changed; None if none is. Files not listed are ignored."""
     for name, checksum in listed.items():
         path = folder / name
-        # The size first: it is free, and tells a file that was cut or that somebody made huge.
+        # The size first: it is cheap, and finds truncated and enlarged files.
         try:
             if not path.is_file() or path.stat().st_size != int(checksum.split("-")[0]):
                 return name

@@ -1,4 +1,4 @@
-"""What a stage made against the data contract, before it is published; no data is read."""
+"""Check a stage's output against the data contract before it is published; no data is read."""
 
 import re
 from collections.abc import Iterator
@@ -10,14 +10,14 @@ from nvsf_core.stores.tables import column_kinds
 
 
 def contract_faults(stage: str, location: str, folder: Path) -> list[str]:
-    """What the files of a stage's folder break of the contract, one sentence each; [] = nothing.
+    """Violations of the data contract by the files of a stage's output, one sentence each.
 
-    A file that is absent breaks nothing: which there are depends on the drive's sensors and on the views.
+    Absent files are allowed: they depend on the drive's sensors and on the views.
 
     Args:
-        stage: Its name.
-        location: Where its output will lie below the scene's folder, for example `field/lean/0`.
-        folder: Where it lies now.
+        stage: Name of the stage.
+        location: Future path of the output below the scene's folder, for example `field/lean/0`.
+        folder: Present folder of the output.
 
     Raises:
         StoreError: A file cannot be read.
@@ -33,7 +33,7 @@ def contract_faults(stage: str, location: str, folder: Path) -> list[str]:
 
 
 def _patterns(spec: FileSpec) -> list[str]:
-    """The parts of a path; `<recipe>` stands for any name."""
+    """Glob patterns of the parts of a contract's path; `<recipe>` matches any name."""
     return [re.sub("<[a-z]+>", "*", part) for part in spec.path.split("/")]
 
 

@@ -1,7 +1,7 @@
-"""Where a scene's outputs lie, and how they are published whole.
+"""Folders of a scene's outputs, and atomic publication of an output.
 
-A reader sees the old version of an output or the new one, never half of one: the writer fills a
-temporary folder beside the target, everything is flushed to disk, and one rename makes it visible.
+A reader sees the old version of an output or the new one, never a part: the writer fills a temporary folder
+beside the target, everything is flushed to disk, and one rename makes it visible.
 """
 
 import contextlib
@@ -20,18 +20,18 @@ from nvsf_core.names import RESERVED_SCENES, name_fault
 _TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
 _LONGEST_HOME = 1000
-"""Characters: a path may have 4096 bytes, and outputs lie some 200 deeper."""
+"""Most characters of NVSF_HOME: a path may have 4096 bytes, and outputs add some 200."""
 _CHANCE = re.compile(r"-[0-9a-f]{8}")
-"""How a retired folder's name ends."""
+"""Ending of a retired folder's name: random digits."""
 _WRITER = re.compile(r"-(\d{1,10})-[0-9a-f]{8}")
-"""How a temporary folder's name ends: process and chance."""
+"""Ending of a temporary folder's name: process id and random digits."""
 
 
 def require_home(home: Path) -> Path:
-    """A folder that outputs can be written below, whether or not it exists yet; as an absolute path.
+    """Check that outputs can be written below `home`, which need not exist yet; returns its absolute path.
 
     Raises:
-        StoreError: It, or what it would lie in, is no folder or not writable.
+        StoreError: It, or its nearest existing parent, is no folder or not writable.
     """
     home = Path(home)
     text = str(home)
@@ -44,7 +44,7 @@ def require_home(home: Path) -> Path:
         home = home.resolve()
         nearest = next(path for path in (home, *home.parents) if path.exists())
         usable = nearest.is_dir() and _is_writable(nearest)
-    except (OSError, ValueError, RuntimeError) as error:  # over-long, a NUL, links that lead in circles
+    except (OSError, ValueError, RuntimeError) as error:  # too long, a NUL, circular links
         raise StoreError(f"NVSF_HOME: expected a folder, found {str(home)!r:.200} ({error})") from error
     if not usable:
         found = "which cannot be written to" if nearest.is_dir() else "which is no folder"
@@ -53,7 +53,7 @@ def require_home(home: Path) -> Path:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Tried, not asked: to root everything seems writable, a read-only disk and /proc, too."""
+    """Try to write: for root, permissions allow everything, even on a read-only disk and in /proc."""
     try:
         with tempfile.TemporaryDirectory(prefix=".nvsf-", dir=folder):
             return True
@@ -66,29 +66,28 @@ class SceneStore:
     """The outputs of one scene under `<home>/<scene>/`."""
 
     home: Path
-    """NVSF_HOME: the folder that holds all scenes' outputs."""
+    """NVSF_HOME: the folder of all scenes' outputs."""
     scene: str
     """Name of the scene, its partition key."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that is no folder of its own."""
+        """Refuse a name that cannot be a scene's folder."""
         fault = name_fault(self.scene, RESERVED_SCENES)
         if fault is not None:
             raise StoreError(f"scene: {fault}")
 
     @property
     def root(self) -> Path:
-        """Folder of this scene."""
+        """Folder of the scene."""
         return self.home / self.scene
 
     def path(self, relative: str) -> Path:
         """Folder of a published output, whether or not it exists yet.
 
         Raises:
-            StoreError: It does not lie in the scene's folder: by `..`, an absolute path, or a link that
-                leads elsewhere.
+            StoreError: It does not lie in the scene's folder: because of `..`, an absolute path, or a link.
         """
-        # The home may be a link, to a larger disk for example; the scene's folder in it may not.
+        # The home may be a link, for example to a larger disk; the scene's folder in it may not.
         root = self.home.resolve() / self.scene
         path = self.root / relative
         if "\0" in relative or ".." in path.parts or Path(relative).is_absolute():
@@ -103,7 +102,7 @@ class SceneStore:
         return path
 
     def recovered(self, relative: str) -> Path:
-        """Folder of an output, put back first where a writer died between its two renames.
+        """Folder of an output; restored first if a writer died between its two renames.
 
         Raises:
             StoreError: See `path`.
@@ -127,36 +126,36 @@ class SceneStore:
         return path
 
     def work_dir(self, relative: str) -> Path:
-        """Scratch folder that outlives a killed process (checkpoints); made if absent."""
+        """Scratch folder that survives a killed process (for checkpoints); made if absent."""
         path = self.path(f".work/{relative}")
         path.mkdir(parents=True, exist_ok=True)
         return path
 
     def drop_work_dir(self, relative: str) -> None:
-        """Remove the scratch folder, once its content is published."""
+        """Remove the scratch folder, after the output is published."""
         shutil.rmtree(self.path(f".work/{relative}"), ignore_errors=True)
 
     @contextlib.contextmanager
     def publish(self, relative: str) -> Iterator[Path]:
-        """Give an empty folder to fill; on a clean exit it becomes `relative`, on an error it vanishes.
+        """Yield an empty folder to fill; without an error it becomes the output, else it is removed.
 
         Raises:
-            OSError: The disk refused a write; the old output then still stands.
+            OSError: A write failed; the old output is unchanged.
         """
         with publish_folder(self.path(relative)) as folder:
             yield folder
 
 
 def _is_plain(path: Path, place: Path) -> bool:
-    """Whether a path leads to where it seems to, without any link."""
+    """Whether a path resolves to `place`, without links on the way."""
     try:
         return path.resolve() == place
-    except (OSError, RuntimeError, ValueError):  # links that lead in circles, names that no disk has
+    except (OSError, RuntimeError, ValueError):  # circular links, impossible names
         return False
 
 
 def published(root: Path, pattern: str) -> list[Path]:
-    """Paths below a folder that match a pattern, by name; no links, nothing that a killed writer left."""
+    """Sorted paths below `root` that match a glob pattern; without links and leftovers of killed writers."""
     hidden = (_TEMPORARY, _RETIRED, ".work")
     return [
         path
@@ -168,7 +167,7 @@ def published(root: Path, pattern: str) -> list[Path]:
 
 @contextlib.contextmanager
 def publish_folder(target: Path) -> Iterator[Path]:
-    """Fill a temporary folder that replaces `target` as a whole on a clean exit."""
+    """Yield a temporary folder to fill; without an error it replaces `target` as a whole."""
     target.parent.mkdir(parents=True, exist_ok=True)
     _sweep_leftovers(target)
     temporary = target.parent / f"{_TEMPORARY}{target.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
@@ -186,8 +185,8 @@ def _swap_in(temporary: Path, target: Path) -> None:
         temporary.rename(target)
         _flush(target.parent)
         return
-    # Linux cannot rename over a folder that is not empty: the old one steps aside first. Should the
-    # process die between the two renames, `_sweep_leftovers` puts the old one back.
+    # Linux cannot rename over a folder that is not empty, so the old one is renamed first. If the process
+    # dies between the two renames, `_sweep_leftovers` restores the old one.
     retired = target.parent / f"{_RETIRED}{target.name}-{uuid.uuid4().hex[:8]}"
     target.rename(retired)
     temporary.rename(target)
@@ -196,7 +195,7 @@ def _swap_in(temporary: Path, target: Path) -> None:
 
 
 def _sweep_leftovers(target: Path) -> None:
-    """Undo what a killed writer left: restore a retired folder, remove dead temporaries."""
+    """Clean up after a killed writer: restore a retired folder, remove temporary ones of dead processes."""
     for retired, _ in _leftovers(target, _RETIRED, _CHANCE):
         if target.exists():
             _remove(retired)
@@ -208,7 +207,7 @@ def _sweep_leftovers(target: Path) -> None:
 
 
 def _leftovers(target: Path, prefix: str, ending: re.Pattern[str]) -> list[tuple[Path, re.Match[str]]]:
-    """Hidden folders of exactly this target: those of `left-2` begin like those of `left`."""
+    """Hidden folders of this target, not of one whose name only begins alike (`left` and `left-2`)."""
     start = f"{prefix}{target.name}"
     hidden = [path for path in target.parent.iterdir() if path.name.startswith(start)]
     found = [(path, ending.fullmatch(path.name.removeprefix(start))) for path in hidden]
@@ -216,7 +215,7 @@ def _leftovers(target: Path, prefix: str, ending: re.Pattern[str]) -> list[tuple
 
 
 def _remove(path: Path) -> None:
-    """A folder with all that is in it; or a file or a link that took its place."""
+    """Remove a folder with its content, or a file or link in its place."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:

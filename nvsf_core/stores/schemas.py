@@ -1,7 +1,7 @@
-"""The data contract: the arrays and columns that stages publish for others, with type, shape and unit.
+"""The data contract: the arrays and columns that stages publish for other stages, with type, shape and unit.
 
-`python -m nvsf_core.stores.schemas` prints it as markdown (docs/data_contract.md). What is read is held
-against it: arrays by `field_faults` before and `violations` after, tables by `column_faults`.
+`python -m nvsf_core.stores.schemas` prints it as markdown (docs/data_contract.md). Readers check it: arrays
+by `field_faults` before and `violations` after reading, tables by `column_faults`.
 """
 
 import fnmatch
@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 CAMERA = "<camera>"
-"""Stands for a camera's name (`image_00`) in a field's name."""
+"""Placeholder of a camera's name (`image_00`) in a field's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,17 +23,16 @@ class Entry:
     """One array of a Zarr group, or one column of a table."""
 
     name: str
-    """May begin with `<camera>`: one field a camera."""
+    """May begin with `<camera>`: one field per camera."""
     dtype: str
     """numpy's short name (`f4`, `i8`, `u1`, `bool`), or `string`, `list<f8>` in a table."""
     shape: tuple[str | int, ...]
-    """A number is exact; the same word means the same length in the whole group; () in a table."""
+    """A number is an exact length; the same word means the same length in the whole group; () in a table."""
     unit: str
-    """`1` is a bare number."""
+    """`1` = a bare number."""
     meaning: str
-    """What it is, in words."""
     optional: bool = False
-    """Absent where the drive cannot give it."""
+    """Absent if the drive cannot provide it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class FileSpec:
 
     stage: str
     path: str
-    """Under `<NVSF_HOME>/<scene>/`."""
+    """Path below `<NVSF_HOME>/<scene>/`."""
     kind: Literal["zarr", "parquet"]
     meaning: str
     fields: tuple[Entry, ...]
@@ -55,7 +54,7 @@ def _columns(*rows: tuple[str, str, str, str]) -> tuple[Entry, ...]:
 
 
 _SAME: dict[str, tuple[str, ...]] = {"i8": ("f8",), "f8": ("i8",)}
-"""A column of numbers has the type of what its rows happen to hold: 0 alone is whole, with 0.5 it is not."""
+"""Other types allowed for a column of numbers: its stored type depends on whether all values are whole."""
 _POSE = "4x4, row by row; an empty list where there is none"
 
 CONTRACT: tuple[FileSpec, ...] = (
@@ -231,7 +230,7 @@ CONTRACT: tuple[FileSpec, ...] = (
 
 
 def spec_of(path: str) -> FileSpec:
-    """The contract of a file, by the path that CONTRACT writes.
+    """The contract of a file, by its path in CONTRACT.
 
     Raises:
         KeyError: The contract has no such file.
@@ -240,10 +239,10 @@ def spec_of(path: str) -> FileSpec:
 
 
 def spec_at(path: Path) -> FileSpec | None:
-    """The contract of a published file, by where it lies; None for what the contract does not describe."""
+    """The contract of a published file, by its path on disk; None if it has none."""
     for spec in CONTRACT:
         named = spec.path.split("/")
-        # `<recipe>` stands for any name, `<method>.zarr` for any that ends so.
+        # `<recipe>` matches any name, `<method>.zarr` any with that ending.
         patterns = [re.sub("<[a-z]+>", "*", part) for part in named]
         if all(map(fnmatch.fnmatchcase, path.parts[-len(named) :], patterns)) and len(path.parts) > len(
             named
@@ -253,14 +252,12 @@ def spec_at(path: Path) -> FileSpec | None:
 
 
 def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray], *, whole: bool = True) -> list[str]:
-    """What the arrays of a Zarr group break of their contract, one sentence each; [] = nothing.
-
-    Fields beyond the contract are allowed: a stage may say more than it promises.
+    """Violations of the contract by the arrays of a Zarr group, one sentence each; other arrays are allowed.
 
     Args:
-        spec: The contract.
+        spec: The contract of the group.
         arrays: Name to array.
-        whole: Whether these are all arrays of the group, of which none may then be missing.
+        whole: Whether these are all arrays of the group, so that missing ones are violations.
     """
     found: list[str] = []
     for field in spec.fields:
@@ -274,7 +271,7 @@ def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray], *, whole: bool 
 
 
 def field_faults(spec: FileSpec, name: str, dtype: np.dtype, shape: tuple[int, ...]) -> list[str]:
-    """What one array's type and shape break of a contract, by themselves, before it is read."""
+    """Violations of the contract by one array's type and shape, known before it is read."""
     return [
         fault
         for field in spec.fields
@@ -298,14 +295,14 @@ def _field_violations(
 
 
 def column_faults(spec: FileSpec, columns: Mapping[str, str]) -> list[str]:
-    """What a table's columns break of its contract, one sentence each.
+    """Violations of the contract by the types of a table's columns, one sentence each.
 
-    An absent column is named when it is asked for.
+    Absent columns are no violation.
 
     Args:
-        spec: The contract of a table.
-        columns: Name to type: numpy's short name, `string`, `list<f8>`; `null` and `list<null>` where a
-            table is too empty to tell.
+        spec: The contract of the table.
+        columns: Name to type: numpy's short name, `string`, `list<f8>`; `null` or `list<null>` if the column
+            has no value.
     """
     found = []
     for field in spec.fields:
@@ -316,7 +313,7 @@ def column_faults(spec: FileSpec, columns: Mapping[str, str]) -> list[str]:
 
 
 def _lengths(spec: FileSpec, arrays: Mapping[str, np.ndarray], camera: str) -> dict[str, int]:
-    """Length of each named axis: of the first array that has it; `images` and the like are a camera's own."""
+    """Length of each named axis, by the first array that has it; each camera has its own `images` axis."""
     lengths: dict[str, int] = {}
     for field in spec.fields:
         array = arrays.get(field.name.replace(CAMERA, camera))
@@ -335,14 +332,14 @@ def _matching(name: str, arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str
         if name in arrays:
             yield name, arrays[name]
         return
-    # Only `image_NN`: other arrays of a group may end in the same word.
+    # Only names `image_NN...`: other arrays of a group may have the same ending.
     for stored, array in arrays.items():
         if stored.startswith("image_") and stored.removeprefix(stored[:8]) == name.removeprefix(CAMERA):
             yield stored, array
 
 
 def as_markdown() -> str:
-    """The contract as a document."""
+    """The contract as a markdown page."""
     lines = [
         "# Data contract",
         "",

@@ -14,7 +14,7 @@ from nvsf_core.stores.schemas import column_faults, spec_at
 Column = Sequence[Any]
 
 _SHORT = {"int64": "i8", "double": "f8", "bool": "bool", "string": "string", "null": "null"}
-"""The contract's word for each of Arrow's types that it knows."""
+"""Arrow's name of a type to the contract's."""
 
 
 def write_table(path: Path, columns: Mapping[str, Column]) -> None:
@@ -27,16 +27,16 @@ def read_table(path: Path) -> dict[str, list[Any]]:
     """Read a table as column name to list.
 
     Raises:
-        StoreError: There is no such file, it is damaged, or its columns are not what the contract says.
+        StoreError: The file is absent or damaged, or its columns break the data contract.
     """
     if not path.is_file():
         raise StoreError(f"no table at {path}; run the stage that makes it")
     try:
-        # Not `pq.read_table`: that opens a folder of files, too, and reads partitions off their paths.
+        # Not `pq.read_table`: it also opens folders, and adds columns by their names.
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             table = file.read()
             columns: Contents[list[Any]] = Contents(path, table.to_pydict())
-    except Exception as error:  # Arrow, its decoders and the disk raise errors of a dozen kinds
+    except Exception as error:  # Arrow, its decoders and the disk raise many kinds of errors
         raise foreign(path, f"expected a Parquet table, found it damaged ({error!r:.300})") from error
     spec = spec_at(path)
     faults = [] if spec is None else column_faults(spec, {f.name: _short(f.type) for f in table.schema})
@@ -46,10 +46,10 @@ def read_table(path: Path) -> dict[str, list[Any]]:
 
 
 def column_kinds(path: Path) -> dict[str, str]:
-    """Name to type of a table's columns, in the contract's words; no row is read.
+    """Name to type of a table's columns, by the contract's names of types; no row is read.
 
     Raises:
-        StoreError: There is no such table, or it is damaged.
+        StoreError: The table is absent or damaged.
     """
     try:
         return {field.name: _short(field.type) for field in pq.read_schema(path)}

@@ -19,7 +19,6 @@ def test_noise_still_fits_in_an_event_log() -> None:
     _open(previews.range_preview(generator.uniform(0.0, 80.0, (128, 4000))))
     _open(previews.scan_top_view(generator.normal(0.0, 20.0, (120_000, 3))))
     _open(previews.image_preview(generator.integers(0, 255, (376, 1408, 3), np.uint8)))
-    _open(previews.curve_preview(np.arange(500), generator.random(500), "step", "loss"))
 
 
 def test_a_ray_without_return_is_black() -> None:

@@ -35,6 +35,7 @@ from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
+from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
@@ -52,11 +53,13 @@ def train_camera(
 ) -> TrainedPart:
     """Train all networks on the training images, then decide on the validation images whether to use them."""
     started = time.perf_counter()
+    device = training_device()
+    networks.to(device)
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     given = aligned_by(MovingWorld(recording), {})
-    shown = {name: _shown(given.world, name, recipe.camera) for name in usable}
+    shown = {name: _shown(given.world, name, recipe.camera).to(device) for name in usable}
     examples = [
-        left_out(given, name, index, shown[name], recipe.camera)
+        left_out(given, name, index, shown[name], recipe.camera).to(device)
         for name in usable
         for index in range(_images(recording, name))
         if index not in validation_images(_images(recording, name), recipe.camera)
@@ -143,10 +146,11 @@ def camera_renderer(
         learned: Names of cameras.
         corrections: Of the images' poses, by camera.
     """
-    warp = warping_renderer(recording)
+    warp, device = warping_renderer(recording), training_device()
+    networks.to(device)
     drive = aligned_by(MovingWorld(recording), corrections)
     world = drive.world
-    shown = {name: _shown(world, name, spec) for name in learned}
+    shown = {name: _shown(world, name, spec).to(device) for name in learned}
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         if camera not in learned:
@@ -156,7 +160,7 @@ def camera_renderer(
             drive.pose_at(camera, pose, time_s), pinhole, world.static_points(time_s), shown[camera],
             one.training.pose, spec, moving=world.moving(time_s, one.training_time_s),
         )  # fmt: skip
-        return render_view(networks, view, spec)
+        return render_view(networks, view.to(device), spec)
 
     return render
 
@@ -172,7 +176,7 @@ def _by_networks(
     """Scores a left-out image as the networks render it."""
 
     def score(index: int) -> list[float]:
-        view = _left_out_view(drive, camera, index, images_shown, spec)
+        view = _left_out_view(drive, camera, index, images_shown, spec).to(images_shown.full.device)
         return _scores(drive.given, camera, index, render_view(networks, view, spec))
 
     return score

@@ -40,7 +40,7 @@ def camera_step(
     shape = (view.small.height, view.small.width)
     around = sample_window(shape, recipe.camera_training.rays, generator)
     probability, colour = planes_of(networks.depth, view, recipe.camera, around)
-    belief = depth_belief(probability, colour, plane_inverses(recipe.camera))
+    belief = depth_belief(probability, colour, plane_inverses(recipe.camera, view.device))
     window = _full_size(around, shape, view.factor)
     placed = belief.placed(around, shape)
     blend = blend_sources(networks, view, placed, recipe.camera, window, around)

@@ -73,9 +73,9 @@ class ResidualFields:
         return {part: model for part, model in found.items() if model is not None}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All weights, named `<part>.<weight>`."""
+        """All weights on the CPU, named `<part>.<weight>`."""
         return {
-            f"{part}.{name}": value
+            f"{part}.{name}": value.cpu()
             for part, model in self.models().items()
             for name, value in model.state_dict().items()
         }

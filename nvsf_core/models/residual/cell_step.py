@@ -29,6 +29,10 @@ class CellExample:
     true_intensity: Tensor
     """(h, w) float32 as recorded."""
 
+    def to(self, device: torch.device) -> "CellExample":
+        """The same example on `device`."""
+        return CellExample(*(getattr(self, name).to(device) for name in self.__slots__))
+
     def columns(self, index: Tensor) -> "CellExample":
         """The columns `index` (k,) of all arrays."""
         return CellExample(*(getattr(self, name)[..., index] for name in self.__slots__))

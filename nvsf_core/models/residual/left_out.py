@@ -24,6 +24,11 @@ class LeftOut:
     small_truth: Tensor
     """(3, h, w) float32 in 0..1, at the size at which depth planes are compared."""
 
+    def to(self, device: torch.device) -> "LeftOut":
+        """The same example on `device`."""
+        truths = (self.truth, self.middle_truth, self.small_truth)
+        return LeftOut(self.view.to(device), *(truth.to(device) for truth in truths))
+
     def varied(self, generator: torch.Generator) -> "LeftOut":
         """A random variant: colour channels permuted, brightness scaled, and in half of the cases mirrored.
 
@@ -36,7 +41,7 @@ class LeftOut:
             return (image[channels].float() * gain).clamp_max(most)
 
         def sources(images: Tensor) -> Tensor:
-            other = torch.empty(len(self.view.chosen), *images.shape[1:])
+            other = torch.empty(len(self.view.chosen), *images.shape[1:], device=images.device)
             for place, number in zip(other, self.view.chosen, strict=True):
                 place[3:] = images[number, 3:]
                 for channel, source in enumerate(channels.tolist()):

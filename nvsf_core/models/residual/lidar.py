@@ -132,23 +132,24 @@ def lidar_step(
         far_m: How far a ray is followed.
         generator: Samples the rays.
     """
-    spec = recipe.lidar_training
+    spec, device = recipe.lidar_training, next(field.parameters()).device
     sampled = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
     most = recipe.evidence.lidar_candidates
     batch = surface_batch(
         surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,
         objects=None if rays.objects is None else rays.objects.of(sampled),
-    )  # fmt: skip
-    rendered = render_lidar(field, batch, torch.from_numpy(rays.hit_prior[sampled]))
-    true_range_m = torch.from_numpy(rays.range_m[sampled])
+    ).to(device)  # fmt: skip
+    true_range_m, true_intensity, hit_prior = (
+        torch.from_numpy(column[sampled]).to(device)
+        for column in (rays.range_m, rays.intensity, rays.hit_prior)
+    )
+    rendered = render_lidar(field, batch, hit_prior)
     returned = (true_range_m > 0) & batch.is_there[:, 0]
     seen = batch.is_there[:, 0]
     terms = {
         "depth": _depth(rendered, batch, returned, true_range_m),
         "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
-        "intensity": intensity_loss(
-            rendered.intensity_logit[returned], torch.from_numpy(rays.intensity[sampled])[returned]
-        ),
+        "intensity": intensity_loss(rendered.intensity_logit[returned], true_intensity[returned]),
     }
     return total_loss(terms, asdict(recipe.losses))
 

@@ -38,6 +38,7 @@ from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
@@ -96,7 +97,8 @@ def train_pano(
     training = None if spec is None else spec.training
     if spec is None or training is None:
         raise RecipeError(f"recipe {recipe.name}: expected a pano with training, found none")
-    started = time.perf_counter()
+    started, device = time.perf_counter(), training_device()
+    network.to(device)
     panos = recorded_panos(lidar)
     if len(panos.time_s) < _FEWEST_SCANS:
         few: dict[str, Scalar] = {"pano_corrected": "nothing: too few scans to learn from"}
@@ -108,7 +110,7 @@ def train_pano(
         left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
         session.say("pano", f"training pano {len(left_out)} of {len(scans)} estimated")
     validation = validation_numbers(len(left_out), spec.judge_every, spec.judge_every // 2)
-    examples = [one.example() for number, one in enumerate(left_out) if number not in validation]
+    examples = [one.example().to(device) for number, one in enumerate(left_out) if number not in validation]
     state = fresh_state(network, training, session.seed * 5 + 3)
     preparation = time.perf_counter() - started
     fit(

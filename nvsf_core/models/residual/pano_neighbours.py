@@ -186,7 +186,7 @@ def corrected_pano(
     The range is always the estimate's median.
     """
     range_m, intensity, hit = phases_alone(estimate)
-    hit_logit, intensity_logit = network(cell_features(estimate, neighbours)[None])[0]
+    hit_logit, intensity_logit = network.corrections(cell_features(estimate, neighbours))
     is_shown = range_m > 0.0
     if "intensity" in parts:
         intensity = torch.sigmoid(intensity_prior(estimate) + intensity_logit).numpy() * is_shown

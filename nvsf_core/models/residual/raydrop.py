@@ -31,6 +31,7 @@ from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scan import SweepRays
 from nvsf_core.simulation.scene_model import SweepCorrector
+from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
@@ -94,13 +95,14 @@ def train_hits(
         return TrainedHits(
             states={}, preparation_seconds=0.0, metadata=few, facts={HITS_BLEND: None}, correct=None
         )
-    started = time.perf_counter()
+    started, device = time.perf_counter(), training_device()
+    network.to(device)
     scan_grids = recorded_sweeps(lidar)
     learned = [number for number, _ in learned_scans(lidar)]
     chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
     examples = []
     for index in chosen.tolist():
-        examples.append(_example(field, recipe, lidar, scan_grids, learned[index]))
+        examples.append(_example(field, recipe, lidar, scan_grids, learned[index]).to(device))
         session.say("hits", f"training scan {len(examples)} of {len(chosen)} simulated")
     preparation = time.perf_counter() - started
     state = fresh_state(network, spec.training, session.seed * 5 + 4)

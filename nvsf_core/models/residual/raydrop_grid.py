@@ -123,7 +123,7 @@ def hit_logits(
         near: (k,) numbers of the scans that are looked up, nearest in time first.
     """
     cells = sweep_cells(scan_grids, rays, rendered, near)
-    learned = cells.prior_logit + network(cells.features[None])[0, 0]
+    learned = cells.prior_logit + network.corrections(cells.features)[0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
     return back.numpy(), probability_logit(torch.from_numpy(rendered.hit), _HIT_LIMIT).numpy()
 

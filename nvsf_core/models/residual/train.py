@@ -14,6 +14,7 @@ from nvsf_core.models.residual.raydrop import train_hits
 from nvsf_core.models.residual.training_rays import training_rays
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import Recording
+from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import TrainingState, fresh_state
 from nvsf_core.training.session import TrainingSession, fit
 
@@ -33,10 +34,13 @@ def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession
         rays = training_rays(recording.lidar, recipe, field)
         metadata["training_rays"] = len(rays)
         seconds = time.perf_counter() - started
+        state = fresh_state(field.to(training_device()), spec, session.seed * 2)
         states["lidar"] = fit(
-            session, "lidar", fresh_state(field, spec, session.seed * 2), spec,
+            session, "lidar", state, spec,
             lambda _, generator: [lidar_step(field, static, rays, recipe, far_m, generator)],
         )  # fmt: skip
+        # Sweeps are rendered on the CPU, where the evidence is.
+        field.to("cpu")
         validating = time.perf_counter()
         facts[SHOWS_FIELD], verdict = choose(field, recipe, recording.lidar)
         seconds += time.perf_counter() - validating

@@ -1,1 +1,1 @@
-"""Conditions on what the stages made."""
+"""Checks of the stages' outputs."""

@@ -1,4 +1,4 @@
-"""Whether a trained model can be used: its weights, its training, and a training scan rendered by it."""
+"""Checks of a trained model: its weights, its loss curve, and a training scan that it renders."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -58,13 +58,13 @@ NAMED_CHECKS = (WEIGHTS, LOSS, RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
 _OF_RENDERING = (RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
 _FIFTH = 5
 _NORMAL_MAD, _MEDIAN_ERROR = 1.4826, 1.2533
-"""Of a normal distribution: its standard deviation over its median absolute deviation, and the standard error
-of a median over that of a mean."""
+"""For a normal distribution: standard deviation over median absolute deviation, and standard error of the
+median over that of the mean."""
 _MOST_LASERS = 8
 
 
 def check_weights(tensors: Mapping[str, Tensor]) -> Check:
-    """How many of the trained numbers are not finite, and where."""
+    """Check `WEIGHTS`: the share of weights that are not finite."""
     broken = {name: int((~torch.isfinite(value)).sum()) for name, value in tensors.items()}
     total = sum(value.numel() for value in tensors.values())
     named = ", ".join(f"{count} in {name}" for name, count in broken.items() if count)
@@ -73,7 +73,7 @@ def check_weights(tensors: Mapping[str, Tensor]) -> Check:
 
 
 def check_loss(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> Check:
-    """Whether each part's loss fell; a curve of one record cannot tell."""
+    """Check `LOSS` of the curve of each part of the model; a curve of one record is not checked."""
     ends = {part: _ends([row["loss"] for row in curve]) for part, curve in curves.items() if len(curve) > 1}
     if not ends:
         return LOSS.not_run("no part was trained for long enough to tell")
@@ -94,10 +94,10 @@ def _ends(losses: Sequence[float]) -> tuple[float, float, float]:
 
 
 def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
-    """Render some lasers of the middle training scan and judge them; what has no LiDAR is not judged.
+    """Render some lasers of the middle training scan and compare them with the recorded ones.
 
     Returns:
-        Checks of `RAYS_IN_LIMITS`, `HIT_RATE` and `INTENSITY`.
+        Checks of `RAYS_IN_LIMITS`, `HIT_RATE` and `INTENSITY`; "not run" without a LiDAR.
     """
     if recording.lidar is None or model.lidar is None:
         return [named.not_run("drive or model has no LiDAR") for named in _OF_RENDERING]
@@ -114,7 +114,7 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         ),
         sweeps.table, None,
     )  # fmt: skip
-    # A few lasers tell as much of a whole scan, in a tenth of the time.
+    # A few lasers represent the whole scan, in a tenth of the time.
     lasers = evidence.lasers[np.unique(np.linspace(0, len(evidence.lasers) - 1, _MOST_LASERS).astype(int))]
     _, rendered = fire_sweep(
         replace(model, correct=None, unobserved=None),
@@ -137,14 +137,14 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
 
 
 def _recorded_intensity(sweeps: Sweeps, time_s: float, lasers: np.ndarray) -> np.ndarray:
-    """(m,) of the returns of some lasers in the scan of that time."""
+    """(m,) intensities, 0..1, of the returns of `lasers` in the scan recorded at `time_s`."""
     part = sweeps.returns_of(int(np.abs(sweeps.arrays["time_s"] - time_s).argmin()))
     found: np.ndarray = sweeps.arrays["intensity"][part][np.isin(sweeps.arrays["laser"][part], lasers)]
     return found
 
 
 def _within_limits(rendered: RenderedRays, far_m: float, place: str) -> Check:
-    """An infinite range is no answer; what such a ray says beside it is never used."""
+    """Check `RAYS_IN_LIMITS`. Rays with an infinite range have no return, so their values are not used."""
     unanswered = np.isposinf(rendered.range_m)
     columns = {
         "range": (rendered.range_m >= 0.0) & (rendered.range_m <= far_m),

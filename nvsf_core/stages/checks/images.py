@@ -1,4 +1,4 @@
-"""Whether rendered images show something, and look like the drive's: read from the store."""
+"""Checks of stored rendered images: none is blank, and greys are like the training images'."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.metrics.norms import LEAST_LEVELS, ImageNorms, image_norms
+from nvsf_core.stages.checks.norms import training_frames
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
-from nvsf_core.stores.tables import read_rows
 
 BLANK = NamedCheck(
     name="rendered_images_are_not_blank",
@@ -31,12 +31,12 @@ _NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
-    """One rendered image."""
+class _Image:
+    """Grey values of one rendered image, and their limits."""
 
     place: str
     deviation: float
-    """Of the grey values, levels of 255."""
+    """Standard deviation of the grey values, levels of 255."""
     blank_below: float
     has_depth: bool
     apart: float
@@ -44,22 +44,22 @@ class _Judged:
 
     @property
     def is_blank(self) -> bool:
-        """By the check `BLANK`."""
+        """Whether it fails the check `BLANK`."""
         return self.deviation < self.blank_below or not self.has_depth
 
     def in_words(self) -> str:
-        """What was found of its grey values and depths."""
+        """Its place, its deviation and limit, and whether depth is missing."""
         depth = "" if self.has_depth else ", no pixel has a finite depth"
         return f"{self.place}: {self.deviation:.1f} levels, blank below {self.blank_below:.1f}{depth}"
 
 
 def check_images(task: Task) -> list[Check]:
-    """Judge the model's images of all views in the task's folder.
+    """Check the model's images of all views in the task's folder.
 
     Returns:
-        One outcome a check of `NAMED_CHECKS`.
+        One outcome per check of `NAMED_CHECKS`.
     """
-    images = list(_judged(task))
+    images = list(_images(task))
     if not images:
         reason = "no rendered image with training images of its camera"
         return [named.not_run(reason) for named in NAMED_CHECKS]
@@ -79,8 +79,9 @@ def check_images(task: Task) -> list[Check]:
     ]
 
 
-def _judged(task: Task) -> Iterator[_Judged]:
-    views = [(path, read_attrs(path).get("cameras", ())) for path in _views(task.folder)]
+def _images(task: Task) -> Iterator[_Image]:
+    paths = sorted(task.folder.glob(f"*/{_MODEL}.zarr"))
+    views = [(path, read_attrs(path).get("cameras", ())) for path in paths]
     for camera in sorted({camera for _, cameras in views for camera in cameras}):
         norms = _norms(task, camera)
         if norms is None:
@@ -90,26 +91,20 @@ def _judged(task: Task) -> Iterator[_Judged]:
                 yield from _of_view(path, camera, norms)
 
 
-def _views(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"*/{_MODEL}.zarr"))
-
-
 def _norms(task: Task, camera: str) -> ImageNorms | None:
-    """How the training images of a camera look; None where it has none."""
-    rows = read_rows(task.store.require("frames") / "frames.parquet")
-    training = [row["frame"] for row in rows if row["split"] == "train"]
+    """Grey value statistics of a camera's training images; None if it has none."""
     path = task.store.require("undistorted") / "images.zarr"
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_valid", f"{camera}_frame")
-    own = a[f"{camera}_rgb"][np.isin(a[f"{camera}_frame"], training)]
+    own = a[f"{camera}_rgb"][np.isin(a[f"{camera}_frame"], training_frames(task.store))]
     return image_norms(own, a[f"{camera}_valid"]) if len(own) else None
 
 
-def _of_view(path: Path, camera: str, norms: ImageNorms) -> Iterator[_Judged]:
+def _of_view(path: Path, camera: str, norms: ImageNorms) -> Iterator[_Image]:
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
     depth = f"{camera}_range_m"
     range_m = read_arrays(path, depth)[depth] if depth in array_names(path, "f") else None
     for i, (image, frame) in enumerate(zip(a[f"{camera}_rgb"], a[f"{camera}_frame"], strict=True)):
-        yield _Judged(
+        yield _Image(
             place=f"view {path.parent.name}, {camera}, frame {frame}",
             deviation=norms.deviation_of(image),
             blank_below=norms.blank_below,

@@ -1,4 +1,4 @@
-"""Whether what was measured can be numbers of a sound model: read from the table and the stored views."""
+"""Checks of the metrics table: values are possible, the model beats a copy, scans are like the recorded."""
 
 import math
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import numpy as np
 
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
+from nvsf_core.reporting.html import higher_is_better
 from nvsf_core.stages.checks.norms import (
     NO_NORMS,
     RATE_LIMIT,
@@ -55,13 +56,10 @@ _NAMED = 5
 _COPY = "copy_nearest"
 _SHARES = ("f_score", "range_missing", "hit_accuracy", "hit_f_score", "hit_rmse")
 _LIKENESS = ("range_ssim", "intensity_ssim", "image_ssim")
-_DECIBELS = "_db"
-_UP = (*_SHARES, *_LIKENESS)
-_DOWN = ("range_missing", "hit_rmse")
 
 
 def check_metrics(task: Task) -> list[Check]:
-    """Judge the table in the task's folder, and the stored held-out scans beside the recorded ones."""
+    """Check the table in the task's folder, and the stored held-out scans against the recorded ones."""
     rows = read_rows(task.folder / TABLE_NAME)
     recipe, seed = task.config.recipe.name, task.config.seed
     view = task.store.require(f"novel_views/{recipe}/{seed}") / HELD_OUT / "model.zarr"
@@ -79,17 +77,17 @@ def _in_range(rows: Sequence[Row]) -> Check:
 
 
 def _is_possible(metric: str, value: float) -> bool:
-    """Whether a metric can have the value; what is undefined (NaN) is counted elsewhere."""
-    if math.isnan(value) or metric.endswith(_DECIBELS):
-        return True  # decibels have no end on either side, equal images none at all
-    slack = 1e-6  # of float32 sums
+    """Whether a metric can have the value; undefined values (NaN) are counted elsewhere."""
+    if math.isnan(value) or metric.endswith("_db"):
+        return True  # decibels are unbounded, and infinite for equal images
+    slack = 1e-6  # rounding of float32 sums
     if metric in _LIKENESS:
         return -1.0 - slack <= value <= 1.0 + slack
     return -slack <= value <= (1.0 + slack if metric in _SHARES else math.inf)
 
 
 def _better(rows: Sequence[Row]) -> Check:
-    """In how many main numbers of the held-out frames the model is worse than a copy."""
+    """Check `BETTER`: the share of main numbers in which the model is worse than the copy."""
     means = [
         row for row in mean_rows(rows)
         if (row["split"], row["region"]) == (HELD_OUT, "all")
@@ -101,15 +99,14 @@ def _better(rows: Sequence[Row]) -> Check:
     compared = [(number, value) for number, value in compared if number in copied]
     if not compared:
         return BETTER.not_run("no number of both the model and a copy of the nearest recording")
-    worse = [number for number, value in compared if _is_worse(number[2], value, copied[number])]
+    worse = [
+        number
+        for number, value in compared
+        if (value < copied[number] if higher_is_better(number[2]) else value > copied[number])
+    ]
     named = ", ".join(" ".join(number) for number in worse[:_NAMED])
     detail = f"worse in {len(worse)} of {len(compared)} main numbers" + (f": {named}" if named else "")
     return BETTER.outcome(len(worse) / len(compared), _HALF, detail)
-
-
-def _is_worse(metric: str, value: float, copied: float) -> bool:
-    higher_is_better = metric.endswith(_DECIBELS) or (metric in _UP and metric not in _DOWN)
-    return value < copied if higher_is_better else value > copied
 
 
 def _as_recorded(task: Task, view: Path) -> list[Check]:

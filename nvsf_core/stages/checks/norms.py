@@ -1,4 +1,4 @@
-"""The training scans' norms, read from what the stages up to `sweeps` published, and scans judged by them."""
+"""Norms of the training scans (hit rate, intensities), and checks of rendered scans against them."""
 
 from collections.abc import Mapping
 
@@ -20,25 +20,29 @@ SPREAD_LIMIT = (
     "are apart."
 )
 LEVER = 1.1
-"""A return may lie so many times the sensor's range away: lever arms, and the way driven in a turn."""
+"""Largest valid range over the sensor's: room for lever arms and the way driven during a sweep."""
 _RATE_WORDS, _SPREAD_WORDS = "{:+.3f} of the rays", "intensities {:.3f} apart"
 Apart = list[tuple[float, str]]
-"""Distance of each scan from what it should be like, signed or not, and the scan's name."""
+"""Distance of each scan from the recorded ones, signed or not, and the scan's name."""
 
 
 def read_norms(store: SceneStore) -> ScanNorms | None:
-    """How the training scans look as a whole; None where the drive has none with returns."""
-    rows = read_rows(store.require("frames") / "frames.parquet")
-    training = [row["frame"] for row in rows if row["split"] == "train"]
+    """Norms of the drive's training scans; None if no training scan has returns."""
     folder = store.require("sweeps") / "returns.zarr"
     if read_arrays(folder, "frame")["frame"].size == 0:
         return None
     a = read_arrays(folder, "frame", "time_s", "firings", "offsets", "laser", "intensity")
-    return norms_of(a, np.isin(a["frame"], training))
+    return norms_of(a, np.isin(a["frame"], training_frames(store)))
+
+
+def training_frames(store: SceneStore) -> list[int]:
+    """Numbers of the drive's training frames, usable or not."""
+    rows = read_rows(store.require("frames") / "frames.parquet")
+    return [row["frame"] for row in rows if row["split"] == "train"]
 
 
 def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanNorms | None:
-    """The same from arrays of `sweeps/returns.zarr` and (n,) bool, which of its scans are for training."""
+    """As `read_norms`, from the arrays of `sweeps/returns.zarr`; `is_training` is (scans,) bool."""
     lengths = np.diff(arrays["offsets"])
     used = is_training & (arrays["firings"] > 0) & (lengths > 0)
     of_used = np.repeat(used, lengths)
@@ -57,14 +61,25 @@ def norms_of(arrays: Mapping[str, np.ndarray], is_training: np.ndarray) -> ScanN
 def check_likeness(
     hit_rate: NamedCheck, intensity: NamedCheck, rates: Apart, spreads: Apart, norms: ScanNorms
 ) -> list[Check]:
-    """Outcomes of a check on hit rates and of one on the spread of intensities, by the worst scan of each."""
+    """Check hit rates and intensities by the worst scan of each.
+
+    Args:
+        hit_rate: The check of hit rates.
+        intensity: The check of intensity histograms.
+        rates: Per scan, difference of hit rates and the scan's name.
+        spreads: Per scan, distance of intensity histograms and the scan's name.
+        norms: Of the training scans; they give the limits.
+
+    Returns:
+        The outcomes of `hit_rate` and `intensity`.
+    """
     return [
-        _judge_worst(hit_rate, rates, norms.hit_rate_limit, _RATE_WORDS),
-        _judge_worst(intensity, spreads, norms.intensity_limit, _SPREAD_WORDS),
+        _check_worst(hit_rate, rates, norms.hit_rate_limit, _RATE_WORDS),
+        _check_worst(intensity, spreads, norms.intensity_limit, _SPREAD_WORDS),
     ]
 
 
-def _judge_worst(named: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
+def _check_worst(named: NamedCheck, apart: Apart, limit: float, words: str) -> Check:
     if not apart:
         return named.not_run("no scan by the recording sensor with returns on both sides")
     worst, place = max(apart, key=lambda one: abs(one[0]))

@@ -1,4 +1,4 @@
-"""Whether scans agree with their poses: registered to each other, and tried at each other's poses."""
+"""Checks of scans against poses: registration of neighbours, and each scan tried at its neighbours' poses."""
 
 from collections.abc import Mapping
 
@@ -11,11 +11,11 @@ from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 MOST_SHIFT_M = 0.15
-"""Registration itself is good to a few centimetres: 0.024 m at most over 91 pairs of three streets."""
+"""Largest shift of a pair. Registration was off by 0.024 m at most over 91 pairs of three streets."""
 MOST_TURN_DEG = 0.5
-"""Likewise: 0.08 degrees at most."""
+"""Largest rotation of a pair; 0.08 degrees at most in those pairs."""
 FEWEST_MATCHED = 0.5
-"""Share of the points; 0.87 at least in those pairs. With fewer the scans no longer lie over each other."""
+"""Least share of matched points; 0.87 at least in those pairs. With fewer the scans do not overlap."""
 FRAME_CHECK = NamedCheck(
     name="neighbouring_scans_agree_with_their_poses",
     description="Neighbouring scans, laid over each other by their poses, are registered (open3d's "
@@ -25,9 +25,9 @@ FRAME_CHECK = NamedCheck(
     "named and not judged.",
 )
 MOST_MISFIT = 1.15
-"""At most 0.8 over real streets, 1.1 where 8 lasers fire 64 times; at least 1.3 for swapped neighbours."""
+"""Measured: at most 0.8 over real streets, 1.1 with 8 lasers and 64 firings; from 1.3 for swapped scans."""
 _MOST_OF_MEDIAN = 2.2
-"""1.5 at most over real streets, 2.9 for scans that belong to none of the neighbouring frames."""
+"""Measured: at most 1.5 over real streets, 2.9 for scans of none of the neighbouring frames."""
 ORDER_CHECK = NamedCheck(
     name="scans_fit_their_own_poses_best",
     description="Each scan is laid over those before and after it, by its own pose and by each of theirs. "
@@ -35,7 +35,7 @@ ORDER_CHECK = NamedCheck(
     f"swapped. A scan that lies {_MOST_OF_MEDIAN:g} times as far off as the median scan fits none of them.",
 )
 _MOST_PAIRS = 12
-"""Evenly over the drive: three quarters of the scans of one with 32."""
+"""Pairs are chosen evenly over the drive; they hold three quarters of the scans of a drive with 32."""
 _NAMED = 5
 _THIN_M = 0.5
 _NEAR_M, _FAR_M = 3.0, 40.0
@@ -46,7 +46,7 @@ _LEAST_M = 1e-3
 
 
 def check_registration(task: Task) -> list[Check]:
-    """Register neighbouring scans of the sweeps in the task's folder."""
+    """Both checks of the sweeps in the task's folder."""
     path = task.folder / "returns.zarr"
     if read_arrays(path, "frame")["frame"].size == 0:
         return [named.not_run("this drive has no scan") for named in (FRAME_CHECK, ORDER_CHECK)]
@@ -58,11 +58,11 @@ def check_registration(task: Task) -> list[Check]:
 
 
 def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> Check:
-    """Whether scans lie best at their own poses; of any number of returns, and without open3d.
+    """Check that each scan fits its own pose best; works with few returns, and without open3d.
 
     Args:
-        arrays: Of `sweeps/returns.zarr`.
-        lidar_to_scene: (n, 4, 4) its poses, scene-local.
+        arrays: Arrays of `sweeps/returns.zarr`.
+        lidar_to_scene: (n, 4, 4) float64 poses of its scans, scene-local, metres.
     """
     clouds = [_thinned(arrays, k) for k in range(len(arrays["frame"]))]
     evenly = [
@@ -78,13 +78,12 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
     misfit = np.where(known, own_m / np.maximum(other_m, _LEAST_M), 0.0)
     of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_M)
     wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > _MOST_OF_MEDIAN))
-    named = ", ".join(str(arrays["frame"][k]) for k in wrong[:_NAMED].tolist())
-    more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
+    named = _first([str(arrays["frame"][k]) for k in wrong.tolist()])
     return Check(
         name=ORDER_CHECK.name,
         passed=len(wrong) == 0,
         detail=f"{len(wrong)} of {len(own_m)} scans lie better at another frame's pose, or at none"
-        + (f": frames {named}{more}; were files swapped or copied?" if len(wrong) else ""),
+        + (f": frames {named}; were files swapped or copied?" if len(wrong) else ""),
         value=float(misfit.max()),
         limit=MOST_MISFIT,
     )
@@ -94,14 +93,14 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
     """Register pairs of neighbouring scans by point-to-plane ICP, starting from their poses.
 
     Args:
-        arrays: Of `sweeps/returns.zarr`.
+        arrays: Arrays of `sweeps/returns.zarr`.
 
     Returns:
-        A check that warns and never blocks, and names the frames that disagree; where open3d cannot be
-        loaded, its detail says "not run" and which package to install.
+        A check that warns and never blocks, and names the frames that disagree. Without open3d its detail is
+        "not run" and the package to install.
     """
     frame = arrays["frame"]
-    # Pairs without a scan in common: each scan is thinned once, and each wrong pose spoils one pair.
+    # Pairs share no scan: each scan is thinned once, and a wrong pose affects one pair only.
     first = np.arange(0, len(frame) - 1, 2)
     first = first[np.unique(np.linspace(0, len(first) - 1, min(_MOST_PAIRS, len(first))).astype(np.int64))]
     clouds = [(k, _thinned(arrays, k), _thinned(arrays, k + 1)) for k in first.tolist()]
@@ -123,7 +122,7 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
         passed=len(wrong) == 0,
         detail=f"{len(pair)} pairs, the worst (frames {pair[worst]}) moved by {shift_m[worst]:.3f} m and "
         f"{turn_deg[worst]:.2f} degrees, {matched[worst]:.0%} of points matched; {_in_words(wrong, pair)}"
-        f"{_untold(found, pair)}",
+        f"{_unconstrained(found, pair)}",
         value=float(shift_m[worst]),
         limit=MOST_SHIFT_M,
         unit="m",
@@ -133,13 +132,16 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
 def _in_words(wrong: np.ndarray, pair: list[str]) -> str:
     if len(wrong) == 0:
         return f"expected at most {MOST_SHIFT_M} m and {MOST_TURN_DEG} degrees"
-    named = ", ".join(pair[k] for k in wrong[:_NAMED].tolist())
-    more = "" if len(wrong) <= _NAMED else f" and {len(wrong) - _NAMED} more"
-    return f"poses or times are doubtful at frames {named}{more}"
+    return f"poses or times are doubtful at frames {_first([pair[k] for k in wrong.tolist()])}"
 
 
-def _untold(found: list[Registration], pair: list[str]) -> str:
-    """Along which directions nothing can be said, of the pair with the most of them."""
+def _first(names: list[str]) -> str:
+    more = "" if len(names) <= _NAMED else f" and {len(names) - _NAMED} more"
+    return ", ".join(names[:_NAMED]) + more
+
+
+def _unconstrained(found: list[Registration], pair: list[str]) -> str:
+    """The motions that the scans do not constrain, for the pair with the most of them; empty if none."""
     free = [len(one.free_shifts) + len(one.free_turns) for one in found]
     most = int(np.argmax(free))
     if free[most] == 0:
@@ -157,7 +159,7 @@ def _vector(axis: np.ndarray) -> str:
 
 
 def _thinned(arrays: Mapping[str, np.ndarray], scan: int) -> np.ndarray:
-    """Points (m, 3) of a scan, scene-local, one a voxel: near ones would outvote all others."""
+    """(m, 3) points of a scan, scene-local, metres; one per voxel, else near surfaces would dominate."""
     part = slice(int(arrays["offsets"][scan]), int(arrays["offsets"][scan + 1]))
     range_m = arrays["range_m"][part]
     used = ~arrays["is_own_vehicle"][part] & (range_m > _NEAR_M) & (range_m < _FAR_M)
@@ -166,10 +168,10 @@ def _thinned(arrays: Mapping[str, np.ndarray], scan: int) -> np.ndarray:
         return points
     cell = np.floor(points / _THIN_M).astype(np.int64)
     cell -= cell.min(axis=0)
-    # One number a cell: sorting rows of three takes ten times as long.
+    # One number per cell: sorting rows of three takes ten times as long.
     size = cell.max(axis=0) + 1
     _, kept = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
-    # Real scans leave a third of that; what a dense one has more would cost minutes and say nothing.
+    # Real scans leave a third of that; more points of a dense one would only cost minutes.
     evenly = np.linspace(0, len(kept) - 1, min(len(kept), _MOST_POINTS)).astype(np.int64)
     found: np.ndarray = points[np.sort(kept)[evenly]]
     return found

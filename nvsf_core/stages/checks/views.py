@@ -1,4 +1,4 @@
-"""Whether rendered views can be used, and whether their scans look like the drive's: read from the store."""
+"""Checks of stored views: numbers are finite and within limits, and scans are like the training scans."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -54,17 +54,17 @@ NAMED_CHECKS = (FINITE, WITHIN, RETURNS, HIT_RATE, INTENSITY)
 
 _SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensity", "ray_intensity")
 _GRIDS_M = ("pano_range_m", "grid_range_m")
-"""0 where nothing answered; other ranges, along recorded rays or pixels, are infinite there."""
+"""Ranges that are 0 for no return; other ranges, along recorded rays or pixels, are infinite there."""
 _RANGES_M = (*_GRIDS_M, "ray_range_m")
 _MODEL = "model"
 
 _View = tuple[str, Mapping[str, np.ndarray], Mapping[str, Any]]
-"""Name, arrays and attributes of the model's scans."""
+"""Name of a view; arrays and attributes of the model's scans."""
 
 
 @dataclass(slots=True)
 class _Count:
-    """Numbers that were looked at, and what is wrong with some of them."""
+    """Counts of checked and of wrong numbers, and where the wrong ones are."""
 
     total: int = 0
     wrong: int = 0
@@ -83,10 +83,10 @@ class _Count:
 
 
 def check_views(task: Task) -> list[Check]:
-    """Judge all views in the task's folder.
+    """Check all views in the task's folder.
 
     Returns:
-        One outcome a check of `NAMED_CHECKS`.
+        One outcome per check of `NAMED_CHECKS`.
     """
     finite, within = _Count(), _Count()
     scans = list[_View]()
@@ -106,7 +106,7 @@ def check_views(task: Task) -> list[Check]:
 
 
 def _numbers(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a view that can hold a NaN, and where its scans begin."""
+    """All floating point arrays of a view, with `offsets` and `frame`."""
     floating = array_names(path, "f")
     more = [name for name in ("offsets", "frame") if name in array_names(path, "i")]
     return read_arrays(path, *floating, *more)
@@ -119,11 +119,11 @@ def _broken(name: str, values: np.ndarray) -> int:
 
 
 def _limits(within: _Count, place: str, arrays: Mapping[str, np.ndarray], far_m: float) -> None:
-    """Count what is out of limits; what is not finite has been counted elsewhere."""
+    """Count values out of limits; values that are not finite are counted elsewhere."""
     for name in (*_SHARES, *_RANGES_M):
         if name in arrays:
             values, top = arrays[name], 1.0 if name in _SHARES else far_m
-            # One rounding of float32 beyond 1 is no fault of a probability.
+            # Float32 rounding may carry a probability beyond 1.
             wrong = (values < -1e-6) | ((values > top * (1.0 + 1e-6)) & np.isfinite(values))
             within.add(values.size, int(np.count_nonzero(wrong)), f"{place}, {name}")
     if "points_m" in arrays:
@@ -137,7 +137,7 @@ def _empty(scans: list[_View], norms: ScanNorms) -> Check:
     if not held_out:
         return RETURNS.not_run("no held-out scan was rendered")
     returns, time_s = np.diff(held_out[0]["offsets"]), held_out[0]["time_s"]
-    # In a plain that hardly returns anything an empty scan is no fault.
+    # Where training scans have hardly any returns, an empty scan is correct.
     empty = sum(
         abs(norms.hit_rate_apart(0, float(instant))) > norms.hit_rate_limit
         for instant in time_s[returns == 0]
@@ -150,7 +150,7 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
     rates, spreads = Apart(), Apart()
     for view, arrays, attrs in scans:
         if attrs["sensor"] != sensor:
-            continue  # other lasers meet other surfaces: nothing recorded is like them
+            continue  # other lasers hit other surfaces: recorded scans are not comparable
         for i, (frame, time_s) in enumerate(zip(arrays["frame"], arrays["time_s"], strict=True)):
             own = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
             place = f"view {view}, frame {frame}"

@@ -1,1 +1,1 @@
-"""How a stage is run: skipped or made, recorded, resumed, one training a device."""
+"""How a stage is run: skipped or made, recorded, resumed, one training per device."""

@@ -1,4 +1,4 @@
-"""Where a stage's training was killed: its checkpoints, and who may go on from them."""
+"""Checkpoints of the stage `field`: saved during training, resumed after a kill."""
 
 import contextlib
 import shutil
@@ -18,23 +18,23 @@ from nvsf_core.training.session import ResumedPart
 
 @dataclass(frozen=True, slots=True)
 class StageSession:
-    """The `TrainingSession` of a task: a checkpoint a part, in `work`."""
+    """The `TrainingSession` of a task, with one checkpoint per part of the model in the folder `work`."""
 
     task: Task
     work: Path
 
     @property
     def seed(self) -> int:
-        """Of the run."""
+        """Seed of the run."""
         return self.task.config.seed
 
     def say(self, part: str, line: str, /) -> None:
-        """Name scene, stage and part before the line."""
+        """Report progress: the line, after scene, stage and part."""
         self.task.progress(f"[{self.task.scene.name}] field, {part}: {line}")
 
     @contextlib.contextmanager
     def resumed(self, part: str, state: TrainingState, /) -> Iterator[ResumedPart]:
-        """Go on from the part's checkpoint where there is a readable one of this recipe and these inputs."""
+        """Restore the part's checkpoint into `state` (see `resume`); a divergence inside is recorded."""
         task, path = self.task, self.work / f"{part}.safetensors"
         observe = task.observe
         resume(task, state, path)
@@ -47,7 +47,7 @@ class StageSession:
 
 
 def saving(task: Task, path: Path) -> Save:
-    """Writes a checkpoint that only a training of the same recipe on the same inputs goes on from."""
+    """A function that writes a checkpoint, marked with the task's recipe and inputs."""
 
     def save(tensors: dict[str, Tensor], facts: dict[str, object]) -> None:
         save_tensors(path, tensors, facts | owner(task, task.config.recipe))
@@ -56,9 +56,9 @@ def saving(task: Task, path: Path) -> Save:
 
 
 def resume(task: Task, state: TrainingState, path: Path) -> None:
-    """Go on from a checkpoint, if there is a readable one of the task's recipe and inputs."""
+    """Restore `state` from a checkpoint, if it is readable and of the task's recipe and inputs."""
     if path.is_dir():
-        shutil.rmtree(path)  # it would refuse the first checkpoint, after minutes
+        shutil.rmtree(path)  # else the first checkpoint could not be written, after minutes
     if not path.is_file():
         return
     place = f"[{task.scene.name}] field, {path.stem}"

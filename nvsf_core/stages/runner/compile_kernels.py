@@ -1,9 +1,8 @@
-"""Compile all kernels ahead, as the end of ``make install`` does: ``python -m`` this module.
+"""Compile all numba kernels ahead: `python -m` this module, as the end of `make install` does.
 
-Numba compiles a kernel when it is first called and keeps the result beside its source. All of them take
-most of a minute, which the first drive of a new installation would wait for; and that a drive passes
-through the stages shows that the installation works. What is small about this drive leaves every data
-type as it is.
+Numba compiles a kernel at its first call and caches the result beside its source. All of them take most of a
+minute, which the first drive would wait for. The small drive used here has the data types of real ones; that
+it passes the stages also shows that the installation works.
 """
 
 import tempfile
@@ -19,10 +18,10 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
 
 _STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
-"""They call every kernel; later stages render with the same ones."""
+"""Together they call every kernel."""
 _FRAMES = 8
 _TRAFFIC = 6
-"""Cars beside the demo's own: things that move have kernels of their own."""
+"""Additional moving cars: moving objects have kernels of their own."""
 _SIZE = DemoSize(
     frames=_FRAMES, lasers=tuple(range(0, 64, 2)), firings=525, cameras=("image_00",), width=64, height=48,
     fisheye_side=0,
@@ -30,7 +29,7 @@ _SIZE = DemoSize(
 
 
 def compile_kernels() -> None:
-    """Take a small drive with moving cars through the stages that compute, in a folder that is removed."""
+    """Run the stages on a small drive with moving cars, in a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="nvsf-") as folder:
         root = Path(folder) / "drive"
         write_demo(root, size=_SIZE, traffic=_TRAFFIC)
@@ -43,7 +42,7 @@ def compile_kernels() -> None:
             run_named_stage(name, run, lambda _: None)
         lidar = read_recording(run.store).lidar
         assert lidar is not None
-        # So small a field may lose against `reproject`, and then nobody asks recorded turns.
+        # So small a field may lose against `reproject`, and then the recorded sweeps are not queried.
         recorded_sweeps(lidar).ask(np.zeros((1, 3), np.float32), np.zeros(1, np.int64))
 
 

@@ -1,7 +1,7 @@
-"""One training at a time a device, the CPU counting as one.
+"""A lock that allows one training at a time per device; the CPU counts as one device.
 
-The lock is the kernel's (`flock`): it is free again the moment its holder dies, by whatever signal.
-Slots that a scheduler counts stay taken after a SIGKILL.
+It is a lock of the operating system (`flock`), which is free again as soon as its holder dies, even by
+SIGKILL. Slots that a scheduler counts would stay taken.
 """
 
 import contextlib
@@ -20,13 +20,13 @@ _SAY_EVERY_S = 5.0
 
 @contextlib.contextmanager
 def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
-    """Wait for this process's device and hold it; gives its name (`cpu`, `cuda0`, ...).
+    """Wait for this process's device and hold its lock; yields its name (`cpu`, `cuda0`, ...).
 
-    `folder` holds one lock file a device; whoever shares the devices must share the folder. A process
+    `folder` has one lock file per device; processes that share devices must share the folder. A process
     trains on its first visible GPU: on a machine with several, give each worker its CUDA_VISIBLE_DEVICES.
 
     Raises:
-        StoreError: Something else has the lock file's name.
+        StoreError: The lock file's path is a folder or a pipe.
     """
     folder.mkdir(parents=True, exist_ok=True)
     device = _device()
@@ -46,7 +46,7 @@ def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
 
 
 def _locked(descriptor: int) -> bool:
-    """Try to lock; closing the file, or dying, unlocks."""
+    """Try to lock; closing the file, or the end of the process, unlocks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

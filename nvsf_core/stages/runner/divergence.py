@@ -1,4 +1,4 @@
-"""A training that diverged: what is kept of it, and how a slower one goes on from there."""
+"""Diverged trainings: their checkpoints are kept, and a recipe with smaller steps continues from them."""
 
 import contextlib
 import json
@@ -19,16 +19,16 @@ _CHECKPOINTS = "*.safetensors"
 
 
 def owner(task: Task, recipe: Recipe) -> dict[str, object]:
-    """Facts of a checkpoint: only a training of the same recipe on the same inputs resumes from it."""
+    """Facts stored in a checkpoint: only a training of this recipe on these inputs resumes from it."""
     return {"recipe": recipe.identity(), "made_from": task.made_from}
 
 
 @contextlib.contextmanager
 def diverging(task: Task, work: Path, part: str) -> Iterator[None]:
-    """Around a part's training: a divergence names scene, recipe and part, is noted, and says how to go on.
+    """Context of a part's training: record a divergence in `work`, and extend its error message.
 
     Raises:
-        DivergedError: Whatever diverged inside, with those names.
+        DivergedError: The part diverged; names scene, recipe and part, and says how to continue.
     """
     recipe = task.config.recipe
     try:
@@ -48,12 +48,12 @@ def diverging(task: Task, work: Path, part: str) -> Iterator[None]:
 
 
 def go_on(task: Task, work: Path) -> str:
-    """Take over what a faster recipe had saved when it diverged, where this one has nothing of its own.
+    """Take over the checkpoints of a diverged training with larger steps, if this one has none of its own.
 
-    Only what was trained on the same inputs by a recipe that differs in nothing but its step sizes.
+    Only those of the same inputs and of a recipe that differs in step sizes alone.
 
     Returns:
-        What was taken over, in words; empty where nothing was.
+        Description of what was taken over; empty if nothing was.
     """
     recipe = task.config.recipe
     mine, said = owner(task, recipe), work / _WENT_ON
@@ -83,7 +83,7 @@ def go_on(task: Task, work: Path) -> str:
 
 
 def _noted(path: Path) -> dict[str, Any]:
-    """A note of an earlier training; empty where there is none that can be read."""
+    """A note of an earlier training; empty if it is absent or not readable."""
     try:
         return read_document(path)
     except StoreError:
@@ -91,7 +91,7 @@ def _noted(path: Path) -> dict[str, Any]:
 
 
 def _recipe_of(values: dict[str, Any]) -> Recipe | None:
-    """The recipe that a note is of; None where it names none of this version."""
+    """The recipe of a note; None if there is none of this version."""
     try:
         return recipe_from_json(values["recipe"])
     except (KeyError, TypeError, AttributeError, RecipeError):
@@ -99,9 +99,9 @@ def _recipe_of(values: dict[str, Any]) -> Recipe | None:
 
 
 def _others(work: Path, name: str) -> list[Path]:
-    """Folders of trainings that diverged under this name or with a greater share of its steps, slowest first.
+    """Folders of diverged trainings of the recipe's full name with equal or larger steps, smallest first.
 
-    Below `.work/field/<recipe>/<seed>`, of the same seed.
+    They lie in `.work/field/<recipe>/<seed>`, of the same seed.
     """
     folders = [
         folder / work.name
@@ -115,7 +115,7 @@ def _others(work: Path, name: str) -> list[Path]:
 
 
 def _has_share(name: str, least: float) -> bool:
-    """Whether a folder is of a recipe with at least this share of its step sizes; others' names say none."""
+    """Whether a folder's name is of a recipe with at least this share of the full step sizes."""
     try:
         return share_of(name) >= least
     except RecipeError:
@@ -123,7 +123,7 @@ def _has_share(name: str, least: float) -> bool:
 
 
 def _saved_step(path: Path, of: dict[str, object]) -> int | None:
-    """Step of a checkpoint; None where there is no readable one of that owner."""
+    """Step of a checkpoint; None if it is absent, not readable, or of another owner."""
     try:
         facts = load_tensors(path)[1]
     except StoreError:

@@ -1,4 +1,4 @@
-"""A stage that is at work says so, even while it has nothing to report."""
+"""Progress lines at regular intervals while a stage works, even if it reports nothing."""
 
 import threading
 import time
@@ -6,19 +6,32 @@ from collections.abc import Callable
 from types import TracebackType
 
 SILENCE_S = 4.0
-"""After so many seconds without a line one is said: who waits should never wonder longer than five."""
+"""Longest time without a progress line: nobody should have to wait for one longer than 5 s."""
+
+
+def sparse(progress: Callable[[str], None], every_s: float = SILENCE_S) -> Callable[[str], None]:
+    """Pass on a line only if `every_s` seconds have passed since the last one, or since this call."""
+    said_s = time.monotonic()
+
+    def say(line: str) -> None:
+        nonlocal said_s
+        if time.monotonic() - said_s >= every_s:
+            said_s = time.monotonic()
+            progress(line)
+
+    return say
 
 
 class Heartbeat:
-    """Passes progress on, and speaks up after `SILENCE_S` of silence until the `with` ends."""
+    """Passes progress lines on; inside `with` it adds a line after `silence_s` without one."""
 
     def __init__(self, progress: Callable[[str], None], name: str, silence_s: float = SILENCE_S) -> None:
         """Wrap a progress.
 
         Args:
-            progress: Takes all lines, also from a thread of its own.
-            name: Who is at work: `[demo] evidence`.
-            silence_s: Longest silence.
+            progress: Receives all lines, also from the heartbeat's thread.
+            name: Prefix of the added lines, such as `[demo] evidence`.
+            silence_s: Longest time without a line, seconds.
         """
         self._progress, self._name, self._silence_s = progress, name, silence_s
         self._lock, self._ended = threading.Lock(), threading.Event()
@@ -26,20 +39,20 @@ class Heartbeat:
         self._thread = threading.Thread(target=self._watch, name=f"heartbeat {name}", daemon=True)
 
     def __call__(self, line: str, /) -> None:
-        """Say a line."""
+        """Pass on a line."""
         with self._lock:
             self._said = time.monotonic()
             self._progress(line)
 
     def __enter__(self) -> "Heartbeat":
-        """Begin to watch."""
+        """Start the watching thread."""
         self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop watching."""
+        """Stop the watching thread."""
         self._ended.set()
         self._thread.join()
 

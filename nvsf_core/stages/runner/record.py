@@ -1,4 +1,4 @@
-"""The record beside each output, `stage.json`: what made it, what was found, and which files it has."""
+"""The record of each output, `stage.json`: its fingerprint, metadata, checks and file checksums."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
@@ -11,7 +11,7 @@ from nvsf_core.stores.scene_store import SceneStore
 
 RECORD_NAME = "stage.json"
 _OWN = "."
-"""Stands for the record's own folder among those whose files it lists."""
+"""Key of the record's own folder among the folders whose files it lists."""
 _KINDS: dict[str, type | tuple[type, ...]] = {
     "fingerprint": str, "metadata": dict, "previews": dict, "checks": list,
 }  # fmt: skip
@@ -25,10 +25,7 @@ _CHECK_NEEDS = frozenset({"name", "passed", "detail"})
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record of a published output; None where there is none that can be read.
-
-    A damaged or foreign record counts as absent: its stage then runs again and writes a sound one.
-    """
+    """The record of a published output; None if it is absent or damaged (the stage then runs again)."""
     try:
         record = read_document(folder / RECORD_NAME)
     except StoreError:
@@ -39,13 +36,13 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def listed_files(
     store: SceneStore, folder: Path, previews: Iterable[str], beside: Iterable[str]
 ) -> dict[str, dict[str, str]]:
-    """Folder to file to size and checksum, of all that an output consists of.
+    """Folder to file to size and checksum, for all files of an output except its previews.
 
-    Previews are not listed: nothing reads them but eyes, and no training is repeated for one that is gone.
+    No stage reads previews, so none is repeated because one is missing.
 
     Args:
-        store: The scene's.
-        folder: The output's own, about to be published.
+        store: The scene's store.
+        folder: The output's own folder, about to be published.
         previews: Files in it that are pictures for the UI.
         beside: Outputs published beside it, by their place below the scene's folder.
     """
@@ -54,9 +51,9 @@ def listed_files(
 
 
 def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:
-    """The first file of an output that is absent or changed; None where all are as they were published.
+    """The first file of an output that is absent or changed; None if all are as published.
 
-    A record of before files were listed says nothing, and its output counts as whole.
+    Older records list no files; their outputs count as unchanged.
     """
     for place, files in record.get("files", {}).items():
         folder = store.path(location if place == _OWN else place)
@@ -94,14 +91,14 @@ def _is_scalar(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it fits a float; NaN and infinity are numbers that a stage may say."""
+    """Whether the value is a number that fits a float; NaN and infinity are allowed."""
     return isinstance(value, float) or (
         isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LARGEST
     )
 
 
 def _is_text(value: Any) -> bool:
-    """Whether it can be written to a page: JSON can hold halves of characters."""
+    """Whether the value is text that UTF-8 can encode: JSON can hold lone surrogates."""
     return isinstance(value, str) and value == value.encode(errors="ignore").decode()
 
 
@@ -117,7 +114,7 @@ def _lists_files(listed: Any) -> bool:
 
 
 def _is_inside(path: Any) -> bool:
-    """Whether a relative path stays below the folder that it is relative to."""
+    """Whether a path is relative and stays below its folder."""
     if not _is_text(path) or not 0 < len(path) <= _LONGEST_PATH or "\0" in path:
         return False
     parts = PurePosixPath(path)

@@ -1,4 +1,4 @@
-"""The whole lineage of one scene, without Dagster; and one stage of it, for whoever schedules them."""
+"""Run all stages of one scene without Dagster, or a single stage for a scheduler."""
 
 import contextlib
 import os
@@ -18,21 +18,20 @@ from nvsf_core.drives.catalogue import (
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.runner.device_lock import device_lock
-from nvsf_core.stages.runner.heartbeat import Heartbeat
+from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
 DEMO_SCENE = "demo"
-"""The scene whose drive is written here where it is absent."""
+"""The scene whose drive is written when it is absent."""
 DEFAULT_RECIPE = "lean"
-"""Used where neither the user nor the catalogue names one."""
-_SAY_EVERY_S = 4.0
+"""Used if neither the user nor the catalogue names one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneRun:
-    """One scene, where its outputs go, and what was asked for."""
+    """One scene, the store of its outputs, and the requested recipe and seeds."""
 
     scene: SceneEntry
     store: SceneStore
@@ -48,13 +47,19 @@ def plan_run(
     draw_seed: int = 0,
     dataset_label: str = "manual",
 ) -> SceneRun:
-    """Decide recipe and places: the recipe asked for, else the catalogue's, else the default.
+    """Choose recipe and output folders of a run, and check all that would else fail after hours.
 
-    What could only fail after hours of training is refused here.
+    Args:
+        scene: A catalogue entry.
+        home: Folder of all outputs.
+        recipe: A preset's name or a recipe; default the catalogue's choice, else `lean`.
+        seed: Seed of training.
+        draw_seed: Seed of ray drop and range noise in the data set.
+        dataset_label: First part of the data set's version.
 
     Raises:
-        RecipeError: There is no preset of that name, or a seed is none.
-        DataError: The label is no part of a folder's name, or a view asks for times outside of the drive.
+        RecipeError: There is no preset of that name, or a seed is not valid.
+        DataError: The label cannot be part of a folder's name, or a view asks for times outside the drive.
         StoreError: The home cannot be written to.
     """
     if not isinstance(scene, SceneEntry):
@@ -69,7 +74,7 @@ def plan_run(
 
 
 def _require_apart(scene: SceneEntry, home: Path) -> None:
-    """Outputs are never written among what was recorded."""
+    """Refuse a home inside the recorded drive."""
     for kind in ("calibration", "data_2d_raw", "data_3d_raw", "data_3d_bboxes", "data_poses"):
         if home.is_relative_to((scene.root / kind).resolve()):
             raise StoreError(
@@ -77,6 +82,7 @@ def _require_apart(scene: SceneEntry, home: Path) -> None:
             )
 
 
+# Wide: each argument is an independent choice of the caller; all but the scene have defaults.
 def run_scene(
     scene: str | SceneEntry,
     home: Path | str | None = None,
@@ -88,21 +94,21 @@ def run_scene(
     progress: Progress | None = None,
     stages: Sequence[Stage] | None = None,
 ) -> list[Outcome]:
-    """Run every stage on one scene, in order; what is up to date is skipped.
+    """Run every stage on one scene, in order; stages that are up to date are skipped.
 
     Args:
         scene: A catalogue entry, or its name in the catalogue that NVSF_SCENES points to.
-        home: Folder of all outputs; default NVSF_HOME, else `.nvsf` here.
+        home: Folder of all outputs; default NVSF_HOME, else `.nvsf` in the working directory.
         recipe: A preset's name or a recipe; default the catalogue's choice, else `lean`.
         seed: Seed of training.
-        draw_seed: Seed of what is random in the data set.
+        draw_seed: Seed of ray drop and range noise in the data set.
         dataset_label: First part of the data set's version.
-        progress: Takes lines for the person who waits; default standard error.
-        stages: Another list than the project's own.
+        progress: Receives progress lines; default standard error.
+        stages: Stages to run; default the project's own.
 
     Raises:
         DataError: The catalogue has no such scene, or its drive is absent (NoDataError).
-        NvsfError: Whatever a stage raises.
+        NvsfError: A stage failed.
     """
     entry = find_scene(scene) if isinstance(scene, str) else scene
     say = progress or say_on_stderr
@@ -118,11 +124,11 @@ def run_scene(
 def run_named_stage(
     name: str, run: SceneRun, progress: Progress, *, stages: Sequence[Stage] | None = None
 ) -> Outcome:
-    """Run, or skip, one stage whose inputs lie published.
+    """Run, or skip, one stage whose inputs are published.
 
     Raises:
         StoreError: An input was never published.
-        NvsfError: Whatever the stage raises; names the scene.
+        NvsfError: The stage failed; names scene and stage.
     """
     by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
     if name not in by_name:
@@ -132,7 +138,7 @@ def run_named_stage(
     places = [by_name[source].location(run.config) for source in stage.inputs]
     try:
         with (
-            _lease_for(stage, run, progress),
+            _device_for(stage, run, progress),
             Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
         ):
             return run_stage(stage, run.scene, run.store, run.config, say, inputs, places)
@@ -148,7 +154,7 @@ def run_named_stage(
 
 
 def field_made_from(run: SceneRun) -> str:
-    """What the run's stage `field` is made from; a checkpoint that carries it is the stage's own.
+    """Digest of all that decides the run's stage `field` but the recipe; its checkpoints carry it.
 
     Raises:
         StoreError: An input was never published.
@@ -173,29 +179,22 @@ def find_scene(name: str) -> SceneEntry:
 
 
 def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
-    """Write the embedded drive, if this is the scene it belongs to and it is not there yet."""
+    """Write the embedded drive if the scene is the demo and its drive is absent."""
     if scene.name != DEMO_SCENE or has_data(scene):
         return
     # The writer loads scipy and cv2: imported only where a drive is written.
     from nvsf_core.demo.drive import DEMO_SEQUENCE, write_demo
 
     if scene.sequence != DEMO_SEQUENCE:
-        return  # somebody's own drive, which happens to have the name
+        return  # a user's own drive of the same name
     progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
-    started = said = time.perf_counter()
-
-    def frame_done(done: int, frames: int) -> None:
-        nonlocal said
-        if time.perf_counter() - said > _SAY_EVERY_S:
-            said = time.perf_counter()
-            progress(f"[{scene.name}] drive: {done} of {frames} frames")
-
-    write_demo(scene.root, progress=frame_done)
+    started, say = time.perf_counter(), sparse(progress)
+    write_demo(scene.root, progress=lambda done, n: say(f"[{scene.name}] drive: {done} of {n} frames"))
     progress(f"[{scene.name}] drive: written in {time.perf_counter() - started:.1f} s")
 
 
 def say_on_stderr(line: str, /) -> None:
-    """Progress for a terminal."""
+    """Write a progress line to standard error."""
     sys.stderr.write(line + "\n")
     sys.stderr.flush()
 
@@ -214,8 +213,8 @@ def _fingerprint_of(stage: Stage, run: SceneRun) -> str:
 
 
 @contextlib.contextmanager
-def _lease_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[None]:
-    """Only what trains waits for the device; everything else may run beside it."""
+def _device_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[None]:
+    """Hold the device lock around a stage that trains; other stages need none."""
     if stage.group != "train":
         yield
         return

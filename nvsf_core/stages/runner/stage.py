@@ -1,4 +1,4 @@
-"""What a stage is, and how one is run: skipped when nothing changed, published whole when it ran."""
+"""Stages and their checks, and how one stage is run: skipped if nothing changed, else published whole."""
 
 import hashlib
 import json
@@ -19,16 +19,16 @@ from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.scene_store import SceneStore
 
 NOT_RUN = "not run"
-"""How the detail of a check begins that had nothing to judge."""
+"""First words of the detail of a check that could not be made."""
 _MOST_FILES = 500_000
-"""Of one sequence: KITTI-360's longest has 15,000 frames of five sensors."""
+"""Most files of one sequence: KITTI-360's longest has 15,000 frames of five sensors."""
 
 
 class Progress(Protocol):
-    """Takes one line a time for the person who waits."""
+    """Receives progress lines for the user."""
 
     def __call__(self, line: str, /) -> None:
-        """Say `line`."""
+        """Show `line`."""
 
 
 class Observer(Protocol):
@@ -39,26 +39,26 @@ class Observer(Protocol):
 
         Args:
             part: Name of the checkpoint's file: `lidar`, `camera`, ...
-            state: A `nvsf_core.training.loop.TrainingState`, not to be changed. (Its module loads torch,
-                which importing this one must not.)
+            state: A `nvsf_core.training.loop.TrainingState`, not to be changed. (Typed `Any` because its
+                module loads torch, which importing this one must not.)
         """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """What a run was asked for, beside the scene."""
+    """Recipe, seeds and data set label of a run."""
 
     recipe: Recipe
-    """What is trained and rendered."""
+    """Recipe of training and rendering."""
     seed: int = 0
     """Seed of training."""
     draw_seed: int = 0
-    """Seed of what is random in a data set: ray drop and range noise."""
+    """Seed of ray drop and range noise in a data set."""
     dataset_label: str = "manual"
     """First part of a data set's version: an ISO week, or `manual`."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no seed, and a label that is no part of a folder's name."""
+        """Refuse seeds that are not valid, and a label that cannot be part of a folder's name."""
         require_seed(self.seed)
         require_seed(self.draw_seed, "draw_seed")
         fault = name_fault(self.dataset_label)
@@ -71,70 +71,70 @@ class Check:
     """The outcome of one check of a stage's output."""
 
     name: str
-    """A law in snake_case, for example `all_frames_have_a_pose`."""
+    """The condition in snake_case, for example `all_frames_have_a_pose`."""
     passed: bool
-    """Whether it holds."""
+    """Whether the condition holds."""
     detail: str
-    """What was found, with numbers."""
+    """Findings in words and numbers."""
     blocking: bool = False
     """A failed blocking check keeps the output from being published."""
     value: float | None = None
-    """The number that was judged; None where the law has none, or could not be measured."""
+    """The measured number; None if the check has none, or was not run."""
     limit: float | None = None
-    """What `value` may at most be."""
+    """Largest allowed `value`."""
     unit: str = ""
-    """Of both; empty for shares and counts."""
+    """Unit of both; empty for shares and counts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NamedCheck:
-    """A check that a stage makes of every scene: the UI and the report show it by itself."""
+    """A check that a stage makes of every scene; the UI and the report show it separately."""
 
     name: str
-    """As of the check."""
+    """Name of its `Check`."""
     description: str
-    """What it asks, why, and where its limit is from."""
+    """The condition, its reason, and the source of its limit."""
     blocking: bool = False
-    """Whether what breaks it is unusable; else breaking it is a doubt, and warns."""
+    """Whether a failure makes the output unusable; else it only warns."""
 
     def outcome(self, value: float, limit: float, detail: str, unit: str = "") -> Check:
-        """The law's check: it holds where the value is at most the limit; NaN breaks it."""
+        """The check's outcome: passed if `value` is at most `limit`; NaN fails."""
         return Check(
             name=self.name, passed=value <= limit, detail=detail, blocking=self.blocking, value=value,
             limit=limit, unit=unit,
         )  # fmt: skip
 
     def not_run(self, reason: str) -> Check:
-        """The law's check on an output that has nothing to be judged by."""
+        """The outcome if the check could not be made: passed, with the reason."""
         return Check(name=self.name, passed=True, detail=f"{NOT_RUN}: {reason}", blocking=self.blocking)
 
 
 class UnsoundOutputError(CheckFailedError):
-    """Blocking checks failed; carries all checks of the output."""
+    """Blocking checks failed; holds the outcomes of all checks."""
 
     def __init__(self, message: str, checks: Sequence[Check]) -> None:
-        """Say which failed; keep what all of them found."""
+        """Take the message, which names the failed checks, and the outcomes of all."""
         super().__init__(message)
         self.checks = tuple(checks)
 
 
 @dataclass(slots=True, kw_only=True)
 class StageOutput:
-    """What a stage says of what it made."""
+    """A stage's report on its output."""
 
     metadata: dict[str, Scalar] = field(default_factory=dict)
-    """Numbers and words for tables and the UI, units in the keys."""
+    """Numbers and texts for tables and the UI, with units in the keys."""
     checks: list[Check] = field(default_factory=list)
     """Outcomes of the stage's checks."""
     previews: dict[str, str] = field(default_factory=dict)
-    """Name to file name of PNG pictures inside the output folder, each below 100 kB."""
+    """Name to file of PNG pictures inside the output folder, each below 100 kB."""
     beside: list[str] = field(default_factory=list)
-    """Outputs that it published beside its own folder, by their place below the scene's."""
+    """Outputs published outside its own folder, by their place below the scene's folder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """All that a stage's `run` may know."""
+    """Arguments of a stage's `run` and `check`."""
 
     scene: SceneEntry
     store: SceneStore
@@ -143,9 +143,9 @@ class Task:
     """Empty folder to fill; published whole when `run` returns."""
     progress: Progress
     observe: Observer | None = None
-    """Watches the training; the clock stands still meanwhile."""
+    """Watches the training; its time is not counted."""
     made_from: str = ""
-    """`made_from` of the stage and its inputs: tells checkpoints of other inputs apart."""
+    """Digest by `made_from`; identifies checkpoints of the same inputs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,11 +154,11 @@ class Stage:
 
     name: str
     group: str
-    """ingest, prepare, train, synthesis or report: the asset group."""
+    """Asset group: ingest, prepare, train, synthesis or report."""
     inputs: tuple[str, ...]
     """Names of the stages whose outputs it reads."""
     description: str
-    """One sentence on what the thing is, shown in the UI."""
+    """One sentence on its output, shown in the UI."""
     version: str
     """Raised when the code's output changes."""
     run: Callable[[Task], StageOutput]
@@ -169,20 +169,20 @@ class Stage:
     reads_drive: bool = False
     """Whether the drive's files (names, sizes, times) are part of its identity."""
     reads_views: bool = False
-    """Whether the views that are asked for are part of its identity."""
+    """Whether the catalogue's views of the scene are part of its identity."""
     check: Callable[[Task], list[Check]] | None = None
-    """Judges what lies in the task's folder, just made or published earlier."""
+    """Checks the output in the task's folder, just made or published earlier."""
     check_version: str = ""
-    """Raised when `check` judges otherwise: outputs that are up to date are judged again, not made again."""
+    """Raised when `check` changes: outputs that are up to date are then checked again, not made again."""
     named_checks: tuple[NamedCheck, ...] = ()
-    """The checks, of `run` or `check`, that are shown by themselves."""
+    """The checks, of `run` or `check`, that the UI and the report show separately."""
 
     def location(self, config: RunConfig) -> str:
-        """Where its output lies under the scene's folder."""
+        """Path of its output below the scene's folder."""
         if not self.per_recipe:
             return self.name
         if self.per_draw:
-            # Its versions lie beside each other under its name; the record of a draw must not mix with them.
+            # The data sets' versions lie under the stage's name; records are kept apart from them.
             draw = f"{config.seed}-{config.draw_seed}-{config.dataset_label}"
             return f"{self.name}/.index/{config.recipe.name}/{draw}"
         return f"{self.name}/{config.recipe.name}/{config.seed}"
@@ -190,7 +190,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """One stage's run on one scene."""
+    """Result of one stage's run on one scene."""
 
     stage: str
     path: Path
@@ -211,24 +211,24 @@ def run_stage(
     input_fingerprints: dict[str, str],
     input_locations: Collection[str] = (),
 ) -> Outcome:
-    """Run one stage, or skip it when its code, configuration and inputs are unchanged.
+    """Run one stage, or skip it if its code, configuration and inputs are unchanged.
 
-    An output whose files are no longer those that were published is made again. Inputs are held against
-    their records before they are read: a flipped byte is never trained on.
+    An output whose files have changed since it was published is made again. Input files are compared with
+    their checksums first, so that damaged data are never used.
 
     Args:
-        stage: What to run.
-        scene: On which drive.
-        store: Where outputs lie.
-        config: What was asked for.
-        progress: Takes lines for the person who waits.
+        stage: The stage to run.
+        scene: The scene to run it on.
+        store: The scene's outputs.
+        config: Recipe and seeds.
+        progress: Receives progress lines.
         input_fingerprints: Name of each input stage to the fingerprint of its output.
-        input_locations: Where these outputs lie below the scene's folder.
+        input_locations: Paths of these outputs below the scene's folder.
 
     Raises:
-        StoreError: An input is not what was published.
+        StoreError: The files of an input have changed since it was published.
         UnsoundOutputError: A blocking check failed; nothing was published.
-        NvsfError: Whatever the stage itself raises.
+        NvsfError: The stage failed.
     """
     location = stage.location(config)
     facts = _facts(stage, scene, config, input_fingerprints)
@@ -248,7 +248,7 @@ def run_stage(
             record = None
     if record is not None and record["fingerprint"] == fingerprint:
         progress(f"[{scene.name}] {stage.name}: up to date, skipped")
-        record = _judged_again(stage, task(store.path(location)), record)
+        record = _checked_again(stage, task(store.path(location)), record)
         return _outcome(stage, store.path(location), record, skipped=True)
     for place in input_locations:
         damage = damage_of(store, place, read_record(store.require(place)) or {})
@@ -264,7 +264,7 @@ def run_stage(
             "version": stage.version,
             "metadata": output.metadata,
             "previews": output.previews,
-            **_judged(stage, task(folder), output.checks),
+            **_checked(stage, task(folder), output.checks),
             "seconds": time.perf_counter() - started,
             "files": listed_files(store, folder, output.previews.values(), output.beside),
         }
@@ -274,10 +274,10 @@ def run_stage(
 
 
 def _require_contract(stage: Stage, scene: SceneEntry, location: str, folder: Path) -> None:
-    """Refuse to publish what readers would not take.
+    """Check an output against the data contract before it is published.
 
     Raises:
-        StoreError: An array or a column is not what the data contract says.
+        StoreError: An array or a column differs from the contract.
     """
     # Loads zarr and pyarrow, which importing this module must not.
     from nvsf_core.stores.contract_check import contract_faults
@@ -291,12 +291,12 @@ def _require_contract(stage: Stage, scene: SceneEntry, location: str, folder: Pa
 
 
 def made_from(stage: Stage, scene: SceneEntry, config: RunConfig, input_fingerprints: dict[str, str]) -> str:
-    """SHA-256 of all that decides a stage's output but the recipe."""
+    """SHA-256 of all that decides a stage's output except the recipe."""
     return _without_recipe(_facts(stage, scene, config, input_fingerprints))
 
 
-def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
-    """The record's part on checks: those that `run` made, and over them what `check` finds in the folder.
+def _checked(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
+    """The record's entries on checks: those of `run`, replaced or extended by those of `check`.
 
     Raises:
         UnsoundOutputError: A blocking one failed.
@@ -313,11 +313,11 @@ def _judged(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
     return {"checks": [asdict(check) for check in found.values()], "check_version": stage.check_version}
 
 
-def _judged_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
-    """The record of a published output, judged anew where it was judged by earlier checks."""
+def _checked_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
+    """The record of a published output; if `check_version` has changed, with the checks made again."""
     if record.get("check_version", "") == stage.check_version:
         return record
-    record = record | _judged(stage, task, [Check(**check) for check in record["checks"]])
+    record = record | _checked(stage, task, [Check(**check) for check in record["checks"]])
     write_document(task.folder / RECORD_NAME, record)
     return record
 
@@ -344,7 +344,7 @@ def _without_recipe(facts: dict[str, Any]) -> str:
 
 
 def _facts(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str, str]) -> dict[str, Any]:
-    """All that decides the output."""
+    """All that decides the output: code version, inputs, scene, recipe and seeds."""
     facts: dict[str, Any] = {
         "stage": stage.name,
         "version": stage.version,
@@ -364,10 +364,10 @@ def _facts(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str,
 
 
 def _drive_listing(scene: SceneEntry) -> str:
-    """Names, sizes and change times of the drive's files: cheap, and different when a file is.
+    """Digest of names, sizes and change times of the drive's files; no file is read.
 
     Raises:
-        DataError: There are too many: a link leads to where there is no drive.
+        DataError: There are too many files: a link leads to another place.
     """
     digest = hashlib.sha256()
     folders = [scene.root / "calibration"] + [

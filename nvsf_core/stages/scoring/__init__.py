@@ -1,1 +1,1 @@
-"""Rendered views against what was recorded, as rows of metrics."""
+"""Measure rendered views against recorded data, as rows of metrics."""

@@ -1,9 +1,8 @@
-"""Held-out images against recorded ones, whole and by region, and camera depth against LiDAR."""
+"""Metrics of held-out images against recorded ones, and of camera depth against LiDAR."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from nvsf_core.metrics.foreground import image_regions, masked_image_regions
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure, absent
+from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.scoring.lidar import RecordedScans
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.stages.scoring.rows import Ledger
@@ -27,26 +27,23 @@ DEPTH_METRIC = "image_depth_rmse_m"
 
 @dataclass(frozen=True, slots=True)
 class _Recorded:
-    """One camera of the drive."""
+    """Recorded images of one camera."""
 
     path: Path
     name: str
     rgb: np.ndarray
     """(m, H, W, 3) uint8."""
     valid: np.ndarray
-    """(H, W) bool."""
+    """(H, W) bool: pixels that the lens sees."""
     row: dict[int, int]
     """Frame to its row in `rgb`."""
 
     def camera(self) -> Pinhole:
         """The rectified camera."""
-        facts = read_attrs(self.path)["cameras"][self.name]
-        fx, fy, cx, cy = (float(facts[key]) for key in ("fx", "fy", "cx", "cy"))
-        width, height = int(facts["width"]), int(facts["height"])
-        return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+        return pinhole_of(read_attrs(self.path)["cameras"][self.name])
 
     def poses(self) -> np.ndarray:
-        """(m, 4, 4) camera to world."""
+        """(m, 4, 4) camera to world, metres."""
         return read_arrays(self.path, f"{self.name}_camera_to_world")[f"{self.name}_camera_to_world"]
 
 
@@ -56,21 +53,19 @@ def measure_camera(
     camera: str,
     boxes: MovingBoxes | None,
     scans: RecordedScans | None,
-    method: Mapping[str, Any],
     ledger: Ledger,
     lpips: Lpips | None,
 ) -> Iterator[str]:
-    """Add the rows of one camera, yielding after each frame.
+    """Add the rows of one camera; yields progress after each frame.
 
     Args:
-        path: One method's arrays of the held-out view.
-        images: The undistorted recorded images.
-        camera: Its name.
-        boxes: Of moving objects; None = no rows of regions.
-        scans: For depth; None for a drive without a LiDAR.
-        method: Columns that say who made the prediction.
-        ledger: Takes the rows.
-        lpips: The network, or None where its weights are absent.
+        path: Zarr group of one method's held-out view.
+        images: Zarr group of the undistorted recorded images.
+        camera: Name of the camera.
+        boxes: Boxes of moving objects; None = no rows of regions.
+        scans: Recorded scans, for depth; None for a drive without a LiDAR.
+        ledger: Receives the rows.
+        lpips: The LPIPS network; None if its weights are absent.
     """
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame", f"{camera}_render_seconds")
     depth_m = _stored_depth(path, camera)
@@ -99,16 +94,15 @@ def measure_camera(
         seconds = float(a[f"{camera}_render_seconds"][i])
         for (protocol, region), measures in found.items():
             ledger.add(
-                measures, method, protocol=protocol, region=region, sensor=camera, frame=frame,
-                render_seconds=seconds,
-            )  # fmt: skip
+                measures, protocol=protocol, region=region, sensor=camera, frame=frame, render_seconds=seconds
+            )
         yield f"frame {frame} ({i + 1} of {len(frames)})"
 
 
 def _depth(
     predicted_m: np.ndarray | None, recorded: _Recorded, scans: RecordedScans | None, frame: int
 ) -> tuple[Measure, Measure]:
-    """`image_depth_rmse_m` by our definition and as published."""
+    """`image_depth_rmse_m` by our definition (along each pixel's ray) and as published (z)."""
     if predicted_m is None:
         return NO_DEPTH, NO_DEPTH
     if scans is None or frame not in scans.arrays["frame"]:
@@ -120,7 +114,7 @@ def _depth(
 
 
 def _stored_depth(path: Path, camera: str) -> np.ndarray | None:
-    """(k, H, W) length of each pixel's ray in metres, where the method stores it."""
+    """(k, H, W) length of each pixel's ray, metres; None if the method stores none."""
     try:
         return read_arrays(path, f"{camera}_range_m")[f"{camera}_range_m"]
     except StoreError:

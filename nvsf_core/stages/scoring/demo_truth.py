@@ -1,12 +1,12 @@
-"""The demo's own views against its exact truth, which no recording has.
+"""Metrics of the demo's views against the exact truth of its synthetic world.
 
-The truth of a view is the noise-free scan of the same sensor at the view's own instants, from where the
-demo's car really was (its formula, not the drive's poses), with the demo's own vehicle around the recorded
-sensor. It is taken along the view's own rays, so that no unknown phase of a turn blurs the comparison. A
-ray returns in truth when the demo writer's drop model expects it to (probability at least 1/2); range
-noise and mixed pixels are left out. Rows have the protocol `raw` and the view's name as `split`:
-range errors on the rays that return in truth, hits on all of the view's rays (not on the grid of 2000
-cells, which is the recording sensor's), Chamfer and F of the exported scan against the noise-free one.
+The truth of a view is the noise-free scan of the same sensor at the view's instants, at the exact position of
+the demo's car (by its formula, not the drive's poses), with the own vehicle around the recorded sensor. It is
+computed along the view's own rays, so that the unknown phase of a sweep does not matter. A ray returns in
+truth if the demo's drop model gives it a probability of at least 1/2; range noise and mixed pixels are left
+out. Rows have the protocol `raw` and the view's name as `split`: range errors on the rays that return in
+truth, hits on all of the view's rays (not on the recording sensor's grid of 2000 cells), Chamfer and F-score
+of the exported scan against the noise-free one.
 """
 
 from collections.abc import Iterator, Mapping
@@ -53,21 +53,22 @@ class DemoTruth:
     world: DemoWorld
     recorded_sensor: str
     lasers: np.ndarray
-    """(L,) rows of the recorded sensor's table that the drive has."""
+    """(L,) int64 lasers of the drive, as rows of the recorded sensor's table."""
     period_s: float
+    """Duration of a sweep."""
     shift_s: float
-    """Seconds of the world at the drive's time 0."""
+    """World time at the drive's time 0."""
     gap_m: float
-    """Median |recorded - exact range| of one scan: the range noise, if this is the drive's world."""
+    """Median |recorded - exact range| of one scan: only the range noise if this is the drive's world."""
 
     @property
     def is_of_this_drive(self) -> bool:
-        """Whether the drive was recorded in this very world."""
+        """Whether the drive was recorded in this world."""
         return self.gap_m < _LARGEST_GAP_M
 
 
 def read_demo_truth(task: Task) -> DemoTruth | None:
-    """The truth behind the drive; None for a drive that the demo's writer did not write."""
+    """The exact truth of the drive; None for a drive that is not the demo's."""
     path = task.store.path("sweeps") / "returns.zarr"
     if task.scene.sequence != DEMO_SEQUENCE or not path.is_dir():
         return None
@@ -89,7 +90,7 @@ def read_demo_truth(task: Task) -> DemoTruth | None:
 def _gap_m(
     path: Path, world: DemoWorld, time_s: float, cut: slice, period_s: float, attrs: Mapping[str, Any]
 ) -> float:
-    """Median |recorded - exact range| over a sample of one scan's returns."""
+    """Median |recorded - exact range| over a sample of the returns `cut` of one scan, metres."""
     a = read_arrays(path, "origin_m", "direction", "range_m", "sweep_fraction", "is_own_vehicle")
     others = np.flatnonzero(~a["is_own_vehicle"][cut]) + cut.start
     taken = others[:: max(1, len(others) // _SAMPLE)]
@@ -101,17 +102,14 @@ def _gap_m(
     return float(np.median(np.abs(exact.range_m - a["range_m"][taken])))
 
 
-def measure_demo_view(
-    path: Path, view: ViewEntry, truth: DemoTruth, method: Mapping[str, Any], ledger: Ledger
-) -> Iterator[str]:
-    """Add the rows of one view of the demo, yielding after each sweep.
+def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Ledger) -> Iterator[str]:
+    """Add the rows of one view of the demo; yields progress after each sweep.
 
     Args:
-        path: One method's arrays of the view.
-        view: What was asked for.
-        truth: Of the drive.
-        method: Columns that say who made the prediction.
-        ledger: Takes the rows.
+        path: Zarr group of one method's view.
+        view: The view's entry in the catalogue.
+        truth: Exact truth of the drive.
+        ledger: Receives the rows.
 
     Raises:
         StoreError: The stored rays are not those that the view's sensor fires.
@@ -124,14 +122,14 @@ def measure_demo_view(
         rays = _Rays(truth, view, float(a["time_s"][i]) + truth.shift_s, grid["grid_hit"].shape[1])
         rays.require_same(path, grid)
         ledger.add(
-            _against(rays, grid, near_returns(scan)), method, split=view.name, protocol="raw", sensor="lidar",
+            _against(rays, grid, near_returns(scan)), split=view.name, protocol="raw", sensor="lidar",
             frame=frame, render_seconds=float(a["lidar_render_seconds"][i]),
         )  # fmt: skip
         yield f"sweep {i + 1} of {a['frame'].size}"
 
 
 class _Rays:
-    """The rays of one sweep of a view, all (L, F), and what they meet in truth."""
+    """The rays of one sweep of a view, (lasers, firings), and their exact truth; sensor's frame, metres."""
 
     def __init__(self, truth: DemoTruth, view: ViewEntry, time_s: float, firings: int) -> None:
         table = sensor_table(view.sensor or truth.recorded_sensor)
@@ -148,19 +146,19 @@ class _Rays:
         self.returns = rays_return(self.exact.chance)
 
     def points(self, range_m: np.ndarray) -> np.ndarray:
-        """(L, F, 3) as recorded."""
+        """(L, F, 3) points at (L, F) ranges along the rays."""
         found: np.ndarray = self.origin_m + self.direction * range_m[..., None]
         return found
 
     def along(self, centre_m: np.ndarray) -> np.ndarray:
-        """Range along the ray of a distance from the sensor's centre; 0 (no answer) becomes infinite."""
+        """Range along each ray, given the distance from the sensor's centre; 0 (no return) becomes inf."""
         lever = (self.origin_m * self.direction).sum(axis=-1)
         square = lever**2 - np.square(self.origin_m).sum(axis=-1) + np.square(centre_m.astype(np.float64))
         range_m: np.ndarray = np.sqrt(np.maximum(square, 0.0)) - lever
         return np.where(centre_m > 0.0, range_m, np.inf)
 
     def require_same(self, path: Path, grid: Mapping[str, np.ndarray]) -> None:
-        """Refuse stored answers that belong to other rays."""
+        """Refuse a stored grid that was rendered along other rays."""
         answered = grid["grid_range_m"] > 0.0
         shape = self.returns.shape
         turned = 0.0
@@ -176,7 +174,7 @@ class _Rays:
 
 
 def _against(rays: _Rays, grid: Mapping[str, np.ndarray], exported: Scan) -> dict[str, Measure]:
-    """The exported scan and the answers along its rays, against the truth."""
+    """Metrics of the exported scan and of the rendered grid against the truth."""
     there = rays.returns
     predicted_m = rays.along(grid["grid_range_m"])
     answered = np.isfinite(predicted_m[there])

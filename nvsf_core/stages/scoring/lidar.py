@@ -1,9 +1,8 @@
-"""Held-out scans against recorded ones, under every LiDAR protocol."""
+"""Metrics of held-out scans against recorded ones, under every LiDAR protocol."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -44,7 +43,7 @@ class RecordedScans:
         return scan, RenderedRays(range_m=a["range_m"][cut], intensity=a["intensity"][cut])
 
     def world_points(self, frame: int) -> np.ndarray:
-        """(N, 3) float64 returns of a frame's scan in the world, each from where it was measured, metres."""
+        """(N, 3) float64 returns of a frame in the world, metres, each along its motion-compensated ray."""
         cut = self._part(frame)
         rays = read_part(self.path, cut, "origin_m", "direction")
         along = rays["direction"].astype(np.float64) * self.arrays["range_m"][cut, None]
@@ -74,19 +73,17 @@ def measure_lidar(
     path: Path,
     recording: RecordedScans,
     boxes: MovingBoxes | None,
-    method: Mapping[str, Any],
     ledger: Ledger,
     lpips: Lpips | None,
 ) -> Iterator[str]:
-    """Add the rows of the LiDAR protocols, yielding after each frame.
+    """Add the rows of the LiDAR protocols; yields progress after each frame.
 
     Args:
-        path: One method's arrays of the held-out view.
-        recording: What was recorded then.
-        boxes: Of moving objects; None = no rows of regions.
-        method: Columns that say who made the prediction.
-        ledger: Takes the rows.
-        lpips: The network, or None where its weights are absent.
+        path: Zarr group of one method's held-out view.
+        recording: The recorded scans.
+        boxes: Boxes of moving objects; None = no rows of regions.
+        ledger: Receives the rows.
+        lpips: The LPIPS network; None if its weights are absent.
     """
     frames = read_arrays(path, "frame")["frame"]
     if frames.size == 0:
@@ -118,18 +115,18 @@ def measure_lidar(
         seconds = float(a["lidar_render_seconds"][i])
         for (protocol, region), measures in found.items():
             ledger.add(
-                measures, method, protocol=protocol, region=region, sensor="lidar", frame=frame,
+                measures, protocol=protocol, region=region, sensor="lidar", frame=frame,
                 render_seconds=seconds,
             )  # fmt: skip
         yield f"frame {frame} ({i + 1} of {frames.size})"
 
 
 def recorded_range_errors(path: Path, recording: RecordedScans) -> tuple[int, np.ndarray, np.ndarray] | None:
-    """How far a method is off along the recorded rays of the middle held-out frame.
+    """A method's range errors along the recorded rays of the middle held-out frame.
 
     Returns:
-        The frame, its recorded points (N, 3) in the sensor's frame, and their absolute range errors (N,)
-        in metres, infinite where nothing was answered; None where no frame was held out.
+        The frame, its recorded points (N, 3) in the sensor's frame, and their absolute range errors (N,), in
+        metres; an error is infinite if no return was rendered. None if no frame was held out.
     """
     a = read_arrays(path, "frame", "ray_offsets", "ray_range_m")
     if a["frame"].size == 0:
@@ -142,5 +139,5 @@ def recorded_range_errors(path: Path, recording: RecordedScans) -> tuple[int, np
 
 
 def part(offsets: np.ndarray, i: int) -> slice:
-    """The i-th part of a flat array that is cut by `offsets`."""
+    """Slice of scan `i` in a flat array whose scans begin at `offsets` (n + 1,)."""
     return slice(int(offsets[i]), int(offsets[i + 1]))

@@ -1,4 +1,4 @@
-"""Boxes of moving objects, as metrics need them: of one very frame, in a sensor's frame."""
+"""Annotated boxes of moving objects, for metrics by region: per recorded frame, in a sensor's frame."""
 
 from dataclasses import dataclass
 
@@ -13,21 +13,21 @@ NO_BOXES = "not measured: this drive has no box of a moving object"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovingBoxes:
-    """Annotated boxes of what moves in a drive; known to the measuring only."""
+    """Annotated boxes of a drive's moving objects; used for metrics only, never for training."""
 
     to_world: dict[int, np.ndarray]
-    """Frame to (B, 4, 4) float64: unit cubes to the world."""
+    """Frame to (B, 4, 4) float64 transforms from the unit cube to the world, metres."""
     lidar_to_world: dict[int, np.ndarray]
-    """Frame to the pose (4, 4) of the LiDAR."""
+    """Frame to the (4, 4) pose of the LiDAR."""
     objects: int
-    """How many different ones there are."""
+    """Number of different objects."""
 
     def in_lidar(self, frame: int) -> np.ndarray:
-        """(B, 4, 4) unit cube to the LiDAR's frame at the pose's instant; B = 0 where nothing moves."""
+        """(B, 4, 4) unit cube to the LiDAR's frame of a recorded frame; B = 0 if nothing moves."""
         return invert_pose(self.lidar_to_world[frame]) @ self._of(frame)
 
     def in_camera(self, frame: int, camera_to_world: np.ndarray) -> np.ndarray:
-        """(B, 4, 4) unit cube to the frame of a camera at the pose (4, 4)."""
+        """(B, 4, 4) unit cube to the frame of a camera at the (4, 4) pose `camera_to_world`."""
         return invert_pose(camera_to_world) @ self._of(frame)
 
     def _of(self, frame: int) -> np.ndarray:
@@ -35,7 +35,7 @@ class MovingBoxes:
 
 
 def read_moving_boxes(store: SceneStore) -> MovingBoxes | None:
-    """What `frames` published of the moving objects; None where the drive has no box of one."""
+    """The moving objects' boxes, from the stage `frames`; None if the drive has none."""
     frames = store.require("frames")
     rows = [row for row in read_rows(frames / "boxes.parquet") if row["dynamic"]]
     if not rows:

@@ -1,4 +1,4 @@
-"""The rows of `scene_metrics` as they are measured, and what the stage says of them."""
+"""Collect the rows of `scene_metrics`, and sum them up as the stage's metadata and checks."""
 
 import math
 from collections import Counter
@@ -25,34 +25,33 @@ _HEADLINES = {
         ("masked", "range_abs_error_median_m"), ("masked", "image_psnr_db"),
     ),
 }  # fmt: skip
-"""Split and region to the protocols and metrics whose means the asset shows."""
+"""Split and region to the protocols and metrics whose means become metadata."""
 _EXACT = (
     ("raw", "chamfer_m2"),
     ("raw", "f_score"),
     ("raw", "range_abs_error_median_m"),
     ("raw", "hit_accuracy"),
 )
-"""The same for a view of the demo, measured against its exact truth."""
+"""The same for views of the demo, which are measured against their exact truth."""
 
 
 @dataclass(slots=True)
 class Ledger:
-    """Rows of the table, and why values in it are undefined."""
+    """Rows of the metrics table, and the reasons of undefined values."""
 
     facts: dict[str, Any]
-    """Columns that are the same for all rows."""
+    """Columns that are the same for all rows: scene, commit, method and its cost."""
     rows: list[dict[str, Any]] = field(default_factory=list)
     undefined: Counter[str] = field(default_factory=Counter)
-    """Why something could not be computed, and how often."""
+    """Reasons why values could not be computed, with counts."""
     absent: Counter[str] = field(default_factory=Counter)
-    """What was not there to be measured, and how often."""
+    """Reasons why there was nothing to measure, with counts."""
     n_undefined_whole: int = 0
-    """Values of whole held-out frames that could not be computed."""
+    """Number of values of whole held-out frames that could not be computed."""
 
     def add(
         self,
         measures: Mapping[str, Measure],
-        method: Mapping[str, Any],
         *,
         split: str = HELD_OUT,
         protocol: str,
@@ -61,7 +60,17 @@ class Ledger:
         frame: int,
         render_seconds: float,
     ) -> None:
-        """Add one row a metric."""
+        """Add one row per metric.
+
+        Args:
+            measures: Metric to its value.
+            split: `test`, or the name of a view.
+            protocol: What was compared.
+            region: `all`, `foreground` or `background`.
+            sensor: `lidar`, or a camera's name.
+            frame: Frame number.
+            render_seconds: Time to render the scan or image.
+        """
         for metric, measure in measures.items():
             if measure.reason:
                 place = "" if region == "all" else f" {region}"
@@ -71,21 +80,21 @@ class Ledger:
                 self.n_undefined_whole += int(is_whole and not measure.is_absent)
             self.rows.append(
                 {
-                    **self.facts, **method, "split": split, "protocol": protocol, "region": region,
+                    **self.facts, "split": split, "protocol": protocol, "region": region,
                     "sensor": sensor, "frame": frame, "metric": metric, "value": measure.value,
                     "unit": UNITS[metric], "n_valid": measure.n_valid, "render_seconds": render_seconds,
                 }
             )  # fmt: skip
 
     def take(self, other: "Ledger") -> None:
-        """Append all that another ledger holds."""
+        """Append the content of another ledger."""
         self.rows += other.rows
         self.undefined += other.undefined
         self.absent += other.absent
         self.n_undefined_whole += other.n_undefined_whole
 
     def output(self) -> StageOutput:
-        """Counts, reasons, headline means and checks."""
+        """Metadata (counts, reasons, headline means) and checks of all rows."""
         values = np.array([row["value"] for row in self.rows], dtype=np.float64)
         is_whole = np.array([(row["split"], row["region"]) == (HELD_OUT, "all") for row in self.rows], bool)
         n_infinite, n_absent = int(np.isinf(values).sum()), self.absent.total()
@@ -102,7 +111,7 @@ class Ledger:
         metadata |= self._headlines()
         checks = [
             Check(name="some_frame_was_measured", passed=bool(self.rows), detail=detail),
-            # A lost object, or a sky that the recording sensor never saw, is a finding and no fault.
+            # Only whole held-out frames count: elsewhere an undefined value is a finding, no fault.
             DEFINED.outcome(
                 float(self.n_undefined_whole + np.isinf(values[is_whole]).sum()),
                 0.0,
@@ -124,7 +133,7 @@ class Ledger:
 
 
 def method_columns(name: str, attrs: Mapping[str, Any], recipe: str, seed: int) -> dict[str, Any]:
-    """Columns that say who made the prediction and at what cost; a cost not stated is NaN."""
+    """Columns on the method and its cost, the same for all its rows; an unknown cost is NaN."""
     costs = ("train_seconds", "parameters", "model_mb", "peak_memory_mb")
     found = {cost: math.nan if attrs.get(cost) is None else float(attrs[cost]) for cost in costs}
     return {"recipe": recipe if name == "model" else name, "seed": seed, **found}

@@ -1,1 +1,1 @@
-"""Which views a scene is asked for, and how each is rendered and written."""
+"""Plan, render and write the views of a scene."""

@@ -1,4 +1,4 @@
-"""The cameras' part of a view: rendered images, and the nearest training image copied."""
+"""Images of a view: rendered by a model, or copied from the nearest training image."""
 
 import time
 from collections.abc import Mapping
@@ -16,9 +16,18 @@ from nvsf_core.stages.views.plan import reference_poses, to_world
 def image_arrays(
     task: Task, recording: Recording, plans: Mapping[str, ViewPlan], render: ImageRenderer, method: str
 ) -> dict[str, np.ndarray]:
-    """Images of every camera at the instants of its plan, and how far its pixels look.
+    """Render every camera at the instants of its plan.
 
-    Lengths are kept as float16: within 0.05 % of them, far below any error of theirs.
+    Args:
+        task: Task of the stage, for its progress.
+        recording: The drive, with its cameras and trajectory.
+        plans: Camera to the instants of its images.
+        render: The model's image renderer.
+        method: Name of the method, for progress.
+
+    Returns:
+        Arrays of the data contract for each camera: images (n, H, W, 3) uint8, lengths of the pixels' rays
+        (n, H, W) float16 (exact to 0.05 %) in metres, frames, poses in the world and seconds.
     """
     arrays: dict[str, np.ndarray] = {}
     for name, plan in plans.items():
@@ -30,7 +39,7 @@ def image_arrays(
             image = render(name, pinhole, poses[number], float(instant))
             seconds.append(time.perf_counter() - started)
             shown.append(image.rgb)
-            with np.errstate(over="ignore"):  # beyond 65 km a pixel looks at nothing
+            with np.errstate(over="ignore"):  # lengths beyond 65 km become infinite
                 range_m.append(image.range_m.astype(np.float16))
             task.progress(
                 f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} "
@@ -42,7 +51,7 @@ def image_arrays(
 
 
 def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[str, np.ndarray]:
-    """The nearest training image of each instant, as it is."""
+    """Arrays as of `image_arrays`, with a copy of the nearest training image of each instant."""
     arrays: dict[str, np.ndarray] = {}
     for name, plan in plans.items():
         camera = recording.cameras[name]
@@ -53,7 +62,7 @@ def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[s
 
 
 def _camera_poses(recording: Recording, camera: str, plan: ViewPlan) -> np.ndarray:
-    """Scene-local poses (n, 4, 4) of a camera that keeps its place beside the LiDAR."""
+    """(n, 4, 4) scene-local poses of a camera, by its fixed place relative to the LiDAR."""
     poses: np.ndarray = reference_poses(recording, plan) @ recording.cameras[camera].in_lidar
     return poses
 

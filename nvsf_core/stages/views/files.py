@@ -1,4 +1,4 @@
-"""Writing a rendered view: arrays for the metrics, scan and image files as a driver finds them, a picture."""
+"""Write a rendered view: arrays for the metrics, scan and image files in KITTI-360's layout, previews."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,16 +30,16 @@ def write_method(
     *,
     by_images: bool = False,
 ) -> None:
-    """One method's arrays of a view, and what a table wants to know of the method.
+    """Write one method's arrays of a view, with attributes on the method and its cost.
 
     Args:
-        task: The stage's own.
+        task: Task of the stage.
         view: Name of the view.
         method: `model` or a baseline.
-        arrays: Everything that is published, poses included.
-        sensor: Name of the simulated LiDAR; empty where there is none.
-        scene_origin_m: (3,) in the world.
-        by_images: Whether images answered rays above the recorded lasers.
+        arrays: All arrays to publish, poses included.
+        sensor: Name of the simulated LiDAR; empty without one.
+        scene_origin_m: (3,) the scene's origin in the world, metres.
+        by_images: Whether images supplied the rays above the recorded lasers.
     """
     folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
@@ -58,30 +58,21 @@ def write_method(
 
 
 def _costs(task: Task, method: str) -> dict[str, float]:
-    """What making the method cost: seconds, numbers, megabytes."""
+    """Cost of the method: seconds of preparation and training, parameters, megabytes."""
+    nothing = {"train_seconds": 0.0, "parameters": 0, "model_mb": 0.0, "peak_memory_mb": 0.0}
     if method == "copy_nearest":
-        return {"train_seconds": 0.0, "parameters": 0, "model_mb": 0.0, "peak_memory_mb": 0.0}
+        return nothing
     if method == "mesh":
         made = read_record(task.store.require("mesh")) or {"seconds": 0.0, "metadata": {}}
-        return {
-            "train_seconds": made["seconds"],
-            "parameters": 0,
-            "model_mb": made["metadata"].get("model_mb", 0.0),
-            "peak_memory_mb": 0.0,
-        }
+        model_mb = made["metadata"].get("model_mb", 0.0)
+        return nothing | {"train_seconds": made["seconds"], "model_mb": model_mb}
     evidence = task.store.require("evidence")
     record = read_record(evidence) or {"seconds": 0.0}
     evidence_mb = sum(p.stat().st_size for p in evidence.rglob("*") if p.is_file()) / 1e6
     if method == "reproject":
-        return {
-            "train_seconds": record["seconds"],
-            "parameters": 0,
-            "model_mb": evidence_mb,
-            "peak_memory_mb": 0.0,
-        }
-    field = (read_record(task.store.require(FIELD_STAGE.location(task.config))) or {"metadata": {}})[
-        "metadata"
-    ]
+        return nothing | {"train_seconds": record["seconds"], "model_mb": evidence_mb}
+    made = read_record(task.store.require(FIELD_STAGE.location(task.config))) or {"metadata": {}}
+    field = made["metadata"]
     return {
         "train_seconds": record["seconds"] + _number(field, "train_seconds"),
         "parameters": _number(field, "parameters"),
@@ -91,7 +82,7 @@ def _costs(task: Task, method: str) -> dict[str, float]:
 
 
 def _number(metadata: dict[str, Any], name: str) -> float:
-    """A number that the field's record says; NaN where it says none."""
+    """A number of the field's metadata; NaN if absent."""
     value = metadata.get(name)
     return value if isinstance(value, int | float) else math.nan
 
@@ -99,16 +90,16 @@ def _number(metadata: dict[str, Any], name: str) -> float:
 def write_scans(
     folder: Path, numbers: Sequence[int], scans: Sequence[np.ndarray], kinds: Sequence[str] = ("bin",)
 ) -> list[dict[str, str]]:
-    """Write scans as files, as a driver finds them: the one writer, of views and of data sets.
+    """Write the scans of a view or of a data set as files in KITTI-360's layout.
 
     Args:
-        folder: Of the view.
-        numbers: Of the files, one a scan.
-        scans: (N, 4) float32 x, y, z in metres in the sensor's frame, intensity 0..1.
+        folder: Folder of the view.
+        numbers: File number of each scan.
+        scans: Each (N, 4) float32: x, y, z in metres in the sensor's frame, intensity 0..1.
         kinds: `bin`, `ply`, `pcd`.
 
     Returns:
-        A scan's files by kind, relative to the folder.
+        For each scan its files by kind, relative to the folder.
 
     Raises:
         DataError: A value is not finite.
@@ -130,7 +121,7 @@ def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[s
     """Write a view's rendered images as PNG.
 
     Returns:
-        Camera, place among the camera's images, number of the file, and the file relative to the folder.
+        Camera, index among the camera's images, file number, and file relative to the folder.
     """
     found = []
     for name in cameras_of(arrays):
@@ -143,7 +134,7 @@ def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[s
 
 
 def scans_of(arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """The rendered scans of a view, (N, 4) float32 each; none without a LiDAR."""
+    """The rendered scans of a view, each (N, 4) float32 as for `write_scans`; none without a LiDAR."""
     if "points_m" not in arrays:
         return []
     rows = np.concatenate([arrays["points_m"], arrays["intensity"][:, None]], axis=1).astype(np.float32)
@@ -151,7 +142,7 @@ def scans_of(arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
 
 
 def describe_view(output: StageOutput, view: str, folder: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Numbers, a picture and a check of one view."""
+    """Add metadata, previews and a check of one view to the output."""
     if "points_m" in arrays:
         _describe_scans(output, view, folder, arrays)
     for name in cameras_of(arrays):
@@ -179,11 +170,11 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
 
 
 def file_numbers(frame: np.ndarray) -> list[int]:
-    """File numbers: the nearest recorded frame's, or counted from 0 where two instants share one."""
+    """File numbers: those of the nearest recorded frames, or counted from 0 if two instants share one."""
     is_unique = len(np.unique(frame)) == len(frame)
     return [int(number) for number in (frame if is_unique else range(len(frame)))]
 
 
 def cameras_of(arrays: Mapping[str, np.ndarray]) -> list[str]:
-    """Names of the cameras that a view has images of."""
+    """Sorted names of the cameras whose images are in a view's arrays."""
     return sorted(name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb"))

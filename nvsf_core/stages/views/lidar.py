@@ -1,4 +1,4 @@
-"""The LiDAR's part of a view: simulated sweeps, answers along recorded rays, and the nearest scan copied."""
+"""Scans of a view: simulated sweeps, ranges along recorded rays, and copies of the nearest training scan."""
 
 import time
 from collections.abc import Mapping
@@ -7,6 +7,7 @@ import numpy as np
 
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
@@ -18,7 +19,18 @@ from nvsf_core.stages.runner.stage import Task
 def sweep_arrays(
     task: Task, lidar: LidarRecording, plan: SweepPlan, model: SceneModel, method: str
 ) -> dict[str, np.ndarray]:
-    """All sweeps of a view by a model with a LiDAR, joined."""
+    """Simulate all sweeps of a view with a model that has a LiDAR.
+
+    Args:
+        task: Task of the stage, for its progress.
+        lidar: The recorded LiDAR.
+        plan: Sensor and instants of the sweeps.
+        model: The model to render with.
+        method: Name of the method, for progress.
+
+    Returns:
+        Arrays of the data contract of `novel_views`: the joined scans, panos, and grids of rays.
+    """
     sweeps: list[SimulatedSweep] = []
     seconds = []
     for number, instant in enumerate(plan.time_s):
@@ -37,20 +49,23 @@ def sweep_arrays(
     firings = max(shape[1] for shape in shapes)
     arrays["grid_firings"] = np.array([s.grid["grid_hit"].shape[1] for s in sweeps])
     for name in sweeps[0].grid:
-        # Sweeps differ by a firing or two: the short ones end in cells that never hit.
+        # Sweeps differ by a firing or two: shorter grids are padded with zeros.
         padded = [np.pad(s.grid[name], ((0, 0), (0, firings - s.grid[name].shape[1]))) for s in sweeps]
         arrays[name] = np.stack(padded)
     return arrays
 
 
 def own_panos(task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRenderer) -> dict[str, np.ndarray]:
-    """The panos of a model that renders the range image's own rays; empty where it expects no return.
+    """The panos of a model that renders the range image's own rays; 0 where no return is expected.
 
     Args:
-        task: Takes the progress.
-        poses: (n, 4, 4) LiDAR to scene-local.
-        plan: The sweeps of the view.
-        render: Of the model.
+        task: Task of the stage, for its progress.
+        poses: (n, 4, 4) LiDAR to scene-local, metres.
+        plan: Instants of the sweeps.
+        render: The model's pano renderer.
+
+    Returns:
+        `pano_range_m`, `pano_intensity` and `pano_hit`, each (n, H, W).
     """
     panos = []
     for number, (pose, instant) in enumerate(zip(poses, plan.time_s, strict=True)):
@@ -63,9 +78,9 @@ def own_panos(task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRender
 
 
 def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> dict[str, np.ndarray]:
-    """For scoring only: range and intensity along the recorded returns' own rays, by a model with a LiDAR.
+    """Range (metres) and intensity that a model renders along the recorded returns' rays, for scoring only.
 
-    Ranges are free of their lasers' biases, as the recorded ones that they are compared with.
+    Ranges are without the lasers' biases, as the recorded ones that they are compared with.
     """
     sweeps = lidar.sweeps
     a = sweeps.arrays
@@ -84,29 +99,21 @@ def along_recorded_rays(lidar: LidarRecording, plan: SweepPlan, model: SceneMode
 
 
 def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray]:
-    """The nearest training scan of each instant, as it is."""
+    """Arrays of the nearest training scan of each instant, copied, and its ranges along the recorded rays."""
     sweeps = lidar.sweeps
     a = sweeps.arrays
-    training = np.flatnonzero(sweeps.is_training)
     pano = LinearPano(reference_quirks=True)
     scans, panos, rays, seconds = [], [], [], []
     for frame, instant in zip(plan.frame, plan.time_s, strict=True):
         started = time.perf_counter()
-        source = sweeps.returns_of(int(training[nearest_earlier(a["time_s"][training], float(instant))]))
-        scans.append((a["points_m"][source], a["intensity"][source], a["laser"][source]))
-        panos.append(pano.project(a["points_m"][source], a["intensity"][source]))
+        source = _nearest_training(sweeps, float(instant))
+        points_m, intensity, laser = a["points_m"][source], a["intensity"][source], a["laser"][source]
+        scans.append((points_m, intensity, laser))
+        panos.append(pano.project(points_m, intensity))
         seconds.append(time.perf_counter() - started)
         own = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
-        rays.append(
-            copied_ranges(
-                a["points_m"][source],
-                a["laser"][source],
-                a["range_m"][source],
-                a["intensity"][source],
-                a["points_m"][own],
-                a["laser"][own],
-            )
-        )
+        aims = a["points_m"][own], a["laser"][own]
+        rays.append(copied_ranges(points_m, laser, a["range_m"][source], intensity, *aims))
     arrays = _joined(scans)
     arrays["pano_range_m"] = np.stack([range_m for range_m, _ in panos])
     arrays["pano_intensity"] = np.stack([intensity for _, intensity in panos])
@@ -121,25 +128,22 @@ def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray
 def copied_sweeps(
     lidar: LidarRecording, plan: SweepPlan, grid: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """The nearest training scan of each instant, as it is, and what it says along a view's own rays.
+    """Arrays of the nearest training scan of each instant, copied, and its ranges along a view's own rays.
 
     Args:
-        lidar: What was recorded.
-        plan: Of the recording sensor, wherever it stands.
-        grid: `grid_azimuth_rad` and `grid_elevation_rad`, both (n, l, f), of the view's rays, row by row the
-            lasers that the drive has, and `grid_firings` (n,), how many of the firings are the sweep's.
+        lidar: The recorded LiDAR.
+        plan: Sweeps of the recording sensor, at any mount.
+        grid: `grid_azimuth_rad` and `grid_elevation_rad`, both (n, lasers, firings), of the view's rays, with
+            the drive's lasers as rows; `grid_firings` (n,), the firings that are not padding.
     """
     a = lidar.sweeps.arrays
-    training = np.flatnonzero(lidar.sweeps.is_training)
     pano = LinearPano(reference_quirks=True)
     lasers, firings = grid["grid_azimuth_rad"].shape[1:]
     laser = np.repeat(lidar.evidence.lasers.astype(np.int64), firings)
     scans, panos, rendered, seconds = [], [], [], []
     for instant, azimuth_rad in zip(plan.time_s, grid["grid_azimuth_rad"], strict=True):
         started = time.perf_counter()
-        source = lidar.sweeps.returns_of(
-            int(training[nearest_earlier(a["time_s"][training], float(instant))])
-        )
+        source = _nearest_training(lidar.sweeps, float(instant))
         scan = (a["points_m"][source], a["intensity"][source], a["laser"][source])
         towards = np.stack([np.cos(azimuth_rad).ravel(), np.sin(azimuth_rad).ravel()], axis=1)
         centre_m = np.linalg.norm(scan[0], axis=1)
@@ -159,8 +163,14 @@ def copied_sweeps(
     }  # fmt: skip
 
 
+def _nearest_training(sweeps: Sweeps, time_s: float) -> slice:
+    """The returns of the training scan nearest in time."""
+    training = np.flatnonzero(sweeps.is_training)
+    return sweeps.returns_of(int(training[nearest_earlier(sweeps.arrays["time_s"][training], time_s)]))
+
+
 def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:
-    """Answer a few rays: the first call of a compiled kernel loads it, which is no part of a frame's time."""
+    """Render a few rays: the first call of a compiled kernel loads it, and must not count as render time."""
     a = lidar.sweeps.arrays
     count = len(a["origin_m"][:64])
     fired_s = np.full(count, a["time_s"][0], np.float64)

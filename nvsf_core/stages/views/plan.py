@@ -1,4 +1,4 @@
-"""Which sensors take a view, and when: the held-out frames, and each view of the catalogue."""
+"""Sensors and instants of the views: the held-out frames, and each view of the catalogue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,36 +6,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.drives.catalogue import ViewEntry
+from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
-
-TEST = "test"
-"""The view of the held-out frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """One view: what is rendered of it, sensor by sensor."""
+    """One view: the instants to render, by sensor."""
 
     plan: ViewPlan
-    """Instants whose poses are published: the sweeps', or without any the images'."""
+    """Instants whose poses are published: those of the sweeps, or without sweeps of the images."""
     sweeps: SweepPlan | None
-    """None where no LiDAR is simulated."""
+    """None if no LiDAR is simulated."""
     images: dict[str, ViewPlan]
     """Camera to the instants of its images."""
 
     @property
     def name(self) -> str:
-        """Of the view."""
+        """Name of the view."""
         return self.plan.name
 
 
 def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | None:
-    """The held-out frames, each sensor at those that it recorded; None where none of them was."""
+    """The view of the held-out frames, for each sensor those that it recorded; None if there are none."""
 
     def plan_of(recorded: np.ndarray) -> ViewPlan | None:
         wanted = tuple(frame for frame in test_frames if frame in recorded)
-        return _plan(recording, TEST, frames=wanted) if wanted else None
+        return _plan(recording, HELD_OUT, frames=wanted) if wanted else None
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {name: plan_of(camera.recorded_frame) for name, camera in recording.cameras.items()}
@@ -52,7 +50,7 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
 
 
 def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
-    """A view of the catalogue; None where it asks for a LiDAR and the drive has none."""
+    """A view of the catalogue; None if it asks for a LiDAR and the drive has none."""
     frames = None if entry.frames == "all" else tuple(int(frame) for frame in entry.frames)
     plan = _plan(
         recording, entry.name, frames=frames, times_s=entry.times_s, shift_m=entry.shift_m,
@@ -62,12 +60,12 @@ def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
     if recording.lidar is None:
         return None if entry.sensor else View(plan=plan, sweeps=None, images=everywhere)
     sweeps = plan_sweeps(plan, recording.lidar.sweeps.table, entry.sensor)
-    # A view with another LiDAR asks for that LiDAR's data; the cameras have not changed.
+    # A view with another LiDAR is about that LiDAR's data only.
     return View(plan=plan, sweeps=sweeps, images=everywhere if sweeps.is_recorded_sensor else {})
 
 
 def reference_poses(recording: Recording, plan: ViewPlan) -> np.ndarray:
-    """Scene-local poses (n, 4, 4) of the view's LiDAR, or in a camera-only drive of where it would be."""
+    """(n, 4, 4) scene-local poses of the view's LiDAR; in a camera-only drive of its nominal place."""
     rotation, position = recording.trajectory.at(plan.time_s)
     poses = np.tile(np.eye(4), (len(plan.time_s), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotation, position
@@ -75,7 +73,7 @@ def reference_poses(recording: Recording, plan: ViewPlan) -> np.ndarray:
 
 
 def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
-    """The same poses (n, 4, 4) in the true world."""
+    """Scene-local poses (n, 4, 4) moved to the world, metres."""
     moved = poses.copy()
     moved[:, :3, 3] += recording.scene_origin_m
     return moved

@@ -69,8 +69,8 @@ def _write_exact_view(path: Path, view: ViewEntry, time_s: float, error_m: float
 
 
 def _measure(path: Path, view: ViewEntry) -> dict[str, float]:
-    ledger = Ledger(facts={"scene": "demo", "commit": "abc"})
-    assert list(measure_demo_view(path, view, _truth(), COSTS, ledger))
+    ledger = Ledger(facts={"scene": "demo", "commit": "abc", **COSTS})
+    assert list(measure_demo_view(path, view, _truth(), ledger))
     assert {(row["split"], row["protocol"], row["frame"]) for row in ledger.rows} == {(view.name, "raw", 4)}
     return {row["metric"]: row["value"] for row in ledger.rows}
 

@@ -1,0 +1,130 @@
+"""The residual recipes train and render on a device that is not the CPU, with the CPU's results."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
+from nvsf_core.models.residual.camera import LEARNED
+from nvsf_core.models.residual.camera_step import camera_step, depth_step
+from nvsf_core.models.residual.capacity import make_fields
+from nvsf_core.models.residual.left_out import LeftOut
+from nvsf_core.models.residual.pano import train_pano
+from nvsf_core.models.residual.raydrop import train_hits
+from nvsf_core.models.residual.train import train as train_scene
+from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.rendering.learned_warp import render_view
+from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages.field import load_trained
+from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.runner.checkpoints import StageSession
+from nvsf_core.stages.runner.run import SceneRun
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stores.checkpoints import save_tensors
+from nvsf_core.training.loop import fresh_state, train
+from tests.models.residual.test_camera_step import RECIPE, STEPS, example
+from tests.other_device import other_device
+from tests.stages.lidar_drive import FRAMES, LASERS
+
+# With everything that `lean` has and `quick` has not.
+LEAN = replace(
+    RECIPE,
+    camera=replace(RECIPE.camera, refinements=3, varied=True, plane_px=32 * 16),
+    losses=replace(RECIPE.losses, structure=0.1),
+)
+
+FEW = TrainingSpec(steps=5, rays=256, threads=1)
+CAMERA = "image_00"
+WHOLE = replace(
+    LEAN,
+    name="whole",
+    camera=replace(LEAN.camera, plane_px=24 * 12, members=2, aligned=True),
+    depth_training=FEW,
+    camera_training=FEW,
+    lidar_field=FieldSpec(levels=2, log2_table=8),
+    lidar_training=FEW,
+    hits=HitsSpec(channels=8, layers=1, frames=2, training=FEW),
+    pano=PanoSpec(phases=1, parts=1, channels=8, layers=1, frames=4, judge_every=2, training=FEW),
+)
+
+
+def learned(
+    recipe: ResidualRecipe, left_out: LeftOut, device: torch.device
+) -> tuple[list[float], np.ndarray]:
+    """Losses of a few steps of both kinds, and the image that is rendered afterwards."""
+    ensemble = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0)).to(device)
+    (networks,) = ensemble
+    assert isinstance(networks, CameraNetworks)
+    given, losses, spec = [left_out.to(device)], [], replace(STEPS, steps=10, threads=1)
+    for model, step in ((networks.depth, depth_step), (networks, camera_step)):
+        state = fresh_state(model, spec, 1)
+        train(
+            state, spec, lambda _, drawn, of=model, by=step: [by(of, given, recipe, drawn)],
+            lambda *_: None, lambda _: None,
+        )  # fmt: skip
+        losses += [row["loss"] for row in state.curve]
+    return losses, render_view(ensemble, given[0].view, recipe.camera).rgb
+
+
+def test_camera_networks_train_and_render_elsewhere_as_on_the_cpu() -> None:
+    for recipe in (RECIPE, LEAN):
+        losses, shown = learned(recipe, example(recipe.camera), torch.device("cpu"))
+        with other_device() as device:
+            found, image = learned(recipe, example(recipe.camera), device)
+        assert np.allclose(found, losses, rtol=1e-3)
+        assert np.abs(image.astype(float) - shown).max() <= 2.0
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+    """A drive with a camera and moving cars, all stages before training run."""
+    folder = tmp_path_factory.mktemp("elsewhere")
+    size = DemoSize(
+        frames=FRAMES, lasers=LASERS, firings=200, cameras=(CAMERA,), width=96, height=48, fisheye_side=0
+    )
+    write_demo(folder / "drive", size=size, traffic=2)
+    scene = SceneEntry(
+        name="elsewhere", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0,
+        last_frame=FRAMES - 1, test_frames=(4,), sweep_period_s=0.1,
+    )  # fmt: skip
+    run = plan_run(scene, folder / "home", recipe=WHOLE)
+    for stage in ("frames", "sweeps", "undistorted", "pano", "evidence"):
+        run_named_stage(stage, run, lambda line: None)
+    return run
+
+
+def trained_and_shown(run: SceneRun, work: Path) -> tuple[list[float], np.ndarray]:
+    """Losses of all networks and scores on validation scans, and an image by the camera networks."""
+    work.mkdir()
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=work, progress=lambda _: None)
+    session, recording = StageSession(task, work), read_recording(run.store)
+    trained = train_scene(WHOLE, recording, session)
+    assert all(value.device.type == "cpu" for value in trained.tensors.values())
+    # These train and render whether or not `choose` would use them: raydrop, pano and camera networks.
+    fields = make_fields(WHOLE, recording, 0)
+    assert fields.lidar and fields.hits and fields.pano and recording.lidar
+    hits = train_hits(session, fields.hits, fields.lidar, WHOLE, recording.lidar)
+    pano = train_pano(session, fields.pano, fields.lidar, WHOLE, recording.lidar, hits.correct)
+    curves = [*trained.curves.values(), hits.states["hits"].curve, pano.states["pano"].curve]
+    judged = [float(hits.metadata["hits_judged_nats"]), float(pano.metadata["pano_judged_psnr_db"])]
+    save_tensors(work / "weights.safetensors", trained.tensors, trained.facts | {LEARNED: [CAMERA]})
+    (work / "recipe.json").write_text(json.dumps(WHOLE.to_json()))
+    model = load_trained(work, recording)
+    assert model.camera is not None
+    images = recording.cameras[CAMERA].training
+    shown = model.camera(CAMERA, images.pinhole, images.pose[2], 0.2)
+    return [row["loss"] for curve in curves for row in curve] + judged, shown.rgb
+
+
+def test_a_whole_scene_trains_elsewhere_as_on_the_cpu(run: SceneRun, tmp_path: Path) -> None:
+    expected, image = trained_and_shown(run, tmp_path / "here")
+    with other_device():
+        found, shown = trained_and_shown(run, tmp_path / "there")
+    assert len(found) > 5 and np.allclose(found, expected, rtol=1e-2)
+    assert np.abs(shown.astype(float) - image).mean() < 1.0
