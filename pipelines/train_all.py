@@ -23,7 +23,7 @@ from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.metrics.table import summary_table
 from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
-from nvsf_core.stages.runner.run import DEMO_SCENE, write_demo_where_absent
+from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
@@ -83,8 +83,7 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
     """Why the scene's drive cannot be used; empty if it can."""
     try:
         entry = find_scene(name)
-        if entry.name == DEMO_SCENE:
-            write_demo_where_absent(entry, context.log.info)
+        write_demo_where_absent(entry, context.log.info)
         if has_data(entry):
             return ""
     except NvsfError as error:
