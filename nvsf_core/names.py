@@ -2,8 +2,6 @@
 
 import re
 
-__all__ = ["LONGEST_NAME", "RESERVED_SCENES", "RESERVED_VIEWS", "name_fault"]
-
 LONGEST_NAME = 100
 """Characters. A file system takes 255 bytes; a folder that is being written adds 40 to its name."""
 

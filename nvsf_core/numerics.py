@@ -16,15 +16,6 @@ from torch import Tensor
 
 from nvsf_core.errors import DivergedError
 
-__all__ = [
-    "EXP_GRADIENT_LIMIT",
-    "EXP_SATURATION",
-    "GRADIENT_LIMIT",
-    "probability_logit",
-    "require_finite",
-    "safe_exp",
-]
-
 EXP_SATURATION = 40.0
 """`safe_exp` is exp up to here and constant above: e^40 = 2.4e17, whose square still fits float32."""
 

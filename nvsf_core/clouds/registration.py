@@ -7,8 +7,6 @@ import numpy as np
 from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.geometry.se3 import log_so3
 
-__all__ = ["LEAST_ACROSS", "Registration", "Slippage", "register", "slippage"]
-
 LEAST_ACROSS = 0.05
 """Share of a motion across the surfaces below which nothing can be said about it.
 

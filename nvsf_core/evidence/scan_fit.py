@@ -5,8 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-__all__ = ["scan_misfits"]
-
 _NEIGHBOURS = 2
 """Scans before and after that one is held against, and whose poses it is tried at."""
 _FARTHEST_M = 1.0

@@ -12,12 +12,7 @@ from nvsf_core.evidence.static.surfels import Surfels
 
 _RENDERED, _UNKNOWN = "rendered_", "unknown_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
-
-
 _PATH = ("scan", "time_s", "pose")
-
-
-_RAYS = ("origin_m", "direction", "range_m", "intensity", "is_hit", "scan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +43,7 @@ class DynamicEvidence:
                 arrays[f"object_flow_m_{number}"] = one.flow_m
         for name in _PATH:
             arrays[f"object_path_{name}"] = np.concatenate([getattr(path, name) for path in paths])
-        for name in _RAYS:
+        for name in ObjectRays.__slots__:
             arrays[f"object_ray_{name}"] = np.concatenate([getattr(one, name) for one in rays])
         return arrays
 
@@ -72,7 +67,7 @@ class DynamicEvidence:
                         low_m=low_m,
                         high_m=high_m,
                     ),
-                    ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in _RAYS)),
+                    ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in ObjectRays.__slots__)),
                     float(arrays["object_voxel_m"][number]),
                     arrays.get(f"object_flow_m_{number}"),
                 )

@@ -7,7 +7,7 @@ Lasers also differ in how bright they record the same surface.
 
 import numpy as np
 
-from nvsf_core.evidence.static.voxels import index_points
+from nvsf_core.evidence.static.voxels import index_points, voxel_moments
 
 _VOXEL_M = 0.8
 _MIN_RETURNS = 12
@@ -84,16 +84,9 @@ def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np
 def _flat_voxels(points: np.ndarray, voxel: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Mean (v, 3) of each voxel's points and its plane's unit normal (v, 3), 0 where it is not flat."""
     returns = np.bincount(voxel, minlength=count)
-    total = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], axis=1)
-    mean = total / returns[:, None]
-    centred = points - mean[voxel]
+    mean, covariance = voxel_moments(points, voxel, returns)
     full = np.flatnonzero(returns >= _MIN_RETURNS)
-    covariance = np.empty((len(full), 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count)
-            covariance[:, a, b] = covariance[:, b, a] = (moment / returns)[full]
-    value, vector = np.linalg.eigh(covariance)
+    value, vector = np.linalg.eigh(covariance[full])
     flat = (value[:, 1] > _FLATNESS * value[:, 0]) & (value[:, 0] < _MAX_THICKNESS_M**2)
     normal = np.zeros((count, 3))
     normal[full[flat]] = vector[flat, :, 0]

@@ -86,15 +86,5 @@ class Bounds:
         """A length in scaled units; lengths come back with ``* half_m``."""
         return length_m / self.half_m
 
-    def to_contracted_unit(self, points_m: Tensor) -> Tensor:
-        """(n, 3) metres to (n, 3) in (0, 1): the cube fills the middle half of each axis, the rest all space.
-
-        u = (p - c) / half; u stays where its largest coordinate m is at most 1, else becomes (2 - 1/m) u / m.
-        Source: Barron et al., mip-NeRF 360, eq. 10, with the maximum norm.
-        """
-        u = self.to_scaled(points_m)
-        m = u.abs().amax(dim=-1, keepdim=True).clamp_min(1.0)
-        return (2.0 - 1.0 / m) * u / m / 4.0 + 0.5
-
     def _centre_m(self, like: Tensor) -> Tensor:
         return torch.tensor(self.centre_m, dtype=like.dtype, device=like.device)

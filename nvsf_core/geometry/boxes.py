@@ -5,8 +5,6 @@ import numpy as np
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 
-__all__ = ["CORNERS", "box_corners", "box_rectangles", "inside_any"]
-
 CORNERS = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij")).reshape(3, 8).T
 """(8, 3) corners of the unit cube."""
 

@@ -9,18 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from nvsf_core.errors import ShapeError
 
-__all__ = [
-    "exp_se3",
-    "exp_so3",
-    "interpolate_poses",
-    "invert_pose",
-    "is_rigid",
-    "log_se3",
-    "log_so3",
-    "pose_from_parts",
-    "transform_points",
-]
-
 _SMALL_RAD = 1e-3
 """Below this angle the series is more exact than the closed form: its first dropped term is 1e-15."""
 
@@ -113,16 +101,6 @@ def transform_points(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     pose = _checked(pose)
     moved: np.ndarray = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return moved
-
-
-def is_rigid(pose: np.ndarray, tolerance: float = 1e-4) -> bool:
-    """Whether a 4x4 matrix is finite, a proper rotation to `tolerance`, and ends in (0, 0, 0, 1)."""
-    pose = np.asarray(pose, np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        return False
-    rotation = pose[:3, :3]
-    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=tolerance)
-    return bool(orthonormal and np.linalg.det(rotation) > 0.0 and np.allclose(pose[3], (0, 0, 0, 1)))
 
 
 def _rodrigues_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -169,8 +169,6 @@ def recipe_from_json(values: dict[str, Any]) -> Recipe:
     return _FAMILIES[family].from_json(values)
 
 
-__all__ = ["differ_in_step_size", "full_name", "share_of", "slower"]
-
 _MARK = "@"
 _LEAST_SHARE = 1e-6
 _RATES = ("rate", "table_rate", "network_rate", "head_rate", "flow_rate")

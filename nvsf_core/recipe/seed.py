@@ -2,8 +2,6 @@
 
 from nvsf_core.errors import RecipeError
 
-__all__ = ["MOST_SEED", "is_seed_folder", "require_seed", "seed_from_text"]
-
 MOST_SEED = 2**32 - 1
 """What numpy, torch and a table's int64 column all take."""
 

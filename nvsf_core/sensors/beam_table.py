@@ -14,17 +14,6 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.linear_pano import project_nearest
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = [
-    "BeamPano",
-    "corrected_rays",
-    "encoder_angle",
-    "firing_grid",
-    "recorded_ray_of_points",
-    "sensor_rays",
-    "turn_up",
-    "wrap_angle",
-]
-
 
 def sensor_rays(
     table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray

@@ -11,17 +11,8 @@ import numpy as np
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.beam_table import encoder_angle, wrap_angle
+from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.sensors.tables import LaserTable
-
-__all__ = [
-    "BEAM_TABLE",
-    "FILE_ORDER",
-    "UNKNOWN",
-    "ScanTiming",
-    "recover_firings",
-    "recover_lasers",
-    "recover_timing",
-]
 
 FILE_ORDER = "file_order"
 BEAM_TABLE = "beam_table"
@@ -68,7 +59,7 @@ def recover_timing(points_m: np.ndarray, table: LaserTable) -> ScanTiming:
         laser=laser,
         firing=firing,
         firings=len(firing_azimuth_rad),
-        sweep_fraction=_fraction(azimuth_rad),
+        sweep_fraction=sweep_fraction(azimuth_rad),
         source=source,
         evidence=f"{evidence}; {said or 'firings unknown, times from the azimuth'}",
     )
@@ -225,8 +216,3 @@ def _firings_by_spacing(theta_rad: np.ndarray, laser: np.ndarray) -> int:
         return 1
     # The mean of the single steps: a median would keep the encoder's rounding.
     return max(1, round(2.0 * np.pi / float(np.mean(step[step < 1.5 * np.median(step)]))))
-
-
-def _fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Share s = -a / 2 pi for a in (-pi, pi]; in [-0.5, 0.5)."""
-    return -wrap_angle(azimuth_rad) / (2.0 * np.pi)

@@ -11,8 +11,6 @@ import numpy as np
 
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = ["NEAR_M", "OwnVehicle", "learn_own_vehicle"]
-
 NEAR_M = 2.5
 """Only returns nearer than this can be the own vehicle's."""
 _MIN_SHARE = 0.5

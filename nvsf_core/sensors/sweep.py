@@ -14,8 +14,6 @@ from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up, wrap_angle
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = ["Trajectory", "compensate", "rays_to_local", "sweep_fraction"]
-
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
     """Sweeps after the pose's instant, in [-0.5, 0.5), of what is measured at an azimuth: -a / 2 pi."""
@@ -108,69 +106,33 @@ class Trajectory:
         return origin_m, np.einsum("nij,nj->ni", rotation, direction_s)
 
 
-def rays_to_local(
-    origin_s: np.ndarray,
-    direction_s: np.ndarray,
-    fraction: np.ndarray,
-    frame_index: np.ndarray | int,
-    poses: np.ndarray,
-    times_s: np.ndarray,
-    period_s: float,
-    scene_origin_m: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rays of the sensor's frame, each fired at its own time, as scene-local rays.
-
-    Args:
-        origin_s: (N, 3) in metres, in the sensor's frame at the ray's own time.
-        direction_s: (N, 3) unit, in that frame.
-        fraction: (N,) sweeps after the instant of the ray's frame.
-        frame_index: (N,) or one index into `poses`.
-        poses: (n, 4, 4) float64 LiDAR to world.
-        times_s: (n,) their instants.
-        period_s: Seconds of one sweep.
-        scene_origin_m: (3,) world position of the scene's origin.
-
-    Returns:
-        origin_m (N, 3) and unit direction (N, 3), scene-local, float64.
-    """
-    trajectory = Trajectory(times_s, poses, scene_origin_m)
-    time_s = trajectory.times_s[frame_index] + np.asarray(fraction, np.float64) * period_s
-    return trajectory.move_rays(origin_s, direction_s, time_s)
-
-
 def compensate(
     table: LaserTable,
     points_m: np.ndarray,
     laser: np.ndarray,
-    fraction: np.ndarray,
-    instant_s: float,
-    period_s: float,
+    time_s: np.ndarray,
     trajectory: Trajectory,
     *,
-    compensated: bool = True,
     elevation_correction_rad: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One scan as rays in the world: from where, whither and how far each return was measured.
+    """Ego-motion compensation: one scan's returns as rays, each from where its laser was at its own time.
 
     Args:
         table: The sensor.
-        points_m: (N, 3) as recorded, in the moving sensor's frame.
-        laser: (N,), -1 unknown: such rays start at the sensor's centre.
-        fraction: (N,) sweeps after the pose's instant.
-        instant_s: The scan's own instant.
-        period_s: Seconds of one sweep.
-        trajectory: Where the sensor was.
-        compensated: False puts the whole scan at the pose's instant, as the papers do.
-        elevation_correction_rad: How far to turn rays up; None = the table's.
+        points_m: (N, 3) metres as recorded, in the moving sensor's frame.
+        laser: (N,) int from the top; -1 = unknown, such rays start at the sensor's centre.
+        time_s: (N,) instant of each return. The pose's instant for all of them means no compensation, as in
+            the papers.
+        trajectory: The sensor's poses.
+        elevation_correction_rad: Angle by which rays are turned up; None = the table's.
 
     Returns:
-        origin_m (N, 3), unit direction (N, 3), range_m (N,): scene-local, float64.
+        origin_m (N, 3), unit direction (N, 3), range_m (N,): scene-local, metres, float64.
     """
     angle_rad = elevation_correction_rad
     if angle_rad is None:
         angle_rad = table.elevation_correction_rad
     origin_s, direction_s, range_m = recorded_ray_of_points(table, points_m, laser)
     origin_s, direction_s = turn_up(origin_s, direction_s, encoder_angle(table, points_m, laser), angle_rad)
-    lag_s = np.asarray(fraction, np.float64) * (period_s if compensated else 0.0)
-    origin_m, direction = trajectory.move_rays(origin_s, direction_s, instant_s + lag_s)
+    origin_m, direction = trajectory.move_rays(origin_s, direction_s, time_s)
     return origin_m, direction, range_m

@@ -14,8 +14,6 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 
-__all__ = ["HDL_64E", "OS1_128", "SENSOR_TABLES", "VLP_16", "LaserTable", "sensor_table"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserTable:

@@ -57,8 +57,9 @@ def _rays(shift_m: tuple[float, float, float]) -> Reading:
     offset = _origin_shift(shift_m)
     worst = 0.0
     for frame in range(6):
-        a = compensate(HDL_64E, points, laser, fraction, frame * _PERIOD_S, _PERIOD_S, near)
-        b = compensate(HDL_64E, points, laser, fraction, frame * _PERIOD_S, _PERIOD_S, far)
+        time_s = frame * _PERIOD_S + fraction * _PERIOD_S
+        a = compensate(HDL_64E, points, laser, time_s, near)
+        b = compensate(HDL_64E, points, laser, time_s, far)
         ends = [rays[0] + rays[1] * rays[2][:, None] for rays in (a, b)]
         worst = max(worst, float(np.abs(ends[1] + offset - ends[0]).max()))
     return Reading(error=worst, limit=SHIFTED_POSE_M, unit="m", outcome="end points 2 to 80 m from the car")

@@ -7,7 +7,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.visibility import SEED, STATIC
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.moving.visibility import SEED, STATIC, AboveGround
 
 _VOXEL_M = 0.25
 _LINK_M = 0.5
@@ -60,33 +61,25 @@ def pull_together(
 
 
 def cluster_scan(
-    scan: int,
-    index: np.ndarray,
-    point_m: np.ndarray,
-    label: np.ndarray,
-    time_s: np.ndarray,
-    range_m: np.ndarray,
-    pulled_together_m: np.ndarray,
-    density: float,
+    scan: int, returns: TimedReturns, above_ground: AboveGround, range_m: np.ndarray, spacing_rad: float
 ) -> list[Cluster]:
-    """Moving clusters of a scan's standing returns.
+    """Clusters of a scan's returns above the ground that probably move.
 
-    Voxels that are mostly static do not link, the others do up to half a metre.
+    Voxels are linked to others within half a metre, but not those that are mostly static.
 
     Args:
-        scan: Which scan.
-        index: (m,) int64, the standing returns' indices among all returns.
-        point_m: (m, 3) scene-local.
-        label: (m,) int8 from `classify_returns`.
-        time_s: (m,) their times.
-        range_m: (m,) their ranges.
-        pulled_together_m: (m, 3) the same points for the links alone, from `pull_together`.
-        density: From `laser_density`: so many times fewer seeds do.
+        scan: Number of the scan.
+        returns: All training returns.
+        above_ground: Those that may move, with their labels.
+        range_m: (N,) ranges of all returns.
+        spacing_rad: Angle between neighbouring lasers.
     """
-    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * density)
+    index, label = above_ground.of_scan(scan)
+    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * laser_density(spacing_rad))
     if (label == SEED).sum() < least_seeds:
         return []
-    group = _groups(pulled_together_m, label)
+    point_m, range_m = returns.point_m[index], range_m[index]
+    group = _groups(pull_together(point_m, returns.recorded_m[index, 2], range_m, spacing_rad), label)
     count = int(group.max(initial=-1)) + 1
     seeds = np.bincount(group[(label == SEED) & (group >= 0)], minlength=count)
     static = np.bincount(group[(label == STATIC) & (group >= 0)], minlength=count)
@@ -103,7 +96,7 @@ def cluster_scan(
             Cluster(
                 scan=scan,
                 members=index[rows],
-                time_s=float(time_s[rows].mean()),
+                time_s=float(returns.time_s[index[rows]].mean()),
                 centre_m=points.mean(axis=0),
                 size_m=float(np.linalg.norm(extent)),
                 nearest_m=float(range_m[rows].min()),

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density, pull_together
-from nvsf_core.evidence.moving.path_fitting import AboveGround, Path, carry_on, solve_path, start_path
+from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density
+from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path, start_path
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.moving.tracks import link_tracks
-from nvsf_core.evidence.moving.visibility import classify_returns
+from nvsf_core.evidence.moving.visibility import AboveGround, classify_returns
 from nvsf_core.evidence.static.ground import build_ground
 
 ABOVE_GROUND_M = 0.25
@@ -38,27 +38,12 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     if returns.scan_count < _LEAST_SCANS or len(returns.point_m) == 0:
         return nothing
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
-    above_ground = _judge(returns, range_m)
+    above_ground = _classify(returns, range_m)
     spacing_rad = returns.laser_spacing_rad
     density = laser_density(spacing_rad)
-    clusters = []
-    for scan in range(returns.scan_count):
-        part = slice(int(above_ground.offsets[scan]), int(above_ground.offsets[scan + 1]))
-        index = above_ground.index[part]
-        clusters.append(
-            cluster_scan(
-                scan,
-                index,
-                returns.point_m[index],
-                above_ground.label[part],
-                returns.time_s[index],
-                range_m[index],
-                pull_together(
-                    returns.point_m[index], returns.recorded_m[index, 2], range_m[index], spacing_rad
-                ),
-                density,
-            )
-        )
+    clusters = [
+        cluster_scan(scan, returns, above_ground, range_m, spacing_rad) for scan in range(returns.scan_count)
+    ]
     paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
     for path in paths:
         solve_path(path, returns)
@@ -67,7 +52,7 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     return _whole_objects(paths, returns, above_ground, density) if paths else nothing
 
 
-def _judge(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
+def _classify(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
     within = ~returns.is_own_vehicle & (range_m > _NEAREST_M) & (range_m < _FARTHEST_M)
     if not within.any():
         return AboveGround(

@@ -40,10 +40,7 @@ class ObjectRays:
 
     def of(self, chosen: np.ndarray) -> "ObjectRays":
         """Chosen rays, by number (m,) or (n,) bool."""
-        return ObjectRays(
-            self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
-            self.is_hit[chosen], self.scan[chosen],
-        )  # fmt: skip
+        return ObjectRays(*(getattr(self, name)[chosen] for name in self.__slots__))
 
     def point_m(self, chosen: np.ndarray) -> np.ndarray:
         """Where chosen rays, by number (m,) or (n,) bool, returned: (m, 3)."""

@@ -10,7 +10,7 @@ from nvsf_core.evidence.moving.registration import Cloud, PairMotions, make_clou
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.moving.tracks import Track
-from nvsf_core.evidence.moving.visibility import STATIC
+from nvsf_core.evidence.moving.visibility import AboveGround
 
 _STRIDES = (1, 2, 4)
 _REACH_M = 0.5
@@ -21,27 +21,6 @@ _MOST_RESIDUAL_M = 0.2
 _MOST_MISSES = 2
 _MODEL_SCANS = 3
 _LEAST_RETURNS = 8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AboveGround:
-    """The standing returns, judged."""
-
-    index: np.ndarray
-    """(m,) int64 among all returns, ascending."""
-    label: np.ndarray
-    """(m,) int8 from `classify_returns`."""
-    offsets: np.ndarray
-    """(n + 1,) int64: which of them are of which scan."""
-
-    def loose_near(
-        self, returns: TimedReturns, scan: int, low_m: np.ndarray, high_m: np.ndarray
-    ) -> np.ndarray:
-        """Indices among all returns of a scan's standing, not static returns in a scene-local box."""
-        part = slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))
-        index = self.index[part][self.label[part] != STATIC]
-        point = returns.point_m[index]
-        return index[np.all((point >= low_m) & (point <= high_m), axis=1)]
 
 
 @dataclass(slots=True, eq=False)

@@ -5,6 +5,8 @@ there. Walking outwards in time from the return's own scan, a confirmation that 
 is late: foliage and edges are, a thing that drove away is not.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
@@ -21,6 +23,39 @@ _LEAST_THROUGH = 3
 _LATE_SHARE = 0.15
 _CONFIRMED_SHARE = 0.5
 _MOST_IMAGE_BYTES = 1 << 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AboveGround:
+    """The returns that may move, because they lie above the ground, and what is known of each."""
+
+    index: np.ndarray
+    """(m,) int64 indices among all returns, ascending."""
+    label: np.ndarray
+    """(m,) int8 from `classify_returns`."""
+    offsets: np.ndarray
+    """(n + 1,) int64: scan k has the rows offsets[k] .. offsets[k + 1] - 1."""
+
+    def of_scan(self, scan: int) -> tuple[np.ndarray, np.ndarray]:
+        """`index` (k,) and `label` (k,) of one scan's returns."""
+        part = slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))
+        return self.index[part], self.label[part]
+
+    def loose_near(
+        self, returns: TimedReturns, scan: int, low_m: np.ndarray, high_m: np.ndarray
+    ) -> np.ndarray:
+        """Returns (k,) int64 of a scan in a scene-local box that are not labelled static.
+
+        Args:
+            returns: All training returns.
+            scan: Number of the scan.
+            low_m: (3,) lower corner.
+            high_m: (3,) upper corner.
+        """
+        index, label = self.of_scan(scan)
+        index = index[label != STATIC]
+        point = returns.point_m[index]
+        return index[np.all((point >= low_m) & (point <= high_m), axis=1)]
 
 
 def classify_returns(returns: TimedReturns, above_ground: np.ndarray) -> np.ndarray:

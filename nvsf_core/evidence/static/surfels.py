@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.evidence.static.voxels import VoxelIndex, index_points
+from nvsf_core.evidence.static.voxels import VoxelIndex, index_points, voxel_moments
 from nvsf_core.kernels.voxel_march import count_passes, find_candidates
 
 MIN_PLANE_RETURNS = 5
@@ -126,7 +126,7 @@ def build_surfels(
     index, voxel = index_points(points, voxel_m)
     count = index.count
     hits = np.bincount(voxel, minlength=count)
-    mean, covariance = _moments(points, voxel, hits)
+    mean, covariance = voxel_moments(points, voxel, hits)
     normal, thickness = _planes(covariance, hits)
     mean_m = mean.astype(np.float32)
     precision = _precision(covariance, hits, voxel_m) if shaped else np.zeros((0, 6), np.float32)
@@ -180,22 +180,6 @@ def candidates_of(
     return Candidates(range_m, voxel, opacity, cosine)
 
 
-def _moments(points: np.ndarray, voxel: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (v, 3) and covariance (v, 3, 3) of each voxel's points, in float64 about the voxel's mean."""
-    count = len(hits)
-    mean = (
-        np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1)
-        / hits[:, None]
-    )
-    centred = points - mean[voxel]
-    covariance = np.empty((count, 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / hits
-            covariance[:, a, b] = covariance[:, b, a] = moment
-    return mean, covariance
-
-
 def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normals (v, 3) float32, 0 where the returns are too few or too round, and thickness (v,) metres."""
     values, vectors = np.linalg.eigh(covariance)
@@ -208,7 +192,7 @@ def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.n
     """Inverse covariances (v, 6) float32 of returns, 1/m^2, of which few are doubted."""
     # A coordinate that is even over a voxel has the variance voxel_m^2 / 12.
     even, noise = _DOUBT * voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
-    told = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
-    precision = np.linalg.inv(told + noise)
+    smoothed = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
+    precision = np.linalg.inv(smoothed + noise)
     rows, columns = np.triu_indices(3)
     return precision[:, rows, columns].astype(np.float32)

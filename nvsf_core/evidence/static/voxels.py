@@ -95,6 +95,28 @@ def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
     return len(named), table[place]
 
 
+def voxel_moments(
+    points_m: np.ndarray, voxel: np.ndarray, returns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (v, 3) and covariance (v, 3, 3) float64 of each voxel's points, metres.
+
+    Args:
+        points_m: (n, 3) metres.
+        voxel: (n,) number of the voxel of each point, from `index_points`.
+        returns: (v,) number of points in each voxel, at least 1.
+    """
+    count = len(returns)
+    total = np.stack([np.bincount(voxel, weights=points_m[:, a], minlength=count) for a in range(3)], axis=1)
+    mean = total / returns[:, None]
+    centred = points_m - mean[voxel]
+    covariance = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / returns
+            covariance[:, a, b] = covariance[:, b, a] = moment
+    return mean, covariance
+
+
 PLANE_POINTS = 8
 """Neighbours, itself included, that tell a point's plane."""
 
