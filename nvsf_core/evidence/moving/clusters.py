@@ -1,4 +1,4 @@
-"""Clusters of one scan: returns that hang together, among them enough that left."""
+"""Clusters of one scan: groups of connected returns, enough of which were labelled as moved."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _LINK_M = 0.5
 _LEAST_SEEDS = 8
 _FEWEST_SEEDS = 3
 _USUAL_SPACING_RAD = 0.007
-"""Angle between neighbouring lasers of the sensor for which numbers of returns are told."""
+"""Angle between neighbouring lasers of the 64-laser sensor for which all numbers of returns are given."""
 _SEED_SHARE = 0.4
 _SEEDS_PER_STATIC = 2.0
 _LONGEST_M = 12.0
@@ -23,41 +23,41 @@ _LONGEST_M = 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cluster:
-    """One thing that probably moves, in one scan."""
+    """One probably moving object in one scan."""
 
     scan: int
-    """Which scan."""
+    """Number of the scan."""
     members: np.ndarray
-    """(k,) int64 indices of its returns."""
+    """(k,) int64 indices of its returns among all returns."""
     time_s: float
     """Mean time of its returns."""
     centre_m: np.ndarray
-    """(3,) float64 mean of its returns."""
+    """(3,) float64 mean of its returns, scene-local metres."""
     size_m: float
-    """Diagonal of its axis-parallel box."""
+    """Diagonal of its axis-aligned box."""
     nearest_m: float
     """Range of its nearest return."""
 
 
 def laser_density(spacing_rad: float) -> float:
-    """Returns of a thing to those that 64 lasers get of it, at most 1: by the angle between lasers."""
+    """Returns that a sensor gets from an object, relative to a 64-laser sensor; at most 1."""
     return min(1.0, _USUAL_SPACING_RAD / spacing_rad)
 
 
 def pull_together(
     point_m: np.ndarray, above_sensor_m: np.ndarray, range_m: np.ndarray, spacing_rad: float
 ) -> np.ndarray:
-    """Points (m, 3) drawn in towards the sensor's height until rows of lasers are within a link's reach.
+    """Points (m, 3) moved towards the sensor's height until rows of neighbouring lasers can be linked.
 
     Args:
-        point_m: (m, 3) scene-local.
-        above_sensor_m: (m,) their heights above the sensor.
-        range_m: (m,) their ranges.
-        spacing_rad: Between neighbouring lasers.
+        point_m: (m, 3) scene-local, metres.
+        above_sensor_m: (m,) heights above the sensor.
+        range_m: (m,) ranges from the sensor.
+        spacing_rad: Angle between neighbouring lasers.
     """
-    drawn = point_m.copy()
-    drawn[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
-    return drawn
+    pulled = point_m.copy()
+    pulled[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
+    return pulled
 
 
 def cluster_scan(
@@ -106,7 +106,7 @@ def cluster_scan(
 
 
 def _groups(point_m: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Number of the linked group of each point (m,), -1 in mostly static voxels."""
+    """Number (m,) of the linked group of each point (m, 3); -1 in mostly static voxels."""
     cell = np.floor(point_m / _VOXEL_M).astype(np.int64)
     cell -= cell.min(axis=0)
     extent = cell.max(axis=0) + 1
