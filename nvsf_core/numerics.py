@@ -1,9 +1,9 @@
-"""The guarded operations, each in the one form that the project uses.
+"""Numerically guarded operations, each in the one form that the project uses.
 
 Each function states its saturation: for every finite input the value is finite and the factor it
-multiplies the incoming gradient with is at most ``GRADIENT_LIMIT``. NaN goes in and comes out as NaN;
-`require_finite` is where it becomes an error with a name. float16 and bfloat16 are worked on in float32
-and rounded once; values and gradients that they cannot hold come out as their largest number.
+multiplies the incoming gradient with is at most ``GRADIENT_LIMIT``. NaN stays NaN;
+`require_finite` makes it a named error. float16 and bfloat16 are computed in float32 and rounded once; values
+and gradients too large for them become their largest number.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class _Narrow(torch.autograd.Function):
 
 
 def _fitting(x: Tensor, dtype: torch.dtype) -> Tensor:
-    """In a narrower type: what it cannot hold becomes its largest number."""
+    """Convert to a narrower type; numbers too large for it become its largest one."""
     largest = torch.finfo(dtype).max
     return x.clamp(-largest, largest).to(dtype)
 
 
 def _at_least_single(function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-    """Apply a function in float32 where the tensors are half types, else as they are."""
+    """Apply a function, in float32 where the tensors are of a half type."""
     dtype = torch.result_type(tensors[0], tensors[-1])
     if dtype not in _HALVES:
         return function(*tensors)
@@ -77,10 +77,10 @@ class _SafeExp(torch.autograd.Function):
 
 
 def safe_exp(x: Tensor) -> Tensor:
-    """Exponential that neither overflows nor goes deaf.
+    """Exponential that does not overflow and whose gradient does not vanish.
 
-    Value ``exp(min(x, 40))``; gradient ``exp(clamp(x, -15, 15))``, so an input far below still learns
-    (3e-7) and one far above does not tear the weights apart (3e6).
+    Value ``exp(min(x, 40))``; gradient ``exp(clamp(x, -15, 15))``, so it stays between 3e-7
+    for very small inputs and 3e6 for very large ones.
 
     Args:
         x: any shape, floating.
@@ -110,7 +110,7 @@ def probability_logit(probability: Tensor, margin: float) -> Tensor:
 
 
 def require_finite(name: str, tensor: Tensor) -> Tensor:
-    """Hand the tensor back if all of it is finite.
+    """Return the tensor if all of it is finite.
 
     Args:
         name: what the tensor is, for the message (loss term, step).

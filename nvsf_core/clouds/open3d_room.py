@@ -1,4 +1,4 @@
-"""The one place where open3d is imported: lazily, because slim machines lack what it links to."""
+"""Imports open3d, only when it is needed: small machines lack system libraries that it links to."""
 
 import ctypes
 import importlib
@@ -44,7 +44,7 @@ def write_pcd(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
 
 
 def _preload_libusb() -> None:
-    """Make libusb's symbols known to the process: open3d's wheel links to it without bringing it."""
+    """Load libusb's symbols into the process: open3d's wheel links to it but does not include it."""
     try:
         library = importlib.import_module("libusb_package").get_library_path()
     except ImportError:

@@ -1,4 +1,4 @@
-"""From scene-local metres to the unit cube in which a field is laid out, and nowhere else."""
+"""Conversion between scene-local metres and the unit cube in which a field is defined."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from torch import Tensor
 from nvsf_core.errors import DataError, ShapeError
 
 OUTERMOST_SHARE = 1e-3
-"""Share of the points, per axis, that may lie outside a scene's box: half of them at either end."""
+"""Share of the points, per axis, that may lie outside a scene's box, half of them at each end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """A cube around a scene. Scaled units are metres from its centre divided by `half_m`: it spans -1..1."""
+    """A cube around a scene. In scaled units, metres from its centre divided by `half_m`, it spans -1..1."""
 
     centre_m: tuple[float, float, float]
-    """Scene-local."""
+    """Scene-local metres."""
     half_m: float
     """Half the edge."""
     bound: float = 1.0
@@ -40,7 +40,7 @@ class Bounds:
         longest half axis. The authors' box, from the extremes (share 0), is moved by one stray point.
 
         Args:
-            points_m: (n, 3), scene-local.
+            points_m: (n, 3) scene-local metres.
             outermost_share: In [0, 1): share of the points left out per axis, half at either end.
             bound: Of the unit cube, in scaled units.
 

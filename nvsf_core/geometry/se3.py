@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from nvsf_core.errors import ShapeError
 
 _SMALL_RAD = 1e-3
-"""Below this angle the series is more exact than the closed form: its first dropped term is 1e-15."""
+"""Below this angle the Taylor series is used, which is more exact: its first dropped term is 1e-15."""
 
 
 def exp_so3(rotation_vector: np.ndarray) -> np.ndarray:
@@ -23,7 +23,7 @@ def exp_so3(rotation_vector: np.ndarray) -> np.ndarray:
 def log_so3(rotation: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) of rotation matrices (..., 3, 3), angle in [0, pi].
 
-    It goes through the quaternion, so it stays exact near 0 and near 180 degrees.
+    It is computed by quaternions, and so exact near 0 and near 180 degrees.
     """
     flat = np.asarray(rotation, np.float64).reshape(-1, 3, 3)
     if len(flat) == 0:
@@ -72,8 +72,8 @@ def log_se3(pose: np.ndarray) -> np.ndarray:
 def interpolate_poses(first: np.ndarray, second: np.ndarray, fraction: np.ndarray | float) -> np.ndarray:
     """Pose at `fraction` of the constant-twist motion from `first` to `second`.
 
-    first exp(fraction log(first^-1 second)): 0 gives `first`, 1 gives `second`, outside [0, 1] the
-    motion goes on unchanged. Shapes (..., 4, 4), (..., 4, 4), (...) broadcast; float64.
+    first exp(fraction log(first^-1 second)): 0 gives `first`, 1 gives `second`; outside [0, 1] the
+    motion continues unchanged. Shapes (..., 4, 4), (..., 4, 4), (...) broadcast; float64.
     """
     first = _checked(first)
     twist = log_se3(invert_pose(first) @ _checked(second))
@@ -97,7 +97,7 @@ def pose_from_parts(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def transform_points(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (N, 3) mapped by one motion (4, 4), float64."""
+    """Points (N, 3) transformed by one motion (4, 4), float64."""
     pose = _checked(pose)
     moved: np.ndarray = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return moved

@@ -1,8 +1,8 @@
-"""When and from where each ray of a turning sensor was fired.
+"""Ego-motion: when and from where each ray of a rotating sensor was fired.
 
-The sensor spins clockwise; a frame's pose is its pose when the laser faces forward. What is measured at
-azimuth a in (-pi, pi] comes s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Between two poses the sensor
-moves at a constant twist (turning and going at once).
+The sensor rotates clockwise; a frame's pose is its pose when the laser faces forward. A return at azimuth a
+in (-pi, pi] is measured s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Between two poses the sensor moves
+at a constant twist (rotation and translation together).
 """
 
 from dataclasses import dataclass, field
@@ -16,26 +16,26 @@ from nvsf_core.sensors.tables import LaserTable
 
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Sweeps after the pose's instant, in [-0.5, 0.5), of what is measured at an azimuth: -a / 2 pi."""
+    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths are measured: -a / 2 pi."""
     fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
     return fraction
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where the sensor was at any time of a drive."""
+    """Poses of the sensor at any time of a drive."""
 
     times_s: np.ndarray
     """(n,) float64, ascending: instants of the poses."""
     lidar_to_world: np.ndarray
-    """(n, 4, 4) float64, in the world."""
+    """(n, 4, 4) float64 poses, metres."""
     scene_origin_m: np.ndarray
     """(3,) float64, world position of the scene's origin."""
     _local: np.ndarray = field(init=False, repr=False)
     _twists: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the poses and take the twist from each to the next.
+        """Check the poses and compute the twist from each to the next.
 
         Raises:
             ShapeError: Times, poses and origin do not fit one another.
@@ -67,8 +67,8 @@ class Trajectory:
     def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotation (N, 3, 3) and scene-local position (N, 3) of the sensor at times (N,), float64.
 
-        Before the first and after the last pose the motion goes on unchanged for one interval; a gap in
-        the frames is bridged by its neighbours. A single pose stands still.
+        Before the first and after the last pose the motion continues unchanged for one interval; a gap in
+        the frames is interpolated. With a single pose the sensor does not move.
 
         Raises:
             DataError: A time lies further outside the poses, or is not finite.
@@ -78,7 +78,7 @@ class Trajectory:
             pose = np.repeat(self._local, len(time_s), axis=0)
             return pose[:, :3, :3], pose[:, :3, 3]
         self._check_within(time_s)
-        # All lasers fire together: a scan has 120,000 returns but some 2,000 times.
+        # All lasers fire together: a scan has 120,000 returns but only some 2,000 times.
         moments_s, inverse = np.unique(time_s, return_inverse=True)
         before = np.searchsorted(self.times_s, moments_s, side="right") - 1
         interval = np.clip(before, 0, len(self.times_s) - 2)
@@ -100,7 +100,7 @@ class Trajectory:
     def move_rays(
         self, origin_s: np.ndarray, direction_s: np.ndarray, time_s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rays (N, 3), (N, 3) of the sensor's frame at times (N,) as scene-local rays, float64."""
+        """Scene-local origins and directions (N, 3) float64 of rays in the sensor's frame at times (N,)."""
         rotation, position_m = self.at(time_s)
         origin_m = np.einsum("nij,nj->ni", rotation, origin_s) + position_m
         return origin_m, np.einsum("nij,nj->ni", rotation, direction_s)
