@@ -135,7 +135,7 @@ class PaperSampling:
     heuristic: bool = True
     """In every second epoch, sample rays by the error map instead of uniformly."""
     patches: tuple[int, int] | None = (2, 8)
-    """Rows and columns of LiDAR patches in every second epoch, for the gradient loss; None = single pixels."""
+    """LiDAR patches (rows, columns) in every second epoch, for the gradient loss; None = single pixels."""
     camera: bool = True
     """Camera rays besides LiDAR rays; without them no camera network is built."""
 
