@@ -61,7 +61,7 @@ class DemoSize:
 
     @classmethod
     def short(cls) -> Self:
-        """Scene `demo`: 16 frames of a HDL-64E that turns twice as fast, a camera and a fisheye, both small."""
+        """Scene `demo`: 16 frames of a HDL-64E at 20 Hz, a camera and a fisheye, both with small images."""
         return cls(
             frames=16, lasers=tuple(range(64)), firings=1050, cameras=("image_00",),
             width=352, height=94, fisheye_side=176,
@@ -69,7 +69,7 @@ class DemoSize:
 
     @classmethod
     def full(cls) -> Self:
-        """Scene `street`: The demo drive: 32 frames, a whole HDL-64E, two cameras and a fisheye."""
+        """Scene `street`: 32 frames of a whole HDL-64E, two cameras and a fisheye."""
         return cls(
             frames=32, lasers=tuple(range(64)), firings=2100, cameras=("image_00", "image_01"),
             width=704, height=188, fisheye_side=350,
