@@ -38,10 +38,22 @@ def test_the_papers_ten_scenes_have_its_frames_and_splits() -> None:
     assert len(entries) == 11
 
 
-def test_the_demo_lies_in_the_home_and_asks_for_four_views() -> None:
+def test_the_demo_lies_in_the_home_and_asks_for_a_shifted_view() -> None:
     demo = next(e for e in catalogue_from_environment({"NVSF_HOME": "/somewhere"}) if e.name == "demo")
     assert demo.root == Path("/somewhere/drives/demo") and demo.recipe == "quick"
-    near, far, vlp16, between = demo.views
+    assert [(view.name, view.shift_m) for view in demo.views] == [("shift_1m", (0.0, 1.0, 0.0))]
+
+
+def test_the_full_street_asks_for_four_views() -> None:
+    street = next(
+        entry
+        for entry in catalogue_from_environment(
+            {"NVSF_HOME": "/somewhere", "NVSF_SCENES": str(REPOSITORY / "benchmarks/scenes.toml")}
+        )
+        if entry.name == "street"
+    )
+    assert street.root == Path("/somewhere/drives/street") and street.last_frame == 31
+    near, far, vlp16, between = street.views
     assert (near.name, near.shift_m, len(near.frames)) == ("shift_1m", (0.0, 1.0, 0.0), 2)
     assert (far.name, far.shift_m, len(far.frames)) == ("shift_3m", (0.0, 3.0, 0.0), 2)
     assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)

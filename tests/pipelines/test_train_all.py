@@ -118,7 +118,7 @@ def test_an_unknown_scene_fails_by_name(run_job):
 def test_the_second_run_skips_and_says_so(run_job):
     run_job("good")
     result, said = run_job("good")
-    assert result.success and "[good] frames up to date, scene_metrics up to date" in said
+    assert result.success and "2 stages, up to date" in said
 
 
 def test_scenes_may_come_from_the_environment(run_job, monkeypatch):
