@@ -3,6 +3,6 @@
 from collections.abc import Callable
 
 Scalar = float | int | str | bool
-"""One figure of a table, its unit in the key that it stands under."""
+"""One value of a table; its key names the unit."""
 Say = Callable[[str], None]
-"""Takes one line a time for the person who waits."""
+"""Reports progress to the user, one line per call."""

@@ -1,12 +1,12 @@
-"""The one error tree.
+"""All errors of the project, in one tree.
 
 NvsfError
-├── DataError                what was read is wrong: scene, path, remedy in the message
+├── DataError                input data is wrong; the message names scene, path and remedy
 │   ├── NoDataError          the drive is not on this machine
-│   ├── MissingFrameError    a frame that was asked for cannot be used
-│   └── CalibrationError     a calibration file lacks or garbles a value
+│   ├── MissingFrameError    a requested frame cannot be used
+│   └── CalibrationError     a calibration file lacks a value, or one is invalid
 ├── ShapeError               an array has another shape than its contract says
-├── RecipeError              a recipe asks for something impossible
+├── RecipeError              a recipe is unknown or contradicts itself
 ├── StoreError               an output is absent, half-written, or not what its schema says
 ├── CheckFailedError         a blocking check of a stage failed
 ├── StageKilledError         the process of a stage died
@@ -43,11 +43,11 @@ class NoDataError(DataError):
 
 
 class MissingFrameError(DataError):
-    """A frame that was asked for does not exist or is invalid."""
+    """A requested frame does not exist or is invalid."""
 
 
 class CalibrationError(DataError):
-    """A calibration file is absent, lacks a key, or holds something that is no number."""
+    """A calibration file is absent, lacks a key, or holds a value that is not a number."""
 
 
 class ShapeError(NvsfError):

@@ -1,31 +1,29 @@
-"""The one rule for every name that becomes part of a path: scenes, views, recipes, sequences, labels."""
+"""Which names may become part of a path: of scenes, views, recipes, sequences and labels."""
 
 import re
-
-__all__ = ["LONGEST_NAME", "RESERVED_SCENES", "RESERVED_VIEWS", "name_fault"]
 
 LONGEST_NAME = 100
 """Characters. A file system takes 255 bytes; a folder that is being written adds 40 to its name."""
 
 RESERVED_SCENES = ("benchmark_report", "dagster", "drives")
-"""What else lies in a home: a scene of such a name would lose its outputs to it."""
+"""Other folders of a home: a scene of such a name would share its folder with them."""
 RESERVED_VIEWS = ("train", "val", "test")
-"""Splits of recorded frames, in the column where metrics name a view."""
+"""Splits of recorded frames, which metrics list in the same column as views."""
 
 _PLAIN = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9_@-]|\.(?!\.))*")
 _STORED = (".json", ".parquet", ".png", ".safetensors", ".zarr")
-"""What outputs call their files: a folder of such a name would take a file's place."""
+"""Endings of output files: a folder of such a name could take a file's place."""
 
 
 def name_fault(name: object, reserved: tuple[str, ...] = ()) -> str | None:
-    """What keeps a name from being used as one folder's; None where nothing does.
+    """Why a name cannot be a folder's; None if it can.
 
     A plain name begins with a letter or digit, goes on with letters, digits and `_ . @ -`, has no two dots
     in a row (Dagster's partition keys may not have three), and at most `LONGEST_NAME` characters.
 
     Args:
         name: Anything.
-        reserved: Names that stand for something else where this one will be used.
+        reserved: Names that already have another meaning there.
     """
     if not isinstance(name, str):
         return f"expected a name as text, found {name!r}"

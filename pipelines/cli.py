@@ -82,14 +82,14 @@ def report() -> None:
 def scenes() -> None:
     """List the catalogue: which scenes have data here, and what was trained of them."""
     from nvsf_core.drives.catalogue import catalogue_from_environment, has_data, home_from_environment
-    from nvsf_core.stages.runner.run import DEMO_SCENE
+    from nvsf_core.stages.runner.run import is_embedded
     from nvsf_core.stores.scene_store import published
 
     home = home_from_environment(os.environ)
     for entry in catalogue_from_environment(os.environ):
         trained = [folder.parent for folder in published(home / entry.name / "field", "*/*/stage.json")]
         made = ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
-        there = made if has_data(entry) or entry.name == DEMO_SCENE else f"no data at {entry.root}"
+        there = made if has_data(entry) or is_embedded(entry) else f"no data at {entry.root}"
         click.echo(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
 
 

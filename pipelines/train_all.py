@@ -20,10 +20,10 @@ from assets.report import CURVES, METRICS_STAGE
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
-from nvsf_core.metrics.table import summary_table
+from nvsf_core.metrics.headline import headline
 from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
-from nvsf_core.stages.runner.run import DEMO_SCENE, write_demo_where_absent
+from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
@@ -83,8 +83,7 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
     """Why the scene's drive cannot be used; empty if it can."""
     try:
         entry = find_scene(name)
-        if entry.name == DEMO_SCENE:
-            write_demo_where_absent(entry, context.log.info)
+        write_demo_where_absent(entry, context.log.info)
         if has_data(entry):
             return ""
     except NvsfError as error:
@@ -187,19 +186,31 @@ def _closing_words(
     absent: list[str],
     report: Path,
 ) -> str:
-    lines = ["", summary_table(rows) if rows else "no scene was measured", ""]
+    """What the run gained, where its files lie, and what to do next."""
+    lines = [""]
     for state in states:
-        spent = ", ".join(
-            f"{one['stage']} {'up to date' if one['skipped'] else format(one['seconds'], '.1f') + ' s'}"
-            for one in state["stages"]
-        )
-        lines.append(f"[{state['scene']}] {spent or 'no stage ran'}")
-        lines += [f"  scans  {folder}" for folder in state["exports"]]
+        scene = state["scene"]
+        result = headline([row for row in rows if row["scene"] == scene])
+        seconds = sum(one["seconds"] for one in state["stages"] if not one["skipped"])
+        done = "up to date" if not seconds else f"{seconds:.0f} s"
+        lines += [result or f"{scene}: nothing was measured", f"  {len(state['stages'])} stages, {done}"]
+        lines += [f"  scans  {_short(Path(folder))}" for folder in state["exports"]]
     lines += [f"FAILED  {scene}: {reason}" for scene, reason in failures.items()]
     if absent:
         lines.append(f"no data: {', '.join(absent)}")
-    lines += [f"report  {report}", ""]
+    lines += [
+        f"report  {_short(report)}",
+        "next: open the report in a browser; look at the scans; `make ui` shows the lineage;",
+        "      a [[view]] in scenes.toml asks for another pose, time or sensor.",
+        "",
+    ]
     return "\n".join(lines)
+
+
+def _short(path: Path) -> str:
+    """The path as seen from here, where that is shorter."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:

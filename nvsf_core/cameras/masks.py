@@ -1,4 +1,4 @@
-"""Which pixels of a view show something of the recorded image."""
+"""Masks of the pixels of a view that show part of the recorded image."""
 
 import cv2
 import numpy as np
@@ -8,19 +8,19 @@ def inside_source(map_u: np.ndarray, map_v: np.ndarray, width: int, height: int)
     """Where a resampling map reads wholly inside its source image.
 
     Args:
-        map_u: (H, W) column that each pixel reads, pixels; NaN = nothing.
-        map_v: (H, W) row that each pixel reads.
+        map_u: (H, W) source column that each pixel reads; NaN = none.
+        map_v: (H, W) source row that each pixel reads.
         width: Columns of the source.
         height: Rows of the source.
 
     Returns:
-        (H, W) bool: all four pixels that bilinear sampling mixes exist.
+        (H, W) bool: all four source pixels of the bilinear interpolation exist.
     """
     return np.asarray((map_u >= 0.0) & (map_u <= width - 1.0) & (map_v >= 0.0) & (map_v <= height - 1.0))
 
 
 def lens_circle(brightest: np.ndarray, threshold: int = 8) -> np.ndarray:
-    """The part of a fisheye's sensor that its lens ever lights.
+    """The part of a fisheye's image sensor that light through its lens reaches.
 
     Args:
         brightest: (H, W, 3) uint8, each pixel's largest value over all images of the camera.
@@ -35,5 +35,5 @@ def lens_circle(brightest: np.ndarray, threshold: int = 8) -> np.ndarray:
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     outside = np.zeros(count, dtype=bool)
     outside[border] = True
-    outside[0] = False  # label 0 is what is not dark
+    outside[0] = False  # label 0: not dark
     return np.asarray(~outside[labels])

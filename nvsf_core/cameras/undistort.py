@@ -1,6 +1,6 @@
 """Fisheye images as a perspective view, through OpenCV's omnidirectional module.
 
-The view looks along the fisheye's own optical axis, so the camera's pose stands for both.
+The view looks along the fisheye's own optical axis, so both have the same pose.
 """
 
 import math
@@ -39,7 +39,7 @@ def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | 
 
 @dataclass(frozen=True, slots=True)
 class Undistorter:
-    """The resampling of one camera's images, computed once."""
+    """The resampling map of one camera, computed once for all its images."""
 
     fisheye: MeiFisheye
     """The recorded camera."""
@@ -65,7 +65,7 @@ class Undistorter:
         return np.where(self.valid[..., None], resampled, np.uint8(0))
 
     def apply_mask(self, mask: np.ndarray) -> np.ndarray:
-        """Resample an (h, w) bool mask of the source: true where all that is mixed is true."""
+        """Resample an (h, w) bool mask of the source: true where all interpolated pixels are true."""
         share = cv2.remap(mask.astype(np.float32), self.map_u, self.map_v, cv2.INTER_LINEAR)
         return np.asarray(self.valid & (share > 0.999))
 

@@ -1,1 +1,1 @@
-"""Point cloud files, and open3d's one room."""
+"""Point cloud files, meshes and registration; the only folder that uses open3d."""

@@ -14,12 +14,12 @@ from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.errors import DataError
 
 FEWEST_POINTS = 1000
-"""Of fewer points Poisson makes nothing that a ray should be cast against."""
+"""From fewer points Poisson reconstruction makes no useful mesh."""
 _NORMAL_NEIGHBOURS = 20
 
 MeshRays = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Origins and unit directions (r, 3) to range_m (r,) float32, infinite where no triangle is met, and
-intensity (r,) float32."""
+"""From origins and unit directions (r, 3), metres: range_m (r,) float32, infinite where no triangle is
+met, and intensity (r,) float32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,23 +43,23 @@ def poisson_mesh(
     depth: int,
     trim_m: float,
 ) -> Mesh:
-    """Screened Poisson reconstruction (Kazhdan and Hoppe 2013) of points as a library makes it.
+    """Screened Poisson reconstruction (Kazhdan and Hoppe 2013) of points, by open3d.
 
-    Points are averaged in voxels of `spacing_m`, normals are those of the plane of 20 neighbours, turned
-    to the sensor. Poisson closes every hole; triangles with a corner farther than `trim_m` from all points
+    Points are averaged in voxels of `spacing_m`, normals come from 20 neighbours and face the
+    sensor. Poisson closes every hole; triangles with a corner farther than `trim_m` from all points
     are removed again. A corner has the intensity of its nearest point.
 
     Args:
-        points_m: (n, 3).
-        towards_sensor: (n, 3) unit, from each point to where it was measured from.
+        points_m: (n, 3) metres.
+        towards_sensor: (n, 3) unit, from each point towards the sensor that measured it.
         intensity: (n,), 0..1.
         spacing_m: Edge of the voxels in which points are averaged.
-        depth: Of the octree: its cells are the cloud's longest side, and a tenth, over 2^depth.
+        depth: Of the octree: a cell's edge is 1.1 times the cloud's longest side / 2^depth.
         trim_m: Farthest that a corner may lie from a point.
 
     Raises:
         MissingLibraryError: open3d cannot be loaded here.
-        DataError: Fewer than `FEWEST_POINTS` points are left, or no triangle is, or open3d ended.
+        DataError: Fewer than `FEWEST_POINTS` points or no triangles are left, or open3d crashed.
     """
     open3d = load_open3d()
     vectors = open3d.utility.Vector3dVector
@@ -94,7 +94,7 @@ def poisson_mesh(
 
 
 def mesh_rays(mesh: Mesh) -> MeshRays:
-    """Make the mesh ready to have rays cast against it.
+    """Prepare a mesh for casting rays against it.
 
     Raises:
         MissingLibraryError: open3d cannot be loaded here.
@@ -129,11 +129,11 @@ _SHOWN_CHARACTERS = 400
 def poisson_surface(
     points_m: np.ndarray, normals: np.ndarray, *, depth: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Screened Poisson reconstruction (Kazhdan and Hoppe 2013).
+    """Screened Poisson reconstruction in a process of its own, which may crash.
 
     Args:
-        points_m: (n, 3).
-        normals: (n, 3) unit, out of the surface.
+        points_m: (n, 3) metres.
+        normals: (n, 3) unit, pointing out of the surface.
         depth: Of the octree.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The one place where open3d is imported: lazily, because slim machines lack what it links to."""
+"""Imports open3d, only when it is needed: small machines lack system libraries that it links to."""
 
 import ctypes
 import importlib
@@ -43,23 +43,8 @@ def write_pcd(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
         raise StoreError(f"{path}: open3d could not write the point cloud; is the disk full?")
 
 
-def read_cloud(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) float32 and intensity (N,) float32 of a .ply or .pcd, read by open3d.
-
-    Raises:
-        MissingLibraryError: open3d cannot be loaded here.
-        StoreError: The file is absent or holds no point with intensity.
-    """
-    open3d = load_open3d()
-    cloud = open3d.t.io.read_point_cloud(str(path))
-    if "positions" not in cloud.point or "intensity" not in cloud.point:
-        raise StoreError(f"{path}: expected points with intensity, open3d found {list(cloud.point)}")
-    points_m = cloud.point["positions"].numpy().astype(np.float32)
-    return points_m, cloud.point["intensity"].numpy().astype(np.float32).reshape(-1)
-
-
 def _preload_libusb() -> None:
-    """Make libusb's symbols known to the process: open3d's wheel links to it without bringing it."""
+    """Load libusb's symbols into the process: open3d's wheel links to it but does not include it."""
     try:
         library = importlib.import_module("libusb_package").get_library_path()
     except ImportError:

@@ -1,4 +1,4 @@
-"""How far registration moves a cloud laid over another, as far as the surfaces can tell."""
+"""Registration error between two clouds, without motions that the surfaces cannot determine."""
 
 from dataclasses import dataclass
 
@@ -7,38 +7,36 @@ import numpy as np
 from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.geometry.se3 import log_so3
 
-__all__ = ["LEAST_ACROSS", "Registration", "Slippage", "register", "slippage"]
-
 LEAST_ACROSS = 0.05
-"""Share of a motion across the surfaces below which nothing can be said about it.
+"""Least share of a motion across the surfaces for which it can be measured.
 
-A normal is taken from neighbours and is wrong where these are few; wrong normals alone give a share of the
-mean squared sine of their error: 0.029 at most along a tunnel (10 degrees), 0.012 on a plain. The weakest
-motion in three streets, along the road, has 0.106 at least. The limit is between, about as far from both."""
+Where neighbours are few, normals are wrong, which alone gives a share of their error's mean squared sine: at
+most 0.029 along a tunnel (10 degrees), 0.012 on a plain. The weakest motion in three streets, along the
+road, has at least 0.106. The limit lies between."""
 _NORMAL_RADIUS_M = 1.0
 _NORMAL_POINTS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slippage:
-    """Which small rigid motions surfaces resist.
+    """Which small rigid motions surfaces determine.
 
-    A motion is six numbers in metres moved (rms): turns about the points' principal axes, shifts on x, y, z.
+    A motion is six numbers in metres moved (rms): turns about the points' principal axes, shifts in x, y, z.
     """
 
     resisted: np.ndarray
-    """(6, c) orthonormal columns: motions that are told."""
+    """(6, c) orthonormal columns: motions that are determined."""
     lever_m: np.ndarray
     """(3,) rms distance of the points from each principal axis."""
     axes: np.ndarray
     """(3, 3) principal axes, one a column."""
     free_shifts: np.ndarray
-    """(s, 3) unit directions along which nothing can be said."""
+    """(s, 3) unit directions along which shifts are not determined."""
     free_turns: np.ndarray
-    """(6 - c - s, 3) unit axes about which nothing can be said."""
+    """(6 - c - s, 3) unit axes about which turns are not determined."""
 
     def determined(self, rotation_vector: np.ndarray, shift_m: np.ndarray) -> tuple[float, float]:
-        """What the surfaces tell of a motion: shift in metres and turn in radians.
+        """The determined part of a motion: shift in metres and turn in radians.
 
         Args:
             rotation_vector: (3,) radians, about the points' centroid.
@@ -51,12 +49,12 @@ class Slippage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """What registration did, without the motions that no surface resists."""
+    """Result of a registration, without the motions that no surface determines."""
 
     shift_m: float
-    """Of the matched points' centroid."""
+    """Shift of the matched points' centroid."""
     turn_deg: float
-    """About it."""
+    """Turn about it."""
     matched: float
     """Share of the source's points with a partner."""
     free_shifts: np.ndarray
@@ -66,16 +64,16 @@ class Registration:
 
 
 def register(source_m: np.ndarray, target_m: np.ndarray, max_distance_m: float = 0.5) -> Registration:
-    """Register a cloud, laid over another by its poses, with open3d's point-to-plane ICP.
+    """Register a cloud to another, both placed by their poses, with open3d's point-to-plane ICP.
 
     Args:
-        source_m: (N, 3) points, in the same frame as `target_m`.
-        target_m: (M, 3) points.
+        source_m: (N, 3) metres, in the same frame as `target_m`.
+        target_m: (M, 3) metres.
         max_distance_m: Pairs farther apart are not matched.
 
     Returns:
-        The motion's part that `slippage` says is told: along a straight tunnel or on a plain ICP slides
-        freely, and how far it slides says nothing.
+        The part of the motion that `slippage` finds determined: along a straight tunnel or on a plain, ICP
+        slides freely, and how far means nothing.
 
     Raises:
         MissingLibraryError: open3d cannot be loaded here.
@@ -105,10 +103,10 @@ def register(source_m: np.ndarray, target_m: np.ndarray, max_distance_m: float =
 
 
 def slippage(points_m: np.ndarray, normals: np.ndarray) -> Slippage:
-    """Which small rigid motions surfaces resist: eigenvectors of the point-to-plane normal matrix.
+    """Which small rigid motions surfaces determine: eigenvectors of the point-to-plane normal matrix.
 
     With p a point from the centroid, n its normal, a_i the principal axes and l_i the points' rms distance
-    from a_i, J = [((p x n) . a_i) / l_i, n] and the matrix is H = sum(J^T J) / N: Gelfand, Ikemoto,
+    from a_i: J = [((p x n) . a_i) / l_i, n] and the matrix is H = sum(J^T J) / N: Gelfand, Ikemoto,
     Rusinkiewicz, Levoy, "Geometrically stable sampling for the ICP algorithm" (2003), there with one length
     for all axes. Every unit vector moves the points by 1 m (rms), so its value v^T H v is the share
     of the squared motion across the surfaces, 0 to 1. Motions below `LEAST_ACROSS` are free.
@@ -118,12 +116,12 @@ def slippage(points_m: np.ndarray, normals: np.ndarray) -> Slippage:
         normals: (N, 3) unit normals there.
 
     Returns:
-        What is resisted and what is free, directions in the points' frame.
+        Determined and free motions; directions in the points' frame.
     """
     arms = points_m - points_m.mean(axis=0)
     spread = arms.T @ arms / len(arms)
     squared_m2, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
-    # Points on a line do not move when turned about it: that turn is free, by whatever length it is measured.
+    # Points on a line do not move when turned about it: that turn is free at any lever length.
     lever_m = np.sqrt(np.maximum(squared_m2, 1e-6))
     rows = np.concatenate([np.cross(arms, normals) @ axes / lever_m, normals], axis=1)
     matrix = rows.T @ rows / len(rows)
@@ -131,7 +129,7 @@ def slippage(points_m: np.ndarray, normals: np.ndarray) -> Slippage:
     shift_share, shifts = np.linalg.eigh(matrix[3:, 3:])
     free_shifts = shifts.T[shift_share < LEAST_ACROSS]
     free = motions[:, share < LEAST_ACROSS]
-    # A round tunnel turns about its own axis, which is not the points' centroid: a turn with a shift.
+    # A round tunnel turns about its own axis, not through the centroid: a turn with a shift.
     turned = np.linalg.svd(axes @ (free[:3] / lever_m[:, None]))[0].T
     return Slippage(
         resisted=motions[:, share >= LEAST_ACROSS],
@@ -143,7 +141,7 @@ def slippage(points_m: np.ndarray, normals: np.ndarray) -> Slippage:
 
 
 def _signed(directions: np.ndarray) -> np.ndarray:
-    """Directions (k, 3) with their largest component positive: a direction and its opposite are one."""
+    """Directions (k, 3) with their largest component positive: a direction and its opposite are the same."""
     largest = np.take_along_axis(directions, np.abs(directions).argmax(axis=1)[:, None], axis=1)
     found: np.ndarray = directions * np.sign(largest)
     return found

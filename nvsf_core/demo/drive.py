@@ -60,8 +60,16 @@ class DemoSize:
     """Side of the square image of `image_02`; 0 = no fisheye."""
 
     @classmethod
+    def short(cls) -> Self:
+        """Scene `demo`: 16 frames of a HDL-64E at 20 Hz, a camera and a fisheye, both with small images."""
+        return cls(
+            frames=16, lasers=tuple(range(64)), firings=1050, cameras=("image_00",),
+            width=352, height=94, fisheye_side=176,
+        )  # fmt: skip
+
+    @classmethod
     def full(cls) -> Self:
-        """The demo drive: 32 frames, a whole HDL-64E, two cameras and a fisheye."""
+        """Scene `street`: 32 frames of a whole HDL-64E, two cameras and a fisheye."""
         return cls(
             frames=32, lasers=tuple(range(64)), firings=2100, cameras=("image_00", "image_01"),
             width=704, height=188, fisheye_side=350,

@@ -1,1 +1,1 @@
-"""What the LiDAR already proves about a scene, without learning."""
+"""What the training scans prove about a scene, before anything is learned."""

@@ -1,4 +1,4 @@
-"""What a scene needs, from what its evidence proves, whatever is trained."""
+"""Describes a scene in figures and words: extent, surface, moving objects."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from nvsf_core.evidence.static.surfels import Surfels
 
 
 def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float) -> dict[str, Scalar]:
-    """What this scene needs, whatever the recipe: numbers, and `profile` in words.
+    """Figures of a scene, by name, and `profile`, a summary in words; the same for all recipes.
 
     Args:
         evidence: Of the training scans.
-        cameras: That have a usable image.
-        duration_s: From the first to the last training scan.
+        cameras: Names of the cameras with a usable image.
+        duration_s: Seconds from the first to the last training scan.
     """
     surfels = evidence.surfels
     voxel_m = surfels.index.voxel_m
@@ -37,7 +37,7 @@ def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float
 
 
 def motion_in_words(evidence: SceneEvidence | None) -> str:
-    """Whether the scene needs a branch for what moves, and a flow for some of that."""
+    """Whether the scene has moving objects, and how many of them need a flow; in words."""
     if evidence is None:
         return "unknown without LiDAR: taken as static, no time branch"
     if evidence.dynamic is None:
@@ -48,14 +48,14 @@ def motion_in_words(evidence: SceneEvidence | None) -> str:
 
 
 def surface_m2(surfels: Surfels) -> float:
-    """About how much surface is proven: one face of every voxel that holds a return."""
+    """Approximate area of proven surface: one face of every voxel that holds a return."""
     return len(surfels.hits) * surfels.index.voxel_m**2
 
 
 def point_spacing_m(surfels: Surfels) -> float:
-    """Median distance of neighbouring returns on a surface: an occupied voxel's face holds its hits.
+    """Median distance between neighbouring returns on a surface, in metres: voxel edge / sqrt(hits).
 
-    spacing = voxel / sqrt(hits), the median over returns, not over voxels: far ones are nearly empty.
+    The median is over returns, not over voxels, because distant voxels are nearly empty.
     """
     order = np.argsort(surfels.hits)
     share = np.cumsum(surfels.hits[order].astype(np.float64))
@@ -64,7 +64,7 @@ def point_spacing_m(surfels: Surfels) -> float:
 
 
 def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
-    """How many objects move, and in how much of the scene and of the drive."""
+    """How many objects move, and their share of the returns and of the drive's time."""
     if evidence.dynamic is None:
         return {"moving_objects": 0}
     objects = evidence.dynamic.objects
@@ -82,7 +82,7 @@ def _motion(evidence: SceneEvidence, duration_s: float) -> dict[str, Scalar]:
 
 
 def _covered_s(spans: np.ndarray) -> float:
-    """Length of the union of intervals (n, 2)."""
+    """Length of the union of intervals (n, 2), seconds."""
     total, end = 0.0, -np.inf
     for first, last in spans[np.argsort(spans[:, 0])]:
         total += max(0.0, float(last - max(first, end)))

@@ -1,30 +1,28 @@
-"""Whether a scan lies best over its neighbours at its own pose, or at another frame's."""
+"""Finds scans with a wrong pose: they fit their neighbours better at another frame's pose."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-__all__ = ["scan_misfits"]
-
 _NEIGHBOURS = 2
-"""Scans before and after that one is held against, and whose poses it is tried at."""
+"""Number of scans before and after that a scan is compared with, and whose poses are tried."""
 _FARTHEST_M = 1.0
-"""A point farther from all others counts as this far: what only one scan saw must not decide."""
+"""Largest distance that counts: a surface that only one scan saw must not decide."""
 
 
 def scan_misfits(points_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean distance of each scan's points to its neighbours', at its own pose and at the best of theirs.
+    """Mean distance of each scan's points from its neighbours', at its own pose and at the best of theirs.
 
-    Of a scan that belongs to another frame the second is the smaller. Where the sensor stands all poses,
-    and so both distances, are the same.
+    The second is the smaller one for a scan that belongs to another frame. Both are equal where the sensor
+    does not move.
 
     Args:
-        points_m: Of each scan (N, 3), laid by its own pose, in the scene's axes, few and evenly spread.
-        lidar_to_scene: (n, 4, 4) the scans' poses in the same axes.
+        points_m: For each of n scans (N, 3) scene-local metres, placed by its own pose; few, evenly spread.
+        lidar_to_scene: (n, 4, 4) poses of the scans.
 
     Returns:
-        Two (n,) float64 in metres, at most 1; NaN for a scan without points or neighbours with any.
+        Two (n,) float64 in metres, at most 1; NaN where the scan or all its neighbours have no points.
     """
     n = len(points_m)
     own_m, best_other_m = np.full(n, np.nan), np.full(n, np.nan)
@@ -41,7 +39,7 @@ def scan_misfits(points_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray) -> 
 
 
 def _distance_m(tree: cKDTree, points_m: np.ndarray, motion: np.ndarray) -> float:
-    """Mean distance of moved points to the nearest in the tree."""
+    """Mean distance of points (N, 3), moved by (4, 4), from the nearest in the tree."""
     moved_m = points_m @ motion[:3, :3].T + motion[:3, 3]
     distance_m, _ = tree.query(moved_m, distance_upper_bound=_FARTHEST_M)
     return float(np.minimum(distance_m, _FARTHEST_M).mean())

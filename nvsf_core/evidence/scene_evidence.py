@@ -1,4 +1,4 @@
-"""Everything that a scene's training sweeps prove, joined; to and from named arrays for the store."""
+"""All evidence of one scene in one object, converted to and from named arrays for the store."""
 
 from dataclasses import dataclass
 
@@ -12,26 +12,21 @@ from nvsf_core.evidence.static.surfels import Surfels
 
 _RENDERED, _UNKNOWN = "rendered_", "unknown_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
-
-
 _PATH = ("scan", "time_s", "pose")
-
-
-_RAYS = ("origin_m", "direction", "range_m", "intensity", "is_hit", "scan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicEvidence:
-    """The scene without what moves, and what moves by itself; a static scene has none of this."""
+    """A scene with moving objects, split into its static part and the objects."""
 
     static: Surfels
-    """Surfels of what stays; the objects' rays see through, too."""
+    """Surfels of the static part; rays that end on moving objects count as passing through, too."""
     objects: tuple[ObjectEvidence, ...]
     """At least one."""
 
     @property
     def flowing(self) -> int:
-        """How many of them have a flow, because no rigid motion explains how they move."""
+        """Number of objects with a flow, because no rigid motion explains how they move."""
         return sum(one.flow_m is not None for one in self.objects)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -48,7 +43,7 @@ class DynamicEvidence:
                 arrays[f"object_flow_m_{number}"] = one.flow_m
         for name in _PATH:
             arrays[f"object_path_{name}"] = np.concatenate([getattr(path, name) for path in paths])
-        for name in _RAYS:
+        for name in ObjectRays.__slots__:
             arrays[f"object_ray_{name}"] = np.concatenate([getattr(one, name) for one in rays])
         return arrays
 
@@ -72,7 +67,7 @@ class DynamicEvidence:
                         low_m=low_m,
                         high_m=high_m,
                     ),
-                    ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in _RAYS)),
+                    ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in ObjectRays.__slots__)),
                     float(arrays["object_voxel_m"][number]),
                     arrays.get(f"object_flow_m_{number}"),
                 )
@@ -83,18 +78,18 @@ class DynamicEvidence:
 
 @dataclass(frozen=True, slots=True)
 class LeftOutEvidence:
-    """What stays, as it is proven without a few training scans that judge what others make of it."""
+    """Static surfels built without the validation scans."""
 
     validation: np.ndarray
-    """(j,) int64: numbers of those scans among the training ones, ascending."""
+    """(j,) int64 ascending: the validation scans' numbers among the training scans."""
     static: Surfels
-    """In the fields' voxels."""
+    """In voxels of the size that fields use."""
     rendered: Surfels | None = None
     """Like `SceneEvidence.rendered`; None where that is None."""
 
     @property
     def for_rendering(self) -> Surfels:
-        """Surfels for the renderer that learns nothing."""
+        """Surfels for `reproject`, the renderer without learning."""
         return self.static if self.rendered is None else self.rendered
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -116,36 +111,35 @@ class SceneEvidence:
     """One scene's evidence, scene-local metres."""
 
     surfels: Surfels
-    """Of all returns, as if nothing moved."""
+    """Of all returns, those of moving objects included."""
     prior: DropPrior
     lasers: np.ndarray
     """(l,) int16: lasers that ever returned, from the top."""
     firings: np.ndarray
-    """(n,) int32: firings a turn of each training scan."""
+    """(n,) int32: firings in one sweep, for each training scan."""
     own_range_m: np.ndarray
-    """(lasers, cells) float32: range of the own vehicle by laser and azimuth cell, 0 where it is not."""
+    """(lasers, cells) float32 metres: range of the own vehicle by laser and azimuth cell; 0 = not on it."""
     own_intensity: np.ndarray
-    """(lasers, cells) float32."""
+    """(lasers, cells) float32, 0..1."""
     dynamic: DynamicEvidence | None = None
-    """What moves, and the scene without it; None where nothing was seen to move."""
+    """None where no moving object was found."""
     stationary: StationaryScans | None = None
-    """What was measured where the sensor stood or crawled; None where it never did."""
+    """None where the sensor never stood or crawled."""
     rendered: Surfels | None = None
-    """Of what stays, with shapes, in voxels of the size that suits the renderer that learns nothing; None =
-    `static`."""
+    """Static surfels with shapes, in the voxel size that suits `reproject` best; None = `static`."""
     left_out: LeftOutEvidence | None = None
-    """For judging what is learned of the scene; None where there are too few scans to leave any out."""
+    """To compare candidates on the validation scans; None where there are too few scans to leave any out."""
     unobserved: Surfels | None = None
-    """Voxels beside static ones that no ray observed: `unobserved_beside`; None where there are none."""
+    """Unobserved voxels beside static ones, from `unobserved_beside`; None where there are none."""
 
     @property
     def static(self) -> Surfels:
-        """Surfels of what stays: all of them where nothing was seen to move."""
+        """Static surfels: all of them where no moving object was found."""
         return self.surfels if self.dynamic is None else self.dynamic.static
 
     @property
     def for_rendering(self) -> Surfels:
-        """Surfels of what stays, for the renderer that learns nothing."""
+        """Static surfels for `reproject`, the renderer without learning."""
         return self.static if self.rendered is None else self.rendered
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -180,7 +174,7 @@ def _prefixed(prefix: str, surfels: Surfels) -> dict[str, np.ndarray]:
 
 
 def _surfels(prefix: str, arrays: dict[str, np.ndarray]) -> Surfels | None:
-    """Surfels under names with a prefix; None where they are not all there."""
+    """Surfels from arrays whose names have a prefix; None where one is missing."""
     if not all(prefix + name in arrays for name in Surfels.ARRAYS):
         return None
     return Surfels.from_arrays({name: arrays[prefix + name] for name in Surfels.ARRAYS})

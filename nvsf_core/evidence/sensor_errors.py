@@ -1,46 +1,46 @@
-"""What each laser of the recording sensor gets wrong, learned from a drive: range bias and intensity gain.
+"""Range bias and intensity gain of each laser of the recording sensor, learned from a drive.
 
-A laser of a real HDL-64E is off by up to 9 cm, always by the same amount: on a plane that many lasers hit,
-the returns of one lie in front of or behind those of the others. No other error of a range is as large.
-Lasers also differ in how bright they record the same surface.
+A laser of a real HDL-64E measures up to 9 cm too long or too short, always by the same amount: on a plane
+that many lasers hit, its returns lie behind or in front of the others'. No other range error is as large.
+Lasers also record the same surface at different brightness.
 """
 
 import numpy as np
 
-from nvsf_core.evidence.static.voxels import index_points
+from nvsf_core.evidence.static.voxels import index_points, voxel_moments
 
 _VOXEL_M = 0.8
 _MIN_RETURNS = 12
 _MAX_THICKNESS_M = 0.05
 _FLATNESS = 16.0
-"""A voxel is flat where the second eigenvalue of its returns exceeds the first so many times."""
+"""A voxel is flat where the second eigenvalue of its covariance is this many times the first."""
 _MAX_RANGE_M = 50.0
 _MOST_RETURNS = 600_000
 _ITERATIONS = 4
 _SCALE_M = 0.03
-"""Distances from a plane beyond it count less and less: w = 1 / (1 + (e / scale)^2)."""
+"""Scale of the robust weight of a distance e from a plane: w = 1 / (1 + (e / scale)^2)."""
 _LEAST_RMS_M = 0.01
-"""Voxels at the corner of two planes alone make lasers differ by millimetres: less is not believed."""
+"""Smaller biases are taken as 0: voxels at corners alone make lasers differ by millimetres."""
 _PRIOR_RETURNS = 10.0
-"""A laser needs many more returns on planes than this to be believed to be off."""
+"""Weight of the prior that a laser has no bias, in returns on planes."""
 
 
 def learn_range_bias(
     origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, laser: np.ndarray, lasers: int
 ) -> np.ndarray:
-    """Bias (lasers,) float64 in metres, to be taken off a laser's ranges.
+    """Range bias (lasers,) float64 in metres, to be subtracted from each laser's ranges.
 
-    0 for a laser without evidence, and for all where they agree to better than a centimetre.
+    0 for a laser without returns on planes, and for all where they agree to better than a centimetre.
 
-    Minimises, over one bias b_l a laser and one offset c_v a flat voxel, the robust sum of
+    Minimises, over a bias b_l per laser and an offset c_v per flat voxel, the robust sum of
     (n_v . (o + (t - b_l) d - mean_v) - c_v)^2; planes are fitted again after each step.
 
     Args:
-        origin_m: (n, 3) of returns, scene-local.
-        direction: (n, 3) unit.
-        range_m: (n,) as recorded.
+        origin_m: (n, 3) of each return's ray, scene-local metres.
+        direction: (n, 3) unit, scene-local axes.
+        range_m: (n,) metres, as recorded.
         laser: (n,) 0 .. lasers - 1, or -1 where unknown: such returns are left out.
-        lasers: How many there are.
+        lasers: Number of lasers.
     """
     usable = np.flatnonzero((laser >= 0) & (range_m > 0) & (range_m < _MAX_RANGE_M))
     usable = usable[:: max(1, len(usable) // _MOST_RETURNS)]
@@ -55,7 +55,7 @@ def learn_range_bias(
 
 
 def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """One Gauss-Newton step (lasers,) from returns (n, 3) of which `bias` is taken off."""
+    """One Gauss-Newton step (lasers,) in metres from returns (n, 3) already corrected by `bias`."""
     index, voxel = index_points(points, _VOXEL_M)
     mean, normal = _flat_voxels(points, voxel, index.voxel_count)
     flat = np.flatnonzero(np.any(normal != 0.0, axis=1)[voxel])
@@ -67,7 +67,7 @@ def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np
     error = np.einsum("ni,ni->n", normals, points[flat] - mean[voxel])
     slope = np.einsum("ni,ni->n", normals, direction[flat])
     weight = 1.0 / (1.0 + (error / _SCALE_M) ** 2)
-    # The voxels' offsets are eliminated: they are the weighted means of what the biases leave.
+    # The voxels' offsets are eliminated (Schur complement): each is a weighted mean of residuals.
     number = np.unique(voxel, return_inverse=True)[1].astype(np.int64)
     voxels = int(number.max()) + 1
     total = np.bincount(number, weights=weight)
@@ -82,18 +82,11 @@ def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np
 
 
 def _flat_voxels(points: np.ndarray, voxel: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (v, 3) of each voxel's points and its plane's unit normal (v, 3), 0 where it is not flat."""
+    """Mean (v, 3) of each voxel's points and unit normal (v, 3) of its plane, 0 where it is not flat."""
     returns = np.bincount(voxel, minlength=count)
-    total = np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], axis=1)
-    mean = total / returns[:, None]
-    centred = points - mean[voxel]
+    mean, covariance = voxel_moments(points, voxel, returns)
     full = np.flatnonzero(returns >= _MIN_RETURNS)
-    covariance = np.empty((len(full), 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count)
-            covariance[:, a, b] = covariance[:, b, a] = (moment / returns)[full]
-    value, vector = np.linalg.eigh(covariance)
+    value, vector = np.linalg.eigh(covariance[full])
     flat = (value[:, 1] > _FLATNESS * value[:, 0]) & (value[:, 0] < _MAX_THICKNESS_M**2)
     normal = np.zeros((count, 3))
     normal[full[flat]] = vector[flat, :, 0]
@@ -104,26 +97,26 @@ _GAIN_VOXEL_M = 0.2
 _GAIN_MOST_RETURNS = 1_000_000
 _GAIN_ITERATIONS = 3
 _BRIGHTEST = 0.98
-"""Returns above it are clipped: they say nothing of a gain."""
+"""Brighter returns are clipped by the sensor and left out."""
 _GAIN_PRIOR_RETURNS = 30.0
-"""A laser needs many more returns than this, of mean brightness, to be believed to differ."""
+"""Weight of the prior that a laser has a gain of 1, in returns of mean brightness."""
 _LIMITS = (0.25, 4.0)
 _LEAST_RMS = 0.09
-"""Lasers that are alike differ by 7 %, as each sees surfaces at its own slant: less is not believed."""
+"""Smaller differences are taken as 0: equal lasers differ by 7 %, as each sees surfaces at its own slant."""
 
 
 def learn_intensity_gain(
     points_m: np.ndarray, intensity: np.ndarray, laser: np.ndarray, lasers: int
 ) -> np.ndarray:
-    """Gain (lasers,) float64 by which a laser's intensities are to be divided; 1 without evidence.
+    """Intensity gain (lasers,) float64 by which a laser's intensities are to be divided; 1 without evidence.
 
-    Minimises the sum of (I - g_l m_v)^2 over a gain a laser and a brightness a voxel, in turns.
+    Minimises the sum of (I - g_l m_v)^2 over a gain per laser and a brightness per voxel, alternately.
 
     Args:
-        points_m: (n, 3) of returns, scene-local.
+        points_m: (n, 3) of returns, scene-local metres.
         intensity: (n,) recorded, 0..1.
         laser: (n,) 0 .. lasers - 1, or -1 where unknown: such returns are left out.
-        lasers: How many there are.
+        lasers: Number of lasers.
     """
     usable = np.flatnonzero((laser >= 0) & (intensity < _BRIGHTEST))
     usable = usable[:: max(1, len(usable) // _GAIN_MOST_RETURNS)]

@@ -1,1 +1,1 @@
-"""Rigid motions."""
+"""Rigid motions, cameras, boxes, and a scene's bounds."""

@@ -1,4 +1,4 @@
-"""From scene-local metres to the unit cube in which a field is laid out, and nowhere else."""
+"""Conversion between scene-local metres and the unit cube in which a field is defined."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from torch import Tensor
 from nvsf_core.errors import DataError, ShapeError
 
 OUTERMOST_SHARE = 1e-3
-"""Share of the points, per axis, that may lie outside a scene's box: half of them at either end."""
+"""Share of the points, per axis, that may lie outside a scene's box, half of them at each end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """A cube around a scene. Scaled units are metres from its centre divided by `half_m`: it spans -1..1."""
+    """A cube around a scene. In scaled units, metres from its centre divided by `half_m`, it spans -1..1."""
 
     centre_m: tuple[float, float, float]
-    """Scene-local."""
+    """Scene-local metres."""
     half_m: float
     """Half the edge."""
     bound: float = 1.0
@@ -40,7 +40,7 @@ class Bounds:
         longest half axis. The authors' box, from the extremes (share 0), is moved by one stray point.
 
         Args:
-            points_m: (n, 3), scene-local.
+            points_m: (n, 3) scene-local metres.
             outermost_share: In [0, 1): share of the points left out per axis, half at either end.
             bound: Of the unit cube, in scaled units.
 
@@ -85,16 +85,6 @@ class Bounds:
     def scaled(self, length_m: float) -> float:
         """A length in scaled units; lengths come back with ``* half_m``."""
         return length_m / self.half_m
-
-    def to_contracted_unit(self, points_m: Tensor) -> Tensor:
-        """(n, 3) metres to (n, 3) in (0, 1): the cube fills the middle half of each axis, the rest all space.
-
-        u = (p - c) / half; u stays where its largest coordinate m is at most 1, else becomes (2 - 1/m) u / m.
-        Source: Barron et al., mip-NeRF 360, eq. 10, with the maximum norm.
-        """
-        u = self.to_scaled(points_m)
-        m = u.abs().amax(dim=-1, keepdim=True).clamp_min(1.0)
-        return (2.0 - 1.0 / m) * u / m / 4.0 + 0.5
 
     def _centre_m(self, like: Tensor) -> Tensor:
         return torch.tensor(self.centre_m, dtype=like.dtype, device=like.device)

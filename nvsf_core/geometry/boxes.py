@@ -5,14 +5,12 @@ import numpy as np
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 
-__all__ = ["CORNERS", "box_corners", "box_rectangles", "inside_any"]
-
 CORNERS = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij")).reshape(3, 8).T
 """(8, 3) corners of the unit cube."""
 
 
 def box_corners(boxes: np.ndarray) -> np.ndarray:
-    """Corners (B, 8, 3) of boxes (B, 4, 4), in the frame that the boxes lead to, metres."""
+    """Corners (B, 8, 3), metres, of boxes (B, 4, 4), in the frame that the boxes map to."""
     _require_boxes(boxes)
     corners: np.ndarray = CORNERS @ np.moveaxis(boxes[:, :3, :3], 1, 2) + boxes[:, None, :3, 3]
     return corners
@@ -25,7 +23,7 @@ def inside_any(points_m: np.ndarray, boxes: np.ndarray, grown_m: float = 0.0) ->
     B^-1 p is at most 1/2 + grown / edge, the edge being the length of the box's column.
 
     Args:
-        points_m: (N, 3) points in the frame that the boxes lead to.
+        points_m: (N, 3) metres, in the frame that the boxes map to.
         boxes: (B, 4, 4) unit cube to that frame.
         grown_m: Metres added on every side.
 
@@ -43,7 +41,7 @@ def inside_any(points_m: np.ndarray, boxes: np.ndarray, grown_m: float = 0.0) ->
         edges_m = np.linalg.norm(box[:3, :3], axis=0)
         if not np.abs(np.linalg.det(box[:3, :3])) > 0.0:
             raise ShapeError(f"expected a box with a volume, found edges of {edges_m} m; drop that box")
-        # Subtracting first keeps world coordinates of some km from costing digits.
+        # Subtracting first keeps precision at world coordinates of several km.
         local = (points_m.astype(np.float64) - box[:3, 3]) @ np.linalg.inv(box[:3, :3]).T
         inside |= (np.abs(local) <= 0.5 + grown_m / edges_m).all(axis=1)
     return inside
@@ -52,11 +50,11 @@ def inside_any(points_m: np.ndarray, boxes: np.ndarray, grown_m: float = 0.0) ->
 def box_rectangles(camera: Pinhole, boxes_to_camera: np.ndarray) -> np.ndarray:
     """Pixels (height, width) bool inside the bounding rectangle of at least one projected box.
 
-    A box counts when all its 8 corners are in front of the camera; nothing is hidden by anything else.
+    A box counts if all its 8 corners are in front of the camera; occlusion is ignored.
     A pixel is inside when its centre is, borders included.
 
     Args:
-        camera: Whose image.
+        camera: The camera of the image.
         boxes_to_camera: (B, 4, 4) unit cube to the camera's frame, metres.
     """
     mask = np.zeros((camera.height, camera.width), dtype=bool)

@@ -17,10 +17,10 @@ from nvsf_core.errors import CalibrationError, ShapeError
 from nvsf_core.geometry.pinhole import contains, intrinsics_fault
 
 _MOST_DISTORTION = 100.0
-"""Of any real lens all five numbers are below 10."""
+"""Largest distortion coefficient; those of real lenses are below 10."""
 _NEWTON_STEPS = 12
 _NEWTON_RESIDUAL = 1e-9
-"""A solution counts where its distorted image is this near, in units of the normalised plane."""
+"""Largest error of a solution, in units of the normalised plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class MeiFisheye:
     """Rows of the image."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera."""
+        """Refuse unphysical values."""
         lens = (self.xi, self.k1, self.k2, self.p1, self.p2)
         # NaN compares false.
         if not (self.xi >= 0.0 and all(abs(value) <= _MOST_DISTORTION for value in lens)):
@@ -120,7 +120,7 @@ class MeiFisheye:
             raise ShapeError(f"expected pixels (..., 2), found {pixels.shape}")
         target = (pixels.astype(np.float64) - (self.u0, self.v0)) / (self.gamma1, self.gamma2)
         plane = target.copy()
-        # Pixels far outside the image may diverge: they end unsolved, so their overflow is no news.
+        # Pixels far outside the image may diverge and overflow: they end as not solved.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for _ in range(_NEWTON_STEPS):
                 plane = plane - self._newton_step(plane, self._distort(plane) - target)

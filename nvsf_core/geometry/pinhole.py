@@ -34,7 +34,7 @@ class Pinhole:
     """Rows of the image."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera."""
+        """Refuse unphysical values."""
         fault = intrinsics_fault((self.fx, self.fy), (self.cx, self.cy), (self.width, self.height))
         if fault is not None:
             raise CalibrationError(f"{fault}; check P_rect and S_rect")
@@ -109,11 +109,11 @@ FOCAL_WIDTHS = (0.05, 50.0)
 MOST_SIDE_PX = 16_384
 """Longest side of an image."""
 MOST_PIXELS = 64_000_000
-"""Largest image: eight times what cars have, and what a drive's images must fit into memory with."""
+"""Most pixels of an image: eight times a car camera's, so that a drive's images fit into memory."""
 _MOST_ASPECT = 4.0
-"""Of one focal length over the other: cameras have square pixels, some films twice as wide as high."""
+"""Largest ratio of the two focal lengths: pixels are square, or at most some times wider than high."""
 _AXIS_SIDES = 1.0
-"""How many sides the optical axis may lie outside of the image."""
+"""How many image sides the optical axis may lie outside the image."""
 
 
 def intrinsics_fault(
@@ -121,8 +121,7 @@ def intrinsics_fault(
 ) -> str | None:
     """What is unphysical about a camera; None where nothing is.
 
-    A focal length of 1e-300 is positive and finite, and its rays are not: coordinates overflow far away
-    from here, where nobody can tell why.
+    A focal length of 1e-300, for example, is positive and finite, but coordinates computed with it overflow.
 
     Args:
         focal_px: Horizontal and vertical focal length (or scale, of a fisheye), pixels.

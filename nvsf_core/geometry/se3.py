@@ -9,19 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from nvsf_core.errors import ShapeError
 
-__all__ = [
-    "exp_se3",
-    "exp_so3",
-    "invert_pose",
-    "is_rigid",
-    "log_se3",
-    "log_so3",
-    "pose_from_parts",
-    "transform_points",
-]
-
 _SMALL_RAD = 1e-3
-"""Below this angle the series is more exact than the closed form: its first dropped term is 1e-15."""
+"""Below this angle the Taylor series is used, which is more exact: its first dropped term is 1e-15."""
 
 
 def exp_so3(rotation_vector: np.ndarray) -> np.ndarray:
@@ -34,7 +23,7 @@ def exp_so3(rotation_vector: np.ndarray) -> np.ndarray:
 def log_so3(rotation: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) of rotation matrices (..., 3, 3), angle in [0, pi].
 
-    It goes through the quaternion, so it stays exact near 0 and near 180 degrees.
+    It is computed by quaternions, and so exact near 0 and near 180 degrees.
     """
     flat = np.asarray(rotation, np.float64).reshape(-1, 3, 3)
     if len(flat) == 0:
@@ -97,20 +86,10 @@ def pose_from_parts(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def transform_points(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (N, 3) mapped by one motion (4, 4), float64."""
+    """Points (N, 3) transformed by one motion (4, 4), float64."""
     pose = _checked(pose)
     moved: np.ndarray = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return moved
-
-
-def is_rigid(pose: np.ndarray, tolerance: float = 1e-4) -> bool:
-    """Whether a 4x4 matrix is finite, a proper rotation to `tolerance`, and ends in (0, 0, 0, 1)."""
-    pose = np.asarray(pose, np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        return False
-    rotation = pose[:3, :3]
-    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=tolerance)
-    return bool(orthonormal and np.linalg.det(rotation) > 0.0 and np.allclose(pose[3], (0, 0, 0, 1)))
 
 
 def _rodrigues_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

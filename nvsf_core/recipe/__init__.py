@@ -1,4 +1,4 @@
-"""What a run does: frozen recipes, read from and written to JSON, never changed in place."""
+"""Recipes: all settings of a run but the seed, as frozen dataclasses that convert to and from JSON."""
 
 from nvsf_core.recipe.base import Recipe
 from nvsf_core.recipe.paper import (

@@ -1,4 +1,4 @@
-"""What all recipes have in common: a name, JSON in and out, and an identity."""
+"""Base of all recipes: a name, conversion to and from JSON, and an identity."""
 
 import hashlib
 import json
@@ -15,13 +15,13 @@ class Recipe:
     """All that decides what is trained and rendered, but the seed."""
 
     family: ClassVar[str] = ""
-    """Which code trains it."""
+    """Name of the family whose code trains it."""
 
     name: str
-    """Names the output folders."""
+    """Used as name of the output folders."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that is no folder's."""
+        """Refuse a name that cannot be a folder's."""
         fault = name_fault(self.name)
         if fault is not None:
             raise RecipeError(f"recipe: {fault}")
@@ -47,16 +47,16 @@ class Recipe:
         return made
 
     def identity(self) -> str:
-        """SHA-256 of the sorted JSON: two recipes that differ anywhere differ here."""
+        """SHA-256 of the sorted JSON, different for any two recipes that differ."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
 _PLAIN: dict[Any, Any] = {bool: bool, int: int, float: (int, float), str: str}
-"""Kinds of single values, and what of JSON is one: a whole number is a float, too."""
+"""Types of single values, and the JSON types accepted for them: a whole number is a float, too."""
 
 
 def _read(kind: Any, value: Any) -> Any:
-    """A value of a dataclass, a tuple, or one of several kinds, from JSON."""
+    """Convert a JSON value to a type: a dataclass, a tuple, a plain type, or a union of these."""
     if is_dataclass(kind) and isinstance(kind, type):
         if not isinstance(value, dict):
             raise TypeError(f"expected the fields of {kind.__name__}, found {value!r}")
@@ -70,6 +70,6 @@ def _read(kind: Any, value: Any) -> Any:
     if isinstance(value, list):
         return tuple(value)
     if get_origin(kind) is UnionType and isinstance(value, dict):
-        # Which of several dataclasses was meant is not written down: only one may be among the kinds.
+        # JSON does not name the dataclass, so a union may contain only one.
         return _read(next((option for option in get_args(kind) if is_dataclass(option)), None), value)
     return value

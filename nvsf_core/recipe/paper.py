@@ -1,7 +1,7 @@
-"""The recipes of "Self-Supervised Multimodal NeRF for Autonomous Driving": every part a switch of its own.
+"""Recipes of "Self-Supervised Multimodal NeRF for Autonomous Driving", with one switch per part.
 
-Defaults are the paper's text; where the authors' released code does something else, the code's value is
-another value of the same switch. `docs/paper_fidelity.md` has a row for each.
+Defaults follow the paper's text. Where the authors' released code differs, it is another value of the same
+switch. `docs/paper_fidelity.md` has a row for each.
 """
 
 from dataclasses import dataclass
@@ -15,43 +15,43 @@ class GridSpec:
     """A multiresolution hash grid."""
 
     levels: int
-    """Resolutions."""
+    """Number of resolutions."""
     features: int
-    """Numbers an entry."""
+    """Features per entry."""
     log2_table: int
-    """Entries a level, as a power of two."""
+    """Base-2 logarithm of the entries per level."""
     base_resolution: int
-    """Grid points an axis of the coarsest level."""
+    """Grid points per axis of the coarsest level."""
     finest_resolution: int
-    """Grid points an axis of the finest level."""
+    """Grid points per axis of the finest level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeGridSpec:
-    """The dynamic hash: for each of the planes xy, xz, yz a row of 2-D hash grids, one a time slice."""
+    """The dynamic hash grid: for each of the planes xy, xz, yz, one 2-D hash grid per time slice."""
 
     slices: int = 8
     """Grids along time, blended linearly."""
     levels: int = 8
-    """Resolutions of each grid."""
+    """Number of resolutions of each grid."""
     features: int = 4
-    """Numbers an entry: the values at the four nodes of the cubic time basis."""
+    """Numbers per entry: values at the four nodes of the cubic time basis."""
     log2_tables: tuple[int, int, int] = (15, 13, 13)
-    """Entries a level for xy, xz, yz, as powers of two."""
+    """Base-2 logarithm of the entries per level, for xy, xz, yz."""
     base_resolution: int = 512
-    """Grid points an axis of the coarsest level."""
+    """Grid points per axis of the coarsest level."""
     finest_resolution: int = 32768
-    """Grid points an axis of the finest level."""
+    """Grid points per axis of the finest level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanesSpec:
-    """K-planes: six planes a scale, three of space and three with time."""
+    """K-planes: six planes per scale, three in space and three with time."""
 
     scales: tuple[int, ...] = (1, 2, 4, 8)
     """Factors on the resolution in space; time is not refined."""
     features: int = 8
-    """Numbers a plane's cell; the planes' are multiplied."""
+    """Features per cell; those of the six planes are multiplied."""
     space_resolution: int = 32
     """Cells along a spatial axis at scale 1."""
     time_resolution: int = 8
@@ -65,16 +65,16 @@ class EncoderSpec:
     static: GridSpec = GridSpec(
         levels=8, features=4, log2_table=19, base_resolution=512, finest_resolution=32768
     )
-    """Space alone."""
+    """Hash grid in space."""
     dynamic: TimeGridSpec = TimeGridSpec()
-    """Space in planes, and time."""
+    """Hash grids in planes and time."""
     planes: PlanesSpec = PlanesSpec()
-    """Space and time in planes."""
+    """K-planes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlowSpec:
-    """The scene-flow network, shared by both sensors."""
+    """The flow network, shared by both sensors."""
 
     grid: GridSpec = GridSpec(
         levels=16, features=8, log2_table=18, base_resolution=32, finest_resolution=8192
@@ -83,21 +83,21 @@ class FlowSpec:
     hidden: int = 64
     """Width of its two hidden layers."""
     points: int = 8192
-    """Most points of each cloud without ground that a step compares."""
+    """Most points per step of each compared cloud, ground removed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeadsSpec:
-    """The networks after the encoding."""
+    """Networks that follow the encoding."""
 
     hidden: int = 64
     """Width of all hidden layers."""
     geometry_features: int = 15
-    """Handed from the density network to the heads."""
+    """Features passed from the density network to the heads."""
     lidar_frequencies: int = 12
-    """Octaves of the LiDAR direction's frequency encoding."""
+    """Octaves of the frequency encoding of LiDAR directions."""
     camera_degree: int = 4
-    """Degree of the camera direction's spherical harmonics."""
+    """Degree of the spherical harmonics of camera directions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,39 +105,39 @@ class RefinementSpec:
     """The U-Net that corrects the hit probabilities of whole panos, trained last."""
 
     channels: int = 32
-    """Of its first stage; 0 = no U-Net."""
+    """Channels of its first stage; 0 = no U-Net."""
     steps: int = 1000
     """Optimiser steps; each sees `frames_a_step` panos."""
     rate: float = 1e-3
     """Highest step size of the one-cycle schedule."""
     frames_a_step: int = 0
-    """Panos a step, drawn in turn; 0 = all of them, accumulated one after the other."""
+    """Panos per step, taken in a fixed order; 0 = all, with accumulated gradients."""
     panos: int = 0
-    """Training panos that are rendered for it, evenly chosen; 0 = all."""
+    """Training panos to render for it, evenly chosen; 0 = all."""
     column_step: int = 1
-    """It is trained on, and applied to, every so many columns of a pano."""
+    """Step between the columns of a pano on which it is trained and applied."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperSampling:
-    """Which rays a step draws, and which points on them."""
+    """How many rays a step samples, and which points on them."""
 
     rays: int = 2048
-    """Rays of each sensor a step, all of one frame."""
+    """Rays per sensor and step, all of one frame."""
     rays_at_once: int = 256
-    """Rays held in memory together; the gradients of the parts add up to the same sum."""
+    """Rays in memory at once; gradients of the parts are added up."""
     samples: int = 768
-    """Points a ray, evenly spaced."""
+    """Points per ray, evenly spaced."""
     near_m: float = 1.0
-    """First point."""
+    """Range of the first point."""
     far_m: float = 80.0
-    """Last point of a LiDAR ray; a camera ray ends where it leaves the box."""
+    """Range of a LiDAR ray's last point; a camera ray ends where it leaves the box."""
     heuristic: bool = True
-    """In every second epoch draw by the error map instead of evenly."""
+    """In every second epoch, sample rays by the error map instead of uniformly."""
     patches: tuple[int, int] | None = (2, 8)
-    """LiDAR patches (rows, columns) of every second epoch, for the gradient loss; None = single pixels."""
+    """LiDAR patches (rows, columns) in every second epoch, for the gradient loss; None = single pixels."""
     camera: bool = True
-    """Camera rays beside LiDAR rays; without them nothing of the camera is built."""
+    """Camera rays besides LiDAR rays; without them no camera network is built."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +145,7 @@ class GradientLossSpec:
     """Where and how neighbouring ranges are compared."""
 
     mask: Literal["double", "single"] = "double"
-    """On the change of the absolute gradient (this paper), or on the gradient (LiDAR-NeRF)."""
+    """Mask by the change of the absolute gradient (this paper), or by the gradient (LiDAR-NeRF)."""
     threshold_m: float = 0.05
     """Largest value inside the mask; the single-gradient codes use 0.01."""
     norm: Literal["l1", "mse"] = "l1"
@@ -181,52 +181,52 @@ class PaperLosses:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperOptimiser:
-    """Adam, its groups and its schedule."""
+    """Adam's step sizes, by group, and schedule."""
 
     steps: int = 30_000
-    """Iterations, one frame each."""
+    """Optimiser steps, each on one frame."""
     table_rate: float = 1e-2
-    """Of encodings, density and colour networks."""
+    """Step size of encodings, density and colour networks."""
     head_rate: float = 1e-3
-    """Of the intensity and hit heads."""
+    """Step size of the intensity and hit heads."""
     flow_rate: float = 1e-3
-    """Of the flow field with its hash grid."""
+    """Step size of the flow network with its hash grid."""
     final_share: float = 0.1
-    """Both decay exponentially to this share."""
+    """All decay exponentially to this share of their first value."""
     ema_decay: float = 0.95
-    """Of the averaged weights, updated once an epoch; 0 = no average."""
+    """Decay of the weights' moving average, updated once per epoch; 0 = no average."""
     checkpoint_s: float = 60.0
     """Seconds between two checkpoints."""
     threads: int = 2
-    """CPU threads, part of the identity."""
+    """CPU threads; part of the recipe's identity."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceQuirks:
-    """What the released code does and the paper does not say; each off by default."""
+    """What the authors' code does that its paper does not say; each off by default."""
 
     flow_unit: bool = False
-    """Add the flow, learned in scaled units, to unit-cube coordinates: 2 x bound times too far."""
+    """Add the flow, learned in scaled units, to unit-cube coordinates: too far by the factor 2 x bound."""
     neighbour_times: bool = False
-    """Neighbours' times as (i +- 1)/n beside own times i/(n - 1)."""
+    """Neighbouring frames' times as (i +- 1)/n, although a frame's own time is i/(n - 1)."""
     bound: float = 1.0
     """The code's 2 leaves half of every grid axis empty."""
     minmax_box: bool = False
-    """Box from the extreme points instead of all but the outermost 0.1 %."""
+    """Box around all points instead of all but the outermost 0.1 %."""
     half_precision_truth: bool = False
-    """Ranges compared after rounding to float16 in scaled units."""
+    """Round true ranges to float16 in scaled units."""
     active_sensor: bool = False
-    """Twice the optical depth, as for light that travels there and back."""
+    """Double the optical depth, as for light that travels there and back."""
     identical_tables: bool = False
-    """All grids of one shape start with the same numbers (one seed)."""
+    """Initialise all grids of one shape with the same numbers (one seed)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperRecipe(Recipe):
-    """The paper's system, or a part of it."""
+    """All settings of the family `paper`: the paper's system, or a part of it."""
 
     family: ClassVar[str] = "paper"
-    """Which code trains it."""
+    """Name of the family whose code trains it."""
 
     encoders: Literal["same", "separate", "separate_fused"] = "separate"
     """One encoding for both sensors; one each; or one each, fused before the density network."""

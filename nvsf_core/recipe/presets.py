@@ -1,4 +1,4 @@
-"""The presets by name (`lean`, `quick`, the paper's, `smoke`), and how to slow one that diverged."""
+"""The presets by name (`lean`, `quick`, `smoke`, the paper's), and their variants with smaller step sizes."""
 
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
@@ -23,7 +23,7 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
-# What quick learns, for as long as it pays: eight times the LiDAR's steps stay within 10 minutes on 2 cores.
+# As quick, but trained as long as it helps: eight times the LiDAR's steps take under 10 minutes on 2 cores.
 _LEAN = replace(
     _QUICK,
     name="lean",
@@ -97,7 +97,7 @@ _PAPER_SMOKE = replace(
 def _ablation_row(
     name: str, *, heuristic: bool = False, aligned: bool = False, multimodal: bool = False
 ) -> PaperRecipe:
-    """One row of the paper's ablation at the size of `paper_cpu`: what it adds to the baseline."""
+    """One row of the paper's ablation, at the size of `paper_cpu`: the baseline plus some parts."""
     single = GradientLossSpec(mask="single", threshold_m=0.01)
     return replace(
         _PAPER_CPU,
@@ -149,10 +149,10 @@ def preset_names() -> list[str]:
 
 
 def preset(name: str) -> Recipe:
-    """A recipe by name; `name@0.5` is the same with half of its step sizes.
+    """A recipe by name; `name@0.5` is the same with step sizes halved.
 
     Raises:
-        RecipeError: There is none of that name, or no such share.
+        RecipeError: There is no recipe of that name, or the share is invalid.
     """
     if not isinstance(name, str) or len(name) > LONGEST_NAME:
         raise RecipeError(f"expected a recipe's name, found {name!r:.60}")
@@ -174,8 +174,6 @@ def recipe_from_json(values: dict[str, Any]) -> Recipe:
     return _FAMILIES[family].from_json(values)
 
 
-__all__ = ["differ_in_step_size", "full_name", "share_of", "slower"]
-
 _MARK = "@"
 _LEAST_SHARE = 1e-6
 _RATES = ("rate", "table_rate", "network_rate", "head_rate", "flow_rate")
@@ -183,7 +181,7 @@ _Kind = TypeVar("_Kind", bound=Recipe)
 
 
 def slower(recipe: _Kind, share: float) -> _Kind:
-    """The recipe with all its optimisers' step sizes times `share`, under a name that says so.
+    """The recipe with all optimisers' step sizes times `share`, which its new name ends with.
 
     Raises:
         RecipeError: The share is not above 0 and at most 1.
@@ -197,15 +195,15 @@ def slower(recipe: _Kind, share: float) -> _Kind:
 
 
 def full_name(name: str) -> str:
-    """Name of the recipe whose step sizes this one has a share of: itself where there is no share."""
+    """The recipe's name without its share of step sizes."""
     return name.partition(_MARK)[0]
 
 
 def share_of(name: str) -> float:
-    """The share of step sizes that a recipe's name asks for; 1 where it names none.
+    """The share of step sizes in a recipe's name; 1 without one.
 
     Raises:
-        RecipeError: What follows the mark is no number.
+        RecipeError: The text after the mark is not a number.
     """
     _, mark, share = name.partition(_MARK)
     try:
@@ -215,7 +213,7 @@ def share_of(name: str) -> float:
 
 
 def differ_in_step_size(one: Recipe, other: Recipe) -> bool:
-    """Whether two recipes differ, and in nothing but their step sizes and names."""
+    """Whether two recipes differ in their step sizes and in nothing else but their names."""
     same, also = (replace(_scaled(recipe, 0.0), name="same") for recipe in (one, other))
     return one != other and type(one) is type(other) and bool(same == also)
 

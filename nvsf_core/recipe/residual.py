@@ -1,4 +1,4 @@
-"""Recipes that start from evidence and learn a residual."""
+"""Recipes of the family `residual`: rendering starts from the evidence, and fields learn to correct it."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,160 +8,160 @@ from nvsf_core.recipe.base import Recipe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvidenceSpec:
-    """How the evidence is used in rendering."""
+    """Use of the evidence in rendering."""
 
     votes: int = 6
-    """Training scans, nearest in time, whose share of returns is the prior of a ray's hit probability."""
+    """Number of training scans, nearest in time, from which a ray's hit prior is computed."""
     lidar_candidates: int = 24
-    """Most surfaces along one LiDAR ray that are composited."""
+    """Most surfels composited along one LiDAR ray."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSpec:
-    """The largest residual field of the LiDAR; a scene whose evidence is smaller gets a smaller one."""
+    """Largest size of the LiDAR's residual field; scenes with less evidence get a smaller one."""
 
     levels: int = 8
-    """Most levels of the hash grid."""
+    """Most resolution levels of the hash grid."""
     features: int = 2
-    """Features per table entry."""
+    """Features per entry of the hash table."""
     log2_table: int = 17
-    """Most entries per level, as a power of two."""
+    """Base-2 logarithm of the most entries per level."""
     coarsest_cell_m: float = 4.0
-    """Cell of the coarsest level."""
+    """Cell edge of the coarsest level."""
     finest_cell_m: float = 0.06
-    """Smallest cell of the finest level."""
+    """Least cell edge of the finest level."""
     hidden: int = 32
-    """Width of the network that is evaluated at each surface along a ray."""
+    """Width of the network evaluated at each surfel along a ray."""
     decoded: int = 8
-    """Features that are composited along a ray, then decoded once per ray."""
+    """Features per surfel that are composited along a ray and then decoded once."""
     decoder_hidden: int = 64
-    """Width of the network that decodes a ray."""
+    """Width of the network that decodes a ray's composited features."""
     max_shift_m: float = 0.15
-    """Largest shift of a surface along the ray, either way."""
+    """Largest correction of a surfel's range, in either direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSpec:
-    """The networks that choose depths for recorded images and blend them; the same for all cameras."""
+    """Networks that estimate a view's depth and blend recorded images into it; the same for all cameras."""
 
     sources: int = 4
-    """Training images, nearest to the view, that are warped and blended into it."""
+    """Number of training images, nearest to the view, that are warped and blended."""
     planes: int = 48
-    """Depths that are compared, evenly spaced in inverse depth."""
+    """Number of depth planes compared, evenly spaced in inverse depth."""
     near_m: float = 2.5
-    """Nearest plane."""
+    """Depth of the nearest plane."""
     far_m: float = 300.0
-    """Farthest plane."""
+    """Depth of the farthest plane."""
     plane_px: int = 33_000
-    """Planes are compared on images shrunk by a whole number to about so many pixels."""
+    """Planes are compared on images shrunk, by a whole factor, to about this many pixels."""
     depth_channels: tuple[int, int] = (12, 16)
-    """Widths of the network over planes, at its two resolutions."""
+    """Channels of the network over planes, at its two resolutions."""
     blend_channels: tuple[int, int] = (24, 32)
-    """Widths of the network that blends, at half resolution and below."""
+    """Channels of the blending network, at half resolution and below."""
     refinements: int = 0
-    """How many depths around the estimated one are compared at twice the planes' resolution; odd, 0 = the
-    estimate is used as it is."""
+    """Number of depths around the estimate that are compared at twice the planes' resolution, to refine it;
+    odd, 0 = no refinement."""
     refined_channels: int = 24
-    """Width of the network that compares them."""
+    """Channels of the refining network."""
     aligned: bool = False
-    """Whether camera poses are corrected so that LiDAR returns look alike in neighbouring images. Networks
-    are trained with the uncorrected poses, because the pose of a requested view has such an error, too."""
+    """Correct camera poses so that LiDAR returns have similar colours in neighbouring images. Networks are
+    trained with uncorrected poses, because a requested view's pose has the same kind of error."""
     varied: bool = False
-    """Whether each step's images get random colours and brightness, and half of them are mirrored: with few
-    images this delays overfitting in long trainings. It gains nothing in short ones."""
+    """Augment training images: random colours and brightness, half of them mirrored. With few images this
+    delays overfitting in long trainings; it gains nothing in short ones."""
     members: int = 1
-    """Networks in the ensemble, trained independently and averaged. Each multiplies the seconds of training
-    and of rendering."""
+    """Networks in the ensemble, trained independently and averaged; training and rendering times grow in
+    proportion."""
     judge_every: int = 9
-    """One of so many training images is kept for validation: it decides whether learning beat `reproject`."""
+    """One of so many training images is for validation: they choose between networks and `reproject`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSpec:
-    """How much is learned. Steps, never seconds: seconds are measured."""
+    """Length of a training, in steps and not in seconds, and its step sizes."""
 
     steps: int
-    """Optimiser steps."""
+    """Number of optimiser steps."""
     rays: int
-    """Rays a step, drawn from all training frames; of the camera's networks: pixels of one
-    crop of shrunk images a step."""
+    """Rays per step, sampled from all training frames. For camera networks: pixels per step, of one crop of
+    the shrunk images."""
     table_rate: float = 1e-2
     """Adam's step size for the hash tables."""
     network_rate: float = 3e-3
     """Adam's step size for the networks."""
     final_share: float = 0.05
-    """Both rates decay exponentially to this share of themselves."""
+    """Both rates decay exponentially to this share of their first value."""
     checkpoint_s: float = 20.0
     """Seconds between two checkpoints."""
     threads: int = 2
-    """CPU threads, part of the identity: sums in another order give other bits."""
+    """CPU threads; part of the recipe's identity, as sums in another order give other bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LossWeights:
-    """Weights of the loss terms; each term is in its own unit."""
+    """Weights of the loss terms. Each term has its own unit, and so each weight its inverse."""
 
     depth: float = 1.0
-    """Of the weighted distance of a ray's surfaces to its return, metres; for rays that meet moving objects,
-    of the return's negative log-likelihood, nats."""
+    """Of the weighted distance between a ray's surfels and its return, metres; for rays that meet moving
+    objects, of the return's negative log-likelihood, nats."""
     hit: float = 0.5
-    """Of the cross-entropy of the hit probability, nats."""
+    """Of the hit probability's cross-entropy, nats."""
     intensity: float = 5.0
     """Of the squared intensity error."""
     colour: float = 10.0
     """Of the squared colour error."""
     colour_distance: float = 0.3
-    """Of the absolute colour error, which keeps edges sharper than its square."""
+    """Of the absolute colour error, which keeps edges sharper than the squared one."""
     coarse: float = 3.0
-    """Of the squared colour error of all depth planes' mean."""
+    """Of the squared colour error of the mean over all depth planes."""
     plane: float = 0.15
     """Of the absolute colour error of each depth plane, weighted by the plane's probability."""
     structure: float = 0.0
-    """Of 1 - SSIM in small windows: what is blurred costs as much in dim leaves as at bright edges."""
+    """Of 1 - SSIM in small windows, in which blur costs as much in dark foliage as at bright edges."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PanoSpec:
-    """The papers' range image as a view of its own, and not the projection of one simulated scan."""
+    """The paper's pano, rendered from several simulated sweeps and not projected from one scan."""
 
     phases: int = 2
-    """Sweeps that are simulated, each with another offset of its first firing."""
+    """Number of simulated sweeps, each with another offset of its first firing."""
     parts: int = 4
-    """How many rotated copies of each sweep are used, to fill the angles between two phases."""
+    """Number of rotated copies of each sweep, which fill the angles between two phases."""
     channels: int = 20
-    """Width of the network over cells."""
+    """Channels of the network over cells."""
     layers: int = 3
-    """Layers of that width."""
+    """Layers with so many channels."""
     neighbours: int = 6
-    """Training panos, nearest in time, that are inputs of the network."""
+    """Number of training panos, nearest in time, that are inputs of the network."""
     frames: int = 28
-    """Most training frames that the network learns from; evenly spread."""
+    """Most training frames to learn from; evenly spread."""
     judge_every: int = 5
-    """One of so many of these frames is kept for validation: it decides whether the network is used."""
+    """One of so many of these frames is for validation: they choose whether the network is used."""
     training: TrainingSpec | None = None
-    """None = no network; `rays` are a step's cells."""
+    """None = no network. `rays` is the number of cells per step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HitsSpec:
-    """The network over the recording sensor's own grid of lasers and firings: what returns."""
+    """The raydrop network: hit probabilities on the recording sensor's own grid of lasers and firings."""
 
     channels: int = 16
-    """Width of the network over cells; of 20 the convolutions take three times as long."""
+    """Channels of the network over cells; with 20, convolutions take three times as long."""
     layers: int = 3
-    """Layers of that width."""
+    """Layers with so many channels."""
     frames: int = 28
-    """Most training frames that the network learns from; evenly spread."""
+    """Most training frames to learn from; evenly spread."""
     training: TrainingSpec
-    """`rays` are a step's cells."""
+    """`rays` is the number of cells per step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualRecipe(Recipe):
-    """Start from the evidence and learn what it gets wrong."""
+    """All settings of the family `residual`."""
 
     family: ClassVar[str] = "residual"
-    """Which code trains it."""
+    """Name of the family whose code trains it."""
 
     evidence: EvidenceSpec = EvidenceSpec()
     lidar_field: FieldSpec = FieldSpec()
@@ -171,6 +171,6 @@ class ResidualRecipe(Recipe):
     camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
-    """None = the pano is the projection of the simulated scan."""
+    """None = the pano is projected from the simulated scan."""
     hits: HitsSpec | None = None
-    """None = the ray head alone says what returns."""
+    """None = hit probabilities are the ray head's alone."""

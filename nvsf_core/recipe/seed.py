@@ -1,22 +1,20 @@
-"""Seeds: what every random number of a run is made from."""
+"""Seeds, from which all random numbers of a run are made."""
 
 from nvsf_core.errors import RecipeError
 
-__all__ = ["MOST_SEED", "is_seed_folder", "require_seed", "seed_from_text"]
-
 MOST_SEED = 2**32 - 1
-"""What numpy, torch and a table's int64 column all take."""
+"""Largest seed that numpy, torch and a table's int64 column all accept."""
 
 
 def require_seed(seed: object, what: str = "seed") -> int:
-    """The seed, if it is one.
+    """Return the seed, if it is valid.
 
     Args:
         seed: Anything.
-        what: What to call it in the message.
+        what: Its name in the error message.
 
     Raises:
-        RecipeError: It is no whole number from 0 to `MOST_SEED`.
+        RecipeError: It is not a whole number from 0 to `MOST_SEED`.
     """
     if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= MOST_SEED:
         # Python refuses to write out a number of more than 4300 digits.
@@ -27,12 +25,12 @@ def require_seed(seed: object, what: str = "seed") -> int:
 
 
 def is_seed_folder(name: str) -> bool:
-    """Whether a folder is named as that of a seed is: by its digits alone."""
+    """Whether a folder has the name of a seed's: its digits alone."""
     return name.isascii() and name.isdecimal() and len(name) <= 10 and str(int(name)) == name
 
 
 def seed_from_text(text: str, what: str) -> int:
-    """The seed that an environment variable or an argument writes.
+    """The seed in the text of an environment variable or an argument.
 
     Raises:
         RecipeError: It is no whole number from 0 to `MOST_SEED`.

@@ -1,1 +1,1 @@
-"""A recorded drive as models read it; no reader."""
+"""A recorded drive in memory, as models use it; files are read elsewhere."""

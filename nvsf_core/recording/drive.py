@@ -1,4 +1,4 @@
-"""A recorded drive as models read it: scans with what they prove, images, and all poses."""
+"""A recorded drive in memory: scans with their evidence, images, and all poses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,31 +15,28 @@ from nvsf_core.sensors.sweep import Trajectory
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarRecording:
-    """The scans, and what the training ones prove."""
+    """The scans, and the evidence of the training scans."""
 
     sweeps: Sweeps
     evidence: SceneEvidence
     read_panos: Callable[[], LinearPanos] | None = None
-    """The scans as the paper's panos, read when first asked for; None where nobody projected them."""
+    """Reads the scans as the paper's panos; None where they were not projected."""
 
     @property
     def far_m(self) -> float:
-        """How far a simulated ray is followed."""
+        """Greatest range of a simulated ray, metres."""
         return float(self.sweeps.table.max_range_m)
 
     @property
     def object_hit_priors(self) -> ObjectHitPriors:
-        """Tells how often the scans saw a place on a moving object return."""
+        """For looking up in which share of the scans a point on a moving object returned."""
         sweeps, evidence = self.sweeps, self.evidence
         return ObjectHitPriors(
             evidence.prior, evidence.lasers, sweeps.trajectory, sweeps.table, sweeps.elevation_correction_rad
         )
 
     def moving(self, *, leave_out: int | None = None) -> NearObjects | None:
-        """What moves, ready to be asked for about any time, as if a training scan were held out.
-
-        None where nothing moves.
-        """
+        """Moving objects at any time, built without the training scan `leave_out`; None without any."""
         dynamic = self.evidence.dynamic
         if dynamic is None:
             return None
@@ -48,15 +45,15 @@ class LidarRecording:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """A drive with LiDAR, cameras, or both; everything scene-local but for `scene_origin_m`."""
+    """A drive with LiDAR, cameras, or both; all scene-local, except `scene_origin_m`."""
 
     lidar: LidarRecording | None
     cameras: dict[str, CameraRecording]
     trajectory: Trajectory
-    """Of the LiDAR's frame, which a camera-only drive has by its calibration or as the pose frame."""
+    """Of the LiDAR's frame; without LiDAR, of the frame that calibration or poses give instead."""
     scene_origin_m: np.ndarray
-    """(3,) float64, in the world."""
+    """(3,) float64 metres, in the world."""
     posed_frame: np.ndarray
-    """(p,) int64 ascending: frames with a pose, recorded by whatever sensor."""
+    """(p,) int64 ascending: frames with a pose, whichever sensor recorded them."""
     posed_time_s: np.ndarray
-    """(p,) float64."""
+    """(p,) float64: their instants."""

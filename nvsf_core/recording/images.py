@@ -1,4 +1,4 @@
-"""A camera of a drive: its training images, where and when they were taken, and how it is mounted."""
+"""A camera of a drive: its training images with poses and times, and its mounting."""
 
 from dataclasses import dataclass
 
@@ -17,11 +17,11 @@ class CameraImages:
     pose: np.ndarray
     """(n, 4, 4) float64 camera to scene-local."""
     pixel: np.ndarray
-    """(m,) int64: numbers row * w + column of the pixels that show anything."""
+    """(m,) int64: the valid pixels, as row * w + column."""
 
     @property
     def valid(self) -> np.ndarray:
-        """(h, w) bool, the pixels that show anything."""
+        """(h, w) bool: pixels that show part of the recorded image."""
         mask = np.zeros(self.pinhole.height * self.pinhole.width, np.bool_)
         mask[self.pixel] = True
         return mask.reshape(self.pinhole.height, self.pinhole.width)
@@ -34,8 +34,8 @@ class CameraRecording:
     training: CameraImages
     """At least one image."""
     training_time_s: np.ndarray
-    """(n,) of the training images."""
+    """(n,) instants of the training images."""
     recorded_frame: np.ndarray
     """(m,) frame numbers with an image, held-out ones included."""
     in_lidar: np.ndarray
-    """(4, 4) camera to the drive's LiDAR frame: the mounting."""
+    """(4, 4) mounting: camera to the drive's LiDAR frame."""

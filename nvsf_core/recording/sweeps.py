@@ -1,4 +1,4 @@
-"""All scans of a drive in memory: every return as a ray, and which scans are trained on."""
+"""All scans of a drive in memory: each return as a ray, and which scans are for training."""
 
 from dataclasses import dataclass
 
@@ -11,35 +11,35 @@ from nvsf_core.sensors.tables import LaserTable
 
 @dataclass(frozen=True, slots=True)
 class Sweeps:
-    """All scans of a drive as the stage `sweeps` publishes them, with each scan's split."""
+    """The n scans of a drive as the stage `sweeps` publishes them, and which are for training."""
 
     arrays: dict[str, np.ndarray]
     is_training: np.ndarray
     """(n,) bool."""
     trajectory: Trajectory
-    """All recorded poses, held-out frames' too: a pose is what a view is asked for by."""
+    """All recorded poses, held-out frames' too: views of these frames are requested by pose."""
     period_s: float
-    """Seconds over which a turn's rays are spread; 0 where the scene is not ego-motion compensated."""
+    """Seconds of one sweep; 0 where the scene is not ego-motion compensated."""
     table: LaserTable
     elevation_correction_rad: float
-    """How far rays were turned up on their way into the world."""
+    """Angle by which rays were turned up."""
     scene_origin_m: np.ndarray
 
     def returns_of(self, scan: int) -> slice:
-        """Where a scan's returns lie in the flat arrays."""
+        """Slice of a scan's returns in the flat arrays."""
         return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
 
     def is_of_world(self, chosen: slice = slice(None)) -> np.ndarray:
-        """(m,) bool: chosen returns that tell of the world, neither of the own vehicle nor beyond the range.
+        """(m,) bool: whether chosen returns are neither on the own vehicle nor beyond the sensor's range.
 
-        Nobody else leaves out the own vehicle.
+        This is the only place that excludes the own vehicle.
         """
         a = self.arrays
         world: np.ndarray = ~a["is_own_vehicle"][chosen] & (a["range_m"][chosen] < self.table.max_range_m)
         return world
 
     def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
-        """(m,) float32 intensity of chosen returns as an average laser would have recorded it."""
+        """(m,) float32 intensity of chosen returns, divided by their lasers' gains."""
         laser = self.arrays["laser"][chosen]
         gain = np.where(laser >= 0, self.table.intensity_gain[laser], 1.0)
         return (self.arrays["intensity"][chosen] / gain).astype(np.float32)
@@ -57,13 +57,13 @@ class LinearPanos:
     frame: np.ndarray
     """(n,) int64 ascending."""
     range_m: np.ndarray
-    """(n, 66, 1030) float32, 0 = no return."""
+    """(n, 66, 1030) float32 metres, 0 = no return."""
     intensity: np.ndarray
     """(n, 66, 1030) float32."""
 
 
 def training_returns(sweeps: Sweeps) -> TimedReturns:
-    """The training scans' returns, own vehicle included, as motion is read from them."""
+    """The training scans' returns, own vehicle included, for finding moving objects."""
     a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
     kept = np.repeat(sweeps.is_training, lengths)
     lag_s = a["sweep_fraction"][kept].astype(np.float64) * sweeps.period_s

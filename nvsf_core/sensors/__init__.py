@@ -1,1 +1,1 @@
-"""Rotating LiDARs: their lasers, their rays, their range images."""
+"""Rotating LiDARs: lasers, rays, range images."""

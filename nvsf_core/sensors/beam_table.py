@@ -1,9 +1,9 @@
-"""Rays of a rotating LiDAR, laser by laser, and the range image on its own lasers.
+"""Rays of each laser of a rotating LiDAR, and the range image with one row per laser.
 
 A laser does not fire from the sensor's centre: at the encoder's angle theta its ray starts at
     o = (0, 0, v / cos e) + h (-sin theta, cos theta, 0)
 and runs along (elevation e, azimuth theta). Real HDL-64E points lie within 1 mm of such rays.
-Points as recorded are o + range * direction; the elevation correction comes only on the way into the world.
+Recorded points are o + range * direction; the elevation correction is applied only on the way into the world.
 """
 
 from dataclasses import dataclass
@@ -14,17 +14,6 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.linear_pano import project_nearest
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = [
-    "BeamPano",
-    "corrected_rays",
-    "encoder_angle",
-    "firing_grid",
-    "recorded_ray_of_points",
-    "sensor_rays",
-    "turn_up",
-    "wrap_angle",
-]
-
 
 def sensor_rays(
     table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray
@@ -33,13 +22,13 @@ def sensor_rays(
 
     Args:
         table: The sensor.
-        azimuth_rad: (...) encoder's angle theta of each ray.
+        azimuth_rad: (...) encoder angle theta of each ray.
         laser: (...) laser of each ray, 0 on top; broadcasts with `azimuth_rad`.
 
     Returns:
-        origin_m (..., 3) and unit direction (..., 3), float64.
+        origin_m (..., 3) in metres and unit direction (..., 3), float64.
     """
-    # A laser's own numbers are looked up before they are broadcast: often one laser's rays lie in a row.
+    # The table is read before broadcasting: often one laser's rays lie in a row.
     azimuth_rad, laser = np.asarray(azimuth_rad, np.float64), np.asarray(laser)
     elevation = table.elevation_rad[laser]
     cos_a, sin_a = np.cos(azimuth_rad), np.sin(azimuth_rad)
@@ -52,7 +41,7 @@ def sensor_rays(
 def corrected_rays(
     table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`sensor_rays` turned up by the table's elevation correction: how rays go into the world."""
+    """`sensor_rays`, turned up by the table's elevation correction, as they go into the world."""
     origin_m, direction = sensor_rays(table, azimuth_rad, laser)
     azimuth_rad = np.broadcast_to(azimuth_rad, origin_m.shape[:-1])
     return turn_up(origin_m, direction, azimuth_rad, table.elevation_correction_rad)
@@ -69,10 +58,10 @@ def recorded_ray_of_points(
     Args:
         table: The sensor.
         points_m: (N, 3) finite points as recorded, in the sensor's frame.
-        laser: (N,) laser of each, -1 where unknown (or h > rho): such rays start at the sensor's centre.
+        laser: (N,) laser of each. -1 = unknown: such rays, and those with h > rho, start at the centre.
 
     Returns:
-        origin_m (N, 3), unit direction (N, 3), range_m (N,), float64.
+        origin_m (N, 3), unit direction (N, 3), range_m (N,): sensor's frame, metres, float64.
     """
     if points_m.ndim != 2 or points_m.shape[1] != 3 or laser.shape != points_m.shape[:1]:
         raise ShapeError(f"expected points (N, 3) and lasers (N,), found {points_m.shape}, {laser.shape}")
@@ -87,7 +76,7 @@ def recorded_ray_of_points(
 
 
 def encoder_angle(table: LaserTable, points_m: np.ndarray, laser: np.ndarray) -> np.ndarray:
-    """Encoder's angle theta (N,) in radians at which each recorded point was measured."""
+    """Encoder angle theta (N,) in radians of each recorded point (N, 3), measured by `laser` (N,)."""
     x, y = points_m[:, 0].astype(np.float64), points_m[:, 1].astype(np.float64)
     horizontal_m = np.hypot(x, y)
     offset_m = np.where(laser >= 0, table.horizontal_offset_m[laser], 0.0)
@@ -99,7 +88,7 @@ def encoder_angle(table: LaserTable, points_m: np.ndarray, laser: np.ndarray) ->
 def turn_up(
     origin_m: np.ndarray, direction: np.ndarray, azimuth_rad: np.ndarray, angle_rad: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rays turned up by `angle_rad` about the sensor's centre, each within its azimuth's plane.
+    """Rays turned up by `angle_rad` about the sensor's centre, each in the vertical plane of its azimuth.
 
     The axis is (sin theta, -cos theta, 0): a level ray along theta rises. Shapes (..., 3), (..., 3), (...).
     """
@@ -119,11 +108,11 @@ def turn_up(
 
 
 def firing_grid(table: LaserTable, firings: int, phase: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-    """Nominal encoder angles and times of one turn of `firings` evenly spaced firings.
+    """Nominal encoder angles and times of one sweep of `firings` evenly spaced firings.
 
-    Firing k comes at (k + phase) / firings - 1/2 of a sweep after the pose's instant; laser l then looks
-    along theta = -2 pi fraction + (phase_l - firing_shift_l) steps. Where a turn starts against its
-    firings (`phase`, 0..1) is random from scan to scan; one half stands for all.
+    Firing k is at (k + phase) / firings - 1/2 of a sweep after the pose's instant; laser l then looks
+    along theta = -2 pi fraction + (phase_l - firing_shift_l) steps. In recorded scans `phase`, the offset
+    of the first firing (0..1), is random; one half is its mean.
 
     Returns:
         azimuth_rad (L, firings) in (-pi, pi], sweep_fraction (firings,) ascending in (-0.5, 0.5).
@@ -136,28 +125,31 @@ def firing_grid(table: LaserTable, firings: int, phase: float = 0.5) -> tuple[np
 def wrap_angle(angle_rad: np.ndarray) -> np.ndarray:
     """The same angle in (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
-    # The remainder of a number just below 0 rounds up to the whole turn: -pi, which is not of the interval.
+    # The remainder of a number just below 0 rounds up to 2 pi: -pi, which is outside the interval.
     inside: np.ndarray = np.where(wrapped <= -np.pi, np.pi, wrapped)
     return inside
 
 
 @dataclass(frozen=True, slots=True)
 class BeamPano:
-    """A range image with one row a laser; columns are the encoder's angles, as `LinearPano`'s azimuths."""
+    """A range image with one row per laser; columns are encoder angles, spaced as in `LinearPano`."""
 
     table: LaserTable
     """The sensor."""
     width: int = 1030
-    """Columns of one full turn."""
+    """Columns around the sensor."""
     max_range_m: float = 80.0
     """Returns at or beyond it (from the sensor's centre) are dropped."""
 
     def project(
         self, points_m: np.ndarray, intensity: np.ndarray, laser: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Range along the laser's own ray and intensity, (L, W) float32, nearest wins, 0.0 = empty.
+        """Images (L, W) float32 of range along the laser's ray and of intensity; nearest return, 0.0 = empty.
 
-        Returns of unknown lasers (-1) are left out. Points (N, 3) as recorded, in the sensor's frame.
+        Args:
+            points_m: (N, 3) as recorded, in the sensor's frame.
+            intensity: (N,) 0..1.
+            laser: (N,) int; returns of unknown lasers (-1) are left out.
         """
         _, _, range_m = recorded_ray_of_points(self.table, points_m, laser)
         theta = encoder_angle(self.table, points_m, laser)
@@ -170,7 +162,7 @@ class BeamPano:
         )
 
     def points(self, range_m: np.ndarray) -> np.ndarray:
-        """Points (N, 3) float64 as recorded, of the filled cells of a range image (L, W)."""
+        """Points (N, 3) float64, as a sensor records them, of the filled cells of a range image (L, W)."""
         if range_m.shape != (self.table.laser_count, self.width):
             raise ShapeError(
                 f"expected a range image {(self.table.laser_count, self.width)}, found {range_m.shape}"

@@ -1,8 +1,8 @@
-"""Which laser measured a return, in which firing, and when.
+"""Recovers from a scan which laser measured each return, in which firing, and when.
 
-KITTI's files say none of it, but the scan does. They hold laser after laser, azimuth ascending within
-one, so every turn of the azimuth is the next laser from the top. And all lasers fire together on an encoder's
-lattice, so each laser's columns, shifted by its constant, are the turn's firings.
+KITTI's files do not store it. They hold one laser after the other from the top, azimuth ascending within
+each, so the next laser begins where the azimuth wraps. All lasers fire together on the encoder's lattice, so
+each laser's columns, shifted by its own constant, give the firings of the sweep.
 """
 
 from dataclasses import dataclass
@@ -11,51 +11,42 @@ import numpy as np
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.beam_table import encoder_angle, wrap_angle
+from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.sensors.tables import LaserTable
-
-__all__ = [
-    "BEAM_TABLE",
-    "FILE_ORDER",
-    "UNKNOWN",
-    "ScanTiming",
-    "recover_firings",
-    "recover_lasers",
-    "recover_timing",
-]
 
 FILE_ORDER = "file_order"
 BEAM_TABLE = "beam_table"
 UNKNOWN = "unknown"
 _AGREEMENT = 0.9
-"""Share of returns that must agree with the beam table before it is believed."""
+"""Least share of returns that must agree with the beam table for it to be used."""
 _RESIDUAL_RAD = np.deg2rad(0.1)
-"""Real returns lie within 0.02 degrees of their laser; lasers stand at least 0.25 degrees apart."""
+"""Real returns lie within 0.02 degrees of their laser; lasers are at least 0.25 degrees apart."""
 _LOST_GAP = 2.5
-"""Gaps above so many usual ones are lost firings; at the turn's seam a gap of 1.6 is ordinary."""
+"""Gaps longer than so many usual ones are lost firings; where a sweep begins, 1.6 is normal."""
 _LATTICE_RESIDUAL_STEPS = 0.15
-"""Mean distance from the lattice: 0.02 on real scans, 0.25 where there is no lattice."""
+"""Largest mean distance from the lattice: 0.02 in real scans, 0.25 where there is no lattice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanTiming:
-    """What was recovered of one scan of N returns."""
+    """Lasers, firings and times of one scan of N returns."""
 
     laser: np.ndarray
     """(N,) int16, 0 on top, -1 unknown."""
     firing: np.ndarray
-    """(N,) int16, index within the turn by time, -1 unknown."""
+    """(N,) int16, number within the sweep by time, -1 unknown."""
     firings: int
-    """Firings of the turn, 0 unknown."""
+    """Number of firings in the sweep, 0 unknown."""
     sweep_fraction: np.ndarray
-    """(N,) float64 in [-0.5, 0.5): sweeps after the pose's instant; of the firing, else of the azimuth."""
+    """(N,) float64 in [-0.5, 0.5): sweeps after the pose's instant, by firing or else by azimuth."""
     source: str
-    """`file_order`, `beam_table` or `unknown`: where the lasers come from."""
+    """How lasers were recovered: `file_order`, `beam_table` or `unknown`."""
     evidence: str
-    """What was seen, in words and numbers."""
+    """Why, in words and numbers."""
 
 
 def recover_timing(points_m: np.ndarray, table: LaserTable) -> ScanTiming:
-    """Lasers, firings and times of one scan (N, 3) in file order, in the sensor's frame.
+    """Lasers, firings and times of one scan (N, 3) in file order, metres in the sensor's frame.
 
     Raises:
         ShapeError: Points are not (N, 3).
@@ -68,18 +59,18 @@ def recover_timing(points_m: np.ndarray, table: LaserTable) -> ScanTiming:
         laser=laser,
         firing=firing,
         firings=len(firing_azimuth_rad),
-        sweep_fraction=_fraction(azimuth_rad),
+        sweep_fraction=sweep_fraction(azimuth_rad),
         source=source,
         evidence=f"{evidence}; {said or 'firings unknown, times from the azimuth'}",
     )
 
 
 def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, str, str]:
-    """Laser of each return (N,) int16, the source of that knowledge, and the evidence.
+    """Laser of each return (N,) int16, how it was recovered, and why; as `ScanTiming` has them.
 
-    File order is believed where every turn of the azimuth lies on one laser of the table, and no two
-    on the same; else each return goes to the laser with the nearest elevation, argmin |e - v/r - e_l|,
-    where 90 % of the returns fit one within 0.1 degrees; else lasers are unknown (-1).
+    File order is used if each run of ascending azimuth lies on one laser of the table, and no two on one.
+    Else each return gets the laser with the nearest elevation, argmin |e - v/r - e_l|, if 90 % of the returns
+    fit one within 0.1 degrees. Else lasers are unknown (-1). Points (N, 3) are in the sensor's frame, metres.
     """
     if points_m.ndim != 2 or points_m.shape[1] != 3:
         raise ShapeError(f"expected points (N, 3), found {points_m.shape}")
@@ -109,15 +100,15 @@ def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray,
 def recover_firings(
     points_m: np.ndarray, laser: np.ndarray, table: LaserTable
 ) -> tuple[np.ndarray, np.ndarray, str]:
-    """Firing of each return, and the firings of the turn.
+    """Firing of each return (points (N, 3), laser (N,)), and the firings of the sweep.
 
-    column_l = round(theta / step - phase_l), firing column = (column_l + firing_shift_l) mod lattice;
-    the columns that at least an eighth of the lasers share are the turn's firings, and a return beside
-    them belongs to the next one. Off the lattice the turn is divided evenly, by the lasers' own spacing.
+    column_l = round(theta / step - phase_l), firing column = (column_l + firing_shift_l) mod lattice. Columns
+    that at least an eighth of the lasers share are the firings; a return between two belongs to the nearest.
+    Without a lattice, the sweep is divided evenly, by the spacing of the lasers' returns.
 
     Returns:
         firing (N,) int16, by time, -1 unknown; azimuth (F,) of the common firing columns in radians,
-        descending from pi: (pi - azimuth) / 2 pi is the share of the turn gone by; what was found.
+        descending from pi: (pi - azimuth) / 2 pi is the elapsed share of the sweep; a description.
         F = 0 and an empty text where no laser is known.
     """
     firing = np.full(len(laser), -1, np.int16)
@@ -152,7 +143,7 @@ def recover_firings(
 def _mend_seam(
     points_m: np.ndarray, laser: np.ndarray, nearest: np.ndarray, nearest_rad: np.ndarray, table: LaserTable
 ) -> np.ndarray:
-    """A return that noise moved across azimuth 0 seems to be in the next turn: its elevation knows better."""
+    """Laser (N,), corrected by elevation where noise moved a return past azimuth 0 to the next laser."""
     elevation, range_m = _elevation(points_m)
     own_rad = np.abs(elevation - table.vertical_offset_m[laser] / range_m - table.elevation_rad[laser])
     return np.where((own_rad > _RESIDUAL_RAD) & (nearest_rad < _RESIDUAL_RAD), nearest, laser)
@@ -180,7 +171,7 @@ def _nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray,
 
 
 def _turns(points_m: np.ndarray) -> np.ndarray:
-    """Number of full turns of the azimuth before each return in file order."""
+    """How often the azimuth has wrapped before each return, in file order."""
     azimuth = np.mod(np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64), 2.0 * np.pi)
     return np.concatenate([[0], np.cumsum(np.diff(azimuth) < -np.pi)])
 
@@ -192,9 +183,9 @@ def _common_columns(elapsed: np.ndarray, laser: np.ndarray, lattice_steps: int) 
 
 
 def _fill_gaps(columns: np.ndarray) -> np.ndarray:
-    """Put back evenly what is missing inside the turn: a lost packet takes six firings of all lasers with it.
+    """Insert lost firings evenly: with a lost packet, six firings of all lasers are missing.
 
-    Without them, firings after the gap would be numbered against those of other scans by six too few.
+    Without them, all later firings would have numbers six lower than in other scans.
     """
     if len(columns) < 3:
         return columns
@@ -217,7 +208,7 @@ def _nearest_firing(elapsed: np.ndarray, columns: np.ndarray, lattice_steps: int
 
 
 def _firings_by_spacing(theta_rad: np.ndarray, laser: np.ndarray) -> int:
-    """Firings of a turn from the usual distance of one laser's neighbouring returns."""
+    """Firings of a sweep, from the usual angle between neighbouring returns of a laser."""
     order = np.lexsort((theta_rad, laser))
     step = np.diff(theta_rad[order])[np.diff(laser[order]) == 0]
     step = step[step > 1e-6]
@@ -225,8 +216,3 @@ def _firings_by_spacing(theta_rad: np.ndarray, laser: np.ndarray) -> int:
         return 1
     # The mean of the single steps: a median would keep the encoder's rounding.
     return max(1, round(2.0 * np.pi / float(np.mean(step[step < 1.5 * np.median(step)]))))
-
-
-def _fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Share s = -a / 2 pi for a in (-pi, pi]; in [-0.5, 0.5)."""
-    return -wrap_angle(azimuth_rad) / (2.0 * np.pi)

@@ -1,7 +1,7 @@
-"""The papers' range image: rows evenly spaced in elevation, columns in azimuth; and points projected into it.
+"""The papers' pano: a range image with rows evenly spaced in elevation and columns in azimuth.
 
-Row j looks at elevation fov_up - j fov / H, column i at azimuth -(i - W/2) 2 pi / W: the cells' centres
-lie on whole numbers, row 0 on the upper edge of the field of view, column 0 behind the car.
+Row j looks at elevation fov_up - j fov / H, column i at azimuth -(i - W/2) 2 pi / W. Cell centres are at
+whole numbers, row 0 at the upper edge of the field of view, column 0 behind the car.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from nvsf_core.errors import DataError, ShapeError
 
 @dataclass(frozen=True, slots=True)
 class LinearPano:
-    """A range image of one viewpoint, the sensor's centre."""
+    """The grid of such a pano, with the sensor's centre as its viewpoint."""
 
     height: int = 66
     """Rows."""
     width: int = 1030
-    """Columns of one full turn."""
+    """Columns around the sensor."""
     fov_up_deg: float = 2.0
     """Elevation of row 0."""
     fov_deg: float = 26.9
@@ -26,14 +26,18 @@ class LinearPano:
     max_range_m: float = 80.0
     """Returns at or beyond it are dropped."""
     reference_quirks: bool = False
-    """As the papers' code: returns that round to column W are dropped; else they wrap to column 0."""
+    """True as in the papers' code: returns that round to column W are dropped; else they wrap to column 0."""
 
     def project(self, points_m: np.ndarray, intensity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Range and intensity images (H, W) float32 of points (N, 3) in the sensor's frame; 0.0 = empty.
+        """Images (H, W) float32 of range in metres and of intensity; 0.0 = empty.
 
         column = round((pi - azimuth) / (2 pi / W)), row = round(H - (elevation + fov_down) / (fov / H)),
-        halves to the even number; outside rows are dropped; the nearest return of a cell is kept.
-        A point at the sensor's very centre has no direction and is left out.
+        halves to the even number. Points outside the rows, and at the sensor's very centre, are dropped; each
+        cell keeps its nearest return.
+
+        Args:
+            points_m: (N, 3) in the sensor's frame.
+            intensity: (N,) 0..1.
 
         Raises:
             ShapeError: The arrays are not (N, 3) and (N,).
@@ -46,7 +50,7 @@ class LinearPano:
         return project_nearest(row[kept], column[kept], range_m[kept], intensity[kept], shape)
 
     def cells(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where each point falls: row (N,), column (N,), range (N,) in metres, whether it is kept (N,)."""
+        """Row (N,), column (N,), range (N,) in metres and whether it is kept (N,), of points (N, 3)."""
         if points_m.ndim != 2 or points_m.shape[1] != 3:
             raise ShapeError(f"expected points (N, 3), found {points_m.shape}")
         x, y, z = points_m.astype(np.float64).T
@@ -60,7 +64,7 @@ class LinearPano:
     def cells_towards(
         self, azimuth_rad: np.ndarray, elevation_rad: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Row (N,), column (N,) and whether there is such a cell (N,), of directions from the centre (N,)."""
+        """Row (N,), column (N,) and whether the cell exists (N,), for directions (N,) from the sensor."""
         fov_rad = np.deg2rad(self.fov_deg)
         fov_down_rad = np.deg2rad(self.fov_deg - self.fov_up_deg)
         column = np.rint((np.pi - azimuth_rad) / (2.0 * np.pi / self.width)).astype(np.int64)
@@ -82,7 +86,7 @@ class LinearPano:
         )
 
     def points(self, range_m: np.ndarray) -> np.ndarray:
-        """Points (N, 3) float64 of the filled cells of a range image (H, W), row by row.
+        """Points (N, 3) float64, sensor's frame, of the filled cells of a range image (H, W), row by row.
 
         Raises:
             ShapeError: The image has another size.
@@ -103,7 +107,7 @@ def nearest_in_cells(cell: np.ndarray, range_m: np.ndarray, cell_count: int) -> 
         cell_count: Number of cells.
 
     Returns:
-        (cell_count,) int64 indices into the returns; of equally near ones the first in the list.
+        (cell_count,) int64 indices into the returns; of equally near ones the first.
 
     Raises:
         ShapeError: The two arrays differ in length.
@@ -120,7 +124,7 @@ def nearest_in_cells(cell: np.ndarray, range_m: np.ndarray, cell_count: int) -> 
     np.minimum.at(nearest_m, cell, range_m.astype(np.float64))
     winner = np.flatnonzero(nearest_m[cell] == range_m)
     index = np.full(cell_count, -1, np.int64)
-    # Written from the last to the first, so that the first of equals stays.
+    # Written from the last to the first, so that the first of equals remains.
     index[cell[winner[::-1]]] = winner[::-1]
     return index
 
@@ -131,10 +135,10 @@ def project_nearest(
     """Range image and value image (H, W) float32 of returns, nearest wins, 0.0 = empty.
 
     Args:
-        row: (N,) integer rows; returns outside the grid must have been left out.
-        column: (N,) integer columns.
+        row: (N,) int rows, all within the grid.
+        column: (N,) int columns, likewise.
         range_m: (N,) ranges in metres.
-        value: (N,) what else to keep of the nearest return, for example its intensity.
+        value: (N,) another value of each return, for example its intensity.
         shape: (H, W).
     """
     height, width = shape

@@ -1,7 +1,7 @@
-"""The recording car in its own scans: it stands still in the sensor's frame.
+"""The own vehicle's returns, which are at the same place in the sensor's frame in every scan.
 
-Some 140 returns a scan lie nearer than 2.5 m, on the car itself. No scene holds them, so they are learned
-once a drive and put back into what is simulated.
+Some 140 returns a scan, nearer than 2.5 m, lie on the recording car itself. They are not part of the scene:
+they are learned once per drive and added to simulated scans.
 """
 
 from collections.abc import Sequence
@@ -11,28 +11,27 @@ import numpy as np
 
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = ["NEAR_M", "OwnVehicle", "learn_own_vehicle"]
-
 NEAR_M = 2.5
 """Only returns nearer than this can be the own vehicle's."""
 _MIN_SHARE = 0.5
-"""Share of the scans in which a cell must have a near return."""
+"""Least share of the scans in which a cell must have a near return."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnVehicle:
-    """Cells of laser x azimuth on which the recording car lies, in the sensor's frame."""
+    """Ranges of the own vehicle in a grid of L lasers and azimuth cells, in the sensor's frame."""
 
     range_m: np.ndarray
-    """(L, cells) float32 median distance from the sensor's centre, 0 = not the own vehicle."""
+    """(L, cells) float32 metres: median distance from the sensor's centre, 0 = not the own vehicle."""
     intensity: np.ndarray
-    """(L, cells) float32 median intensity."""
+    """(L, cells) float32: median intensity, 0..1."""
 
     def is_own(self, table: LaserTable, points_m: np.ndarray, laser: np.ndarray) -> np.ndarray:
-        """Whether each return (N,) is the own vehicle's: nearer than 2.5 m, in or beside one of its cells.
+        """Whether (N,) bool returns are on the own vehicle: nearer than 2.5 m, in or beside one of its cells.
 
-        Beside (one laser, two azimuth cells), because at the car's edges firings hit in fewer than half
-        of the scans: on KITTI-360 the cells themselves hold 85 of 140 such returns a scan.
+        Cells beside (one laser, two azimuth cells) count because at the car's edges rays hit it in fewer than
+        half of the scans: on KITTI-360 its own cells hold 85 of 140 such returns. Points (N, 3) are in metres
+        as recorded; laser (N,) int is -1 where unknown.
         """
         row, column = _cells(table, points_m, laser, self.range_m.shape[1])
         near: np.ndarray = _distance(points_m) < NEAR_M
@@ -42,12 +41,12 @@ class OwnVehicle:
 def learn_own_vehicle(
     table: LaserTable, scans: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], azimuth_cells: int = 2000
 ) -> OwnVehicle:
-    """Learn the own vehicle from training scans: where at least half of them have a return below 2.5 m.
+    """Learn the own vehicle from training scans: cells in which at least half have a return below 2.5 m.
 
     Args:
         table: The sensor.
-        scans: For each training scan points (N, 3), intensity (N,), laser (N,), as recorded.
-        azimuth_cells: Cells of a turn; at most the turn's firings, or cells stay empty by chance.
+        scans: For each training scan points (N, 3) in metres as recorded, intensity (N,), laser (N,).
+        azimuth_cells: Cells around the sensor; at most the firings of a sweep, or some stay empty by chance.
     """
     size = table.laser_count * azimuth_cells
     cells, ranges, intensities = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)]
@@ -98,7 +97,7 @@ def _cells(
     row = laser.astype(np.int64)
     unknown = row < 0
     if unknown.any():
-        # Without a laser, the nearest elevation of the table is as good a row as any: it is fixed too.
+        # Without a laser, the row of the nearest elevation: on the car it is the same in each scan, too.
         range_m = np.maximum(_distance(points_m[unknown]), 1e-6)
         elevation = np.arcsin(np.clip(points_m[unknown, 2] / range_m, -1.0, 1.0))
         descending = table.elevation_rad

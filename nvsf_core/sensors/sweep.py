@@ -1,8 +1,8 @@
-"""When and from where each ray of a turning sensor was fired.
+"""Ego-motion: when and from where each ray of a rotating sensor was fired.
 
-The sensor spins clockwise; a frame's pose is its pose when the laser faces forward. What is measured at
-azimuth a in (-pi, pi] comes s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Between two poses the sensor
-moves at a constant twist (turning and going at once).
+The sensor rotates clockwise; a frame's pose is its pose when the laser faces forward. A return at azimuth a
+in (-pi, pi] is measured s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Between two poses the sensor moves
+at a constant twist (rotation and translation together).
 """
 
 from dataclasses import dataclass, field
@@ -14,30 +14,28 @@ from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up, wrap_angle
 from nvsf_core.sensors.tables import LaserTable
 
-__all__ = ["Trajectory", "compensate", "rays_to_local", "sweep_fraction"]
-
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Sweeps after the pose's instant, in [-0.5, 0.5), of what is measured at an azimuth: -a / 2 pi."""
+    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths are measured: -a / 2 pi."""
     fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
     return fraction
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where the sensor was at any time of a drive."""
+    """Poses of the sensor at any time of a drive."""
 
     times_s: np.ndarray
     """(n,) float64, ascending: instants of the poses."""
     lidar_to_world: np.ndarray
-    """(n, 4, 4) float64, in the world."""
+    """(n, 4, 4) float64 poses, metres."""
     scene_origin_m: np.ndarray
     """(3,) float64, world position of the scene's origin."""
     _local: np.ndarray = field(init=False, repr=False)
     _twists: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the poses and take the twist from each to the next.
+        """Check the poses and compute the twist from each to the next.
 
         Raises:
             ShapeError: Times, poses and origin do not fit one another.
@@ -69,8 +67,8 @@ class Trajectory:
     def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotation (N, 3, 3) and scene-local position (N, 3) of the sensor at times (N,), float64.
 
-        Before the first and after the last pose the motion goes on unchanged for one interval; a gap in
-        the frames is bridged by its neighbours. A single pose stands still.
+        Before the first and after the last pose the motion continues unchanged for one interval; a gap in
+        the frames is interpolated. With a single pose the sensor does not move.
 
         Raises:
             DataError: A time lies further outside the poses, or is not finite.
@@ -80,7 +78,7 @@ class Trajectory:
             pose = np.repeat(self._local, len(time_s), axis=0)
             return pose[:, :3, :3], pose[:, :3, 3]
         self._check_within(time_s)
-        # All lasers fire together: a scan has 120,000 returns but some 2,000 times.
+        # All lasers fire together: a scan has 120,000 returns but only some 2,000 times.
         moments_s, inverse = np.unique(time_s, return_inverse=True)
         before = np.searchsorted(self.times_s, moments_s, side="right") - 1
         interval = np.clip(before, 0, len(self.times_s) - 2)
@@ -102,75 +100,39 @@ class Trajectory:
     def move_rays(
         self, origin_s: np.ndarray, direction_s: np.ndarray, time_s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rays (N, 3), (N, 3) of the sensor's frame at times (N,) as scene-local rays, float64."""
+        """Scene-local origins and directions (N, 3) float64 of rays in the sensor's frame at times (N,)."""
         rotation, position_m = self.at(time_s)
         origin_m = np.einsum("nij,nj->ni", rotation, origin_s) + position_m
         return origin_m, np.einsum("nij,nj->ni", rotation, direction_s)
-
-
-def rays_to_local(
-    origin_s: np.ndarray,
-    direction_s: np.ndarray,
-    fraction: np.ndarray,
-    frame_index: np.ndarray | int,
-    poses: np.ndarray,
-    times_s: np.ndarray,
-    period_s: float,
-    scene_origin_m: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rays of the sensor's frame, each fired at its own time, as scene-local rays.
-
-    Args:
-        origin_s: (N, 3) in metres, in the sensor's frame at the ray's own time.
-        direction_s: (N, 3) unit, in that frame.
-        fraction: (N,) sweeps after the instant of the ray's frame.
-        frame_index: (N,) or one index into `poses`.
-        poses: (n, 4, 4) float64 LiDAR to world.
-        times_s: (n,) their instants.
-        period_s: Seconds of one sweep.
-        scene_origin_m: (3,) world position of the scene's origin.
-
-    Returns:
-        origin_m (N, 3) and unit direction (N, 3), scene-local, float64.
-    """
-    trajectory = Trajectory(times_s, poses, scene_origin_m)
-    time_s = trajectory.times_s[frame_index] + np.asarray(fraction, np.float64) * period_s
-    return trajectory.move_rays(origin_s, direction_s, time_s)
 
 
 def compensate(
     table: LaserTable,
     points_m: np.ndarray,
     laser: np.ndarray,
-    fraction: np.ndarray,
-    instant_s: float,
-    period_s: float,
+    time_s: np.ndarray,
     trajectory: Trajectory,
     *,
-    compensated: bool = True,
     elevation_correction_rad: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One scan as rays in the world: from where, whither and how far each return was measured.
+    """Ego-motion compensation: one scan's returns as rays, each from where its laser was at its own time.
 
     Args:
         table: The sensor.
-        points_m: (N, 3) as recorded, in the moving sensor's frame.
-        laser: (N,), -1 unknown: such rays start at the sensor's centre.
-        fraction: (N,) sweeps after the pose's instant.
-        instant_s: The scan's own instant.
-        period_s: Seconds of one sweep.
-        trajectory: Where the sensor was.
-        compensated: False puts the whole scan at the pose's instant, as the papers do.
-        elevation_correction_rad: How far to turn rays up; None = the table's.
+        points_m: (N, 3) metres as recorded, in the moving sensor's frame.
+        laser: (N,) int from the top; -1 = unknown, such rays start at the sensor's centre.
+        time_s: (N,) instant of each return. The pose's instant for all of them means no compensation, as in
+            the papers.
+        trajectory: The sensor's poses.
+        elevation_correction_rad: Angle by which rays are turned up; None = the table's.
 
     Returns:
-        origin_m (N, 3), unit direction (N, 3), range_m (N,): scene-local, float64.
+        origin_m (N, 3), unit direction (N, 3), range_m (N,): scene-local, metres, float64.
     """
     angle_rad = elevation_correction_rad
     if angle_rad is None:
         angle_rad = table.elevation_correction_rad
     origin_s, direction_s, range_m = recorded_ray_of_points(table, points_m, laser)
     origin_s, direction_s = turn_up(origin_s, direction_s, encoder_angle(table, points_m, laser), angle_rad)
-    lag_s = np.asarray(fraction, np.float64) * (period_s if compensated else 0.0)
-    origin_m, direction = trajectory.move_rays(origin_s, direction_s, instant_s + lag_s)
+    origin_m, direction = trajectory.move_rays(origin_s, direction_s, time_s)
     return origin_m, direction, range_m

@@ -1,4 +1,4 @@
-"""Rotating LiDARs as tables of lasers.
+"""Rotating LiDARs as tables of lasers: elevation, lever arms, encoder phase, biases.
 
 The model of a return of laser l at range r (metres), after the one ALICE-LRI estimates (arXiv 2510.20708):
     elevation = elevation_l + vertical_offset_l / r
@@ -14,8 +14,6 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 
-__all__ = ["HDL_64E", "OS1_128", "SENSOR_TABLES", "VLP_16", "LaserTable", "sensor_table"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserTable:
@@ -24,7 +22,7 @@ class LaserTable:
     name: str
     """Name by which catalogues ask for it."""
     elevation_rad: np.ndarray
-    """(L,) float64, elevation of each laser as its files record it at infinite range."""
+    """(L,) float64, elevation of each laser's recorded points at infinite range."""
     vertical_offset_m: np.ndarray
     """(L,) float64, lever arm across the ray, upwards."""
     horizontal_offset_m: np.ndarray
@@ -32,28 +30,28 @@ class LaserTable:
     phase_steps: np.ndarray
     """(L,) float64, angle of a laser against the encoder's lattice, in its steps."""
     firing_shift_steps: np.ndarray
-    """(L,) int64, what makes a laser's encoder columns the common firing columns."""
+    """(L,) int64, added to a laser's encoder column to give the firing column common to all lasers."""
     lattice_steps: int
-    """Steps of the encoder in one turn."""
+    """Encoder steps per rotation."""
     firings_per_turn: int
-    """Typical number of firings of each laser in one turn."""
+    """Usual number of firings per sweep."""
     max_range_m: float
     """Beyond this the sensor records nothing."""
     elevation_correction_rad: float
-    """Turn every recorded ray up by this on its way into the world; the files lack it."""
+    """Recorded rays are turned up by this angle on the way into the world; the files lack it."""
     range_bias_m: np.ndarray
-    """(L,) float64, by how much a laser's recorded ranges are too long; learned from a drive, else 0."""
+    """(L,) float64, by how much a laser measures too long; learned from a drive, else 0."""
     intensity_gain: np.ndarray
-    """(L,) float64, how much brighter than its fellows a laser records a surface; learned likewise."""
+    """(L,) float64, factor by which a laser sees brighter than the others; learned from a drive, else 1."""
 
     @property
     def laser_count(self) -> int:
-        """L."""
+        """Number of lasers L."""
         return len(self.elevation_rad)
 
     @property
     def step_rad(self) -> float:
-        """Angle of one step of the encoder."""
+        """Angle of one encoder step."""
         return 2.0 * np.pi / self.lattice_steps
 
 
@@ -132,7 +130,7 @@ VLP_16 = LaserTable(
     range_bias_m=_frozen(np.zeros(16)),
     intensity_gain=_frozen(np.ones(16)),
 )
-"""Velodyne VLP-16 at 600 turns a minute, nominal: 2 degrees apart, 55.296 us a firing."""
+"""Velodyne VLP-16 at 600 rotations per minute, nominal: 2 degrees apart, 55.296 us per firing."""
 
 OS1_128 = LaserTable(
     name="OS1-128",
@@ -151,11 +149,11 @@ OS1_128 = LaserTable(
 """Ouster OS1-128 at 1024 columns, nominal: 45 degrees evenly divided, one origin, no column stagger."""
 
 SENSOR_TABLES = {table.name: table for table in (HDL_64E, VLP_16, OS1_128)}
-"""Every table by its name."""
+"""All tables by name."""
 
 
 def sensor_table(name: str) -> LaserTable:
-    """The table of a sensor.
+    """The table of a sensor, by its name.
 
     Raises:
         DataError: No such sensor is known.

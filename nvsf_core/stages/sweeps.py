@@ -108,12 +108,14 @@ def _arrays(
         # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
         trajectory = trajectory_of(posed, np.array(drive["scene_origin_m"], np.float64))
         say = sparse(task.progress)
+        # A period of 0 puts a whole scan at its pose's instant, as the papers do.
+        period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
         for scan in scans:
+            time_s = scan.row["time_s"] + scan.timing.sweep_fraction * period_s
             rays.append(
                 compensate(
-                    SENSOR, scan.points_m, scan.timing.laser, scan.timing.sweep_fraction,
-                    scan.row["time_s"], drive["sweep_period_s"], trajectory,
-                    compensated=task.scene.compensate, elevation_correction_rad=correction_rad,
+                    SENSOR, scan.points_m, scan.timing.laser, time_s, trajectory,
+                    elevation_correction_rad=correction_rad,
                 )
             )  # fmt: skip
             say(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")

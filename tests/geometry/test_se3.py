@@ -7,7 +7,6 @@ from nvsf_core.geometry.se3 import (
     exp_se3,
     exp_so3,
     invert_pose,
-    is_rigid,
     log_se3,
     log_so3,
     transform_points,
@@ -62,14 +61,6 @@ def test_inverse_undoes_a_motion():
     points = np.random.default_rng(1).normal(size=(50, 3))
     back = transform_points(invert_pose(pose[0]), transform_points(pose[0], points))
     np.testing.assert_allclose(back, points, atol=1e-14)
-
-
-def test_only_finite_proper_rotations_are_rigid():
-    assert is_rigid(exp_se3(np.ones(6)))
-    assert not is_rigid(np.diag([1.0, 1.0, -1.0, 1.0]))
-    assert not is_rigid(np.full((4, 4), np.nan))
-    assert not is_rigid(np.diag([2.0, 2.0, 2.0, 1.0]))
-    assert not is_rigid(np.eye(3))
 
 
 def test_wrong_shapes_are_named():

@@ -107,7 +107,7 @@ def test_a_scene_without_data_is_named_and_no_failure(run_job):
 def test_a_scene_asked_for_by_name_without_data_fails(run_job):
     result, said = run_job("good", "gone")
     assert not result.success
-    assert "FAILED  gone: drive: no data at" in said and "[good] frames" in said
+    assert "FAILED  gone: drive: no data at" in said and "good: " in said
 
 
 def test_an_unknown_scene_fails_by_name(run_job):

@@ -4,7 +4,7 @@ import pytest
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.se3 import exp_se3, transform_points
 from nvsf_core.sensors.beam_table import corrected_rays, sensor_rays
-from nvsf_core.sensors.sweep import Trajectory, compensate, rays_to_local, sweep_fraction
+from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
 from nvsf_core.sensors.tables import HDL_64E
 
 ORIGIN_M = np.array([1000.0, 3700.0, 115.0])
@@ -73,26 +73,24 @@ def test_compensated_returns_lie_where_the_moving_sensor_saw_them():
     range_m, fraction = rng.uniform(3.0, 70.0, 5000), sweep_fraction(azimuth)
     origin_s, direction_s = sensor_rays(HDL_64E, azimuth, laser)
     recorded_m = origin_s + range_m[:, None] * direction_s
-    origin_m, direction, found_m = compensate(HDL_64E, recorded_m, laser, fraction, 0.2, PERIOD_S, trajectory)
+    time_s = 0.2 + fraction * PERIOD_S
+    origin_m, direction, found_m = compensate(HDL_64E, recorded_m, laser, time_s, trajectory)
     # The same rays fired from the pose of each one's own time.
-    true_origin_m, true_direction = rays_to_local(
-        *corrected_rays(HDL_64E, azimuth, laser), fraction, 2, trajectory.lidar_to_world,
-        trajectory.times_s, PERIOD_S, ORIGIN_M,
-    )  # fmt: skip
+    true_origin_m, true_direction = trajectory.move_rays(*corrected_rays(HDL_64E, azimuth, laser), time_s)
     np.testing.assert_allclose(found_m, range_m, atol=1e-10)
     np.testing.assert_allclose(origin_m, true_origin_m, atol=1e-9)
     np.testing.assert_allclose(direction, true_direction, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0)
 
 
-def test_switched_off_the_whole_scan_is_at_the_pose_s_instant():
+def test_at_one_instant_the_whole_scan_is_at_its_pose():
     times_s, poses = _turning_drive()
     trajectory = Trajectory(times_s, poses, ORIGIN_M)
     rng = np.random.default_rng(1)
     points_m = rng.normal(size=(500, 3)) * 20
     origin_m, direction, range_m = compensate(
-        HDL_64E, points_m, np.full(500, -1), rng.uniform(-0.5, 0.5, 500), times_s[2], PERIOD_S, trajectory,
-        compensated=False, elevation_correction_rad=0.0,
+        HDL_64E, points_m, np.full(500, -1), np.full(500, times_s[2]), trajectory,
+        elevation_correction_rad=0.0,
     )  # fmt: skip
     expected_m = transform_points(poses[2], points_m) - ORIGIN_M
     np.testing.assert_allclose(origin_m + range_m[:, None] * direction, expected_m, atol=1e-9)
@@ -102,9 +100,7 @@ def test_rays_of_several_frames_move_at_once():
     times_s, poses = _turning_drive()
     origin_s, direction_s = sensor_rays(HDL_64E, np.zeros(6), np.zeros(6, np.int64))
     frames = np.arange(6)
-    origin_m, direction = rays_to_local(
-        origin_s, direction_s, np.zeros(6), frames, poses, times_s, PERIOD_S, ORIGIN_M
-    )
+    origin_m, direction = Trajectory(times_s, poses, ORIGIN_M).move_rays(origin_s, direction_s, times_s)
     for k in frames:
         np.testing.assert_allclose(origin_m[k], transform_points(poses[k], origin_s)[0] - ORIGIN_M, atol=1e-9)
         np.testing.assert_allclose(direction[k], poses[k, :3, :3] @ direction_s[0], atol=1e-12)

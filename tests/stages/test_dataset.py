@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.ply import read_ply
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.recipe import preset
@@ -19,6 +18,7 @@ from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table
+from tests.clouds.ply_reader import read_ply
 
 _LASERS, _FIRINGS = 8, 64
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+import torch
 
 from benchmarks.numerics.cases.case import Case, Reading, largest, refused
 from benchmarks.numerics.cases.tolerances import ELEMENTWISE_ULP, EPS
@@ -13,15 +14,16 @@ from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
 from nvsf_core.evidence.static.voxels import index_points
 from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.rendering.weights import weighted_median_index
 
 TITLE = "Evidence"
 
 
-def _wall() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """4,000 rays from around the origin to a wall ahead (plane x = 10.03): origins, directions, ranges."""
+def _wall(rays: int = 4000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays from around the origin to a wall ahead (plane x = 10.03): origins, directions, ranges."""
     rng = np.random.default_rng(0)
-    origins = rng.normal(0.0, 0.5, (4000, 3))
-    targets = np.stack([np.full(4000, 10.03), rng.uniform(-4, 4, 4000), rng.uniform(-2, 2, 4000)], axis=1)
+    origins = rng.normal(0.0, 0.5, (rays, 3))
+    targets = np.stack([np.full(rays, 10.03), rng.uniform(-4, 4, rays), rng.uniform(-2, 2, rays)], axis=1)
     ranges = np.linalg.norm(targets - origins, axis=1)
     return origins, (targets - origins) / ranges[:, None], ranges
 
@@ -76,6 +78,18 @@ def _identical_returns() -> float:
     assert not surfels.normal.any() and bool(np.isfinite(surfels.thickness_m).all()), "a plane"
     assert bool(np.isfinite(surfels.intensity).all() and np.isfinite(surfels.opacity).all())
     return largest(surfels.mean_m[0], np.array([7.0, 0.0, 0.0]))
+
+
+def _wall_ranges() -> float:
+    """Each ray's median surface against the wall; at its edges are voxels of too few returns for a plane."""
+    (origins, directions, ranges), worst = _wall(100_000), 0.0
+    for voxel_m in (0.1, 0.25, 0.5, 1.0, 2.0):
+        surfels = _surfels(origins, directions, ranges, voxel_m)
+        found = candidates_of(surfels, origins, directions, most=8, near_m=0.5, far_m=80.0)
+        median = weighted_median_index(torch.from_numpy(found.weights)).numpy()
+        off_m = np.abs(found.range_m[np.arange(len(ranges)), median] - ranges)
+        worst = max(worst, float(np.quantile(off_m, 0.999)))
+    return worst
 
 
 def _axis_rays() -> str:
@@ -137,6 +151,8 @@ CASES = (
          "nats, at most"),
     Case(f"{_SURFELS}.build_surfels", "1e6 returns in a voxel, 200 m out", _million_in_a_voxel, 2e-5, "m"),
     Case(f"{_SURFELS}.build_surfels", "one return, a thousand times", _identical_returns, 1e-6, "m"),
+    Case(f"{_SURFELS}.build_surfels", "a wall at 10 m, voxels of 0.1 to 2 m: rays' ranges",
+         _wall_ranges, 1e-3, "m (99.9 % of rays)"),
     Case(f"{_SURFELS}.candidates_of", "rays along axes, borders and edges", _axis_rays),
     Case("evidence.raydrop.prior.DropPrior.hit_prior",
          "all, none; fractions at and beyond a turn's ends; one firing a turn", _votes),

@@ -9,6 +9,7 @@ import torch
 from benchmarks.numerics.cases.case import Case, largest, refused
 from benchmarks.numerics.cases.tolerances import LENGTH_M
 from nvsf_core.errors import DataError
+from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_se3, exp_so3, log_se3, log_so3
@@ -133,6 +134,19 @@ def _pinhole() -> float:
     return largest(back, places)
 
 
+def _boxes() -> str:
+    """A box of 4 x 2 x 1.5 m: points 1 mm inside and outside each face; what is not finite is in none."""
+    half_m, centre = np.array([2.0, 1.0, 0.75]), np.array([5e6, -5e6, 5e6])
+    box = np.diag([*(2.0 * half_m), 1.0])
+    box[:3, 3] = centre
+    faces = np.concatenate([np.diag(half_m + off) * side for off in (-1e-3, 1e-3) for side in (1.0, -1.0)])
+    broken = np.array([[math.nan] * 3, [math.inf, 0.0, 0.0], [-math.inf] * 3])
+    with np.errstate(invalid="ignore"):  # numpy warns of infinity times 0
+        inside = inside_any(np.concatenate([centre + faces, broken]), box[None]).tolist()
+    assert inside == [True] * 6 + [False] * 9, f"{inside}"
+    return "6 inside, 6 outside, 3 not finite in none"
+
+
 def _leaving() -> float:
     rng = np.random.default_rng(0)
     origins = np.concatenate([rng.uniform(-1, 1, (500, 3)), [[1.0, 0, 0], [-1.0, 0, 0], [3.0, 0, 0]]])
@@ -175,6 +189,7 @@ CASES = (
     Case("geometry.fisheye.MeiFisheye.project", "beyond the last image, and the centre (outside)", _beyond),
     Case("geometry.pinhole.Pinhole", "z = 0, ±0, 1e-9, behind; every 25th pixel and back", _pinhole, 1e-9,
          "px"),
+    Case("geometry.boxes.inside_any", "a box 8,660 km out: faces ± 1 mm, NaN, ±inf", _boxes),
     Case("rendering.scaled_rays.leave_box", "along axes, from faces, from outside", _leaving, 1e-5,
          "relative"),
 )  # fmt: skip

@@ -12,6 +12,7 @@ from benchmarks.numerics.cases.references import against, by_autograd
 from benchmarks.numerics.cases.tolerances import SUM_EPS
 from nvsf_core.errors import DivergedError
 from nvsf_core.losses.chamfer import chamfer_distance, nearest_by_all_pairs, ray_batch_chamfer
+from nvsf_core.losses.scene_flow import scene_flow_loss
 from nvsf_core.metrics.depth import ray_depth_rmse
 from nvsf_core.metrics.elementwise import PSNR_CAP_DB, median_abs_error, psnr, rmse
 from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
@@ -60,6 +61,13 @@ def _ssim_of_noise() -> str:
                 values.append(ssim(predicted, truth, float(np.ptp(truth))).value)
     assert all(-1.0 <= value <= 1.0 for value in values), f"{values}"
     return f"{min(values):.3g} to {max(values):.3g}"
+
+
+def _ssim_ends() -> Reading:
+    image = np.random.default_rng(2).random((20, 20))
+    same, negative = (ssim(x, image, 1.0).value for x in (image, 1.0 - image))
+    assert -1.0 <= negative < 0.0, f"{negative}"
+    return Reading(error=abs(same - 1.0), outcome=f"itself {same}, its negative {negative:.2f}")
 
 
 def _psnr() -> float:
@@ -164,6 +172,16 @@ def _no_return() -> Reading:
     return Reading(error=loss.max().item(), gradient=slope, gradient_limit=0.0)
 
 
+def _no_neighbour() -> str:
+    """No neighbour, no points: an empty term, which the total counts as absent."""
+    cloud, none = torch.from_numpy(_CLOUDS[0]), torch.zeros(0, 3)
+    rest = torch.zeros_like(cloud)
+    given = ((cloud, None, None), (none, cloud, cloud), (cloud, none, None), (cloud, none, cloud))
+    found = [scene_flow_loss(c, rest[: len(c)], rest[: len(c)], *others).tolist() for c, *others in given]
+    assert found == [[], [], [], [0.0]], f"{found}"
+    return f"terms {found}"
+
+
 def _far_metrics() -> float:
     shift = np.array([5e6, -5e6, 5e6])
     near, far = (point_cloud_metrics(*(c.astype(np.float64) + s for c in _CLOUDS)) for s in (0.0, shift))
@@ -208,6 +226,7 @@ CASES = (
     Case("losses.chamfer.nearest_by_all_pairs", "at the origin and 3.8 km out", _all_pairs, 1e-5,
          "m farther than the nearest"),
     Case("losses.chamfer.ray_batch_chamfer", "64 rays, no return", _no_return, 0.0, "m²"),
+    Case("losses.scene_flow.scene_flow_loss", "no neighbour, empty clouds, one neighbour", _no_neighbour),
     Case(_CLOUD, "two clouds at 0 and 5e6 m out", _far_metrics, 1e-8, "m²"),
     Case(_CLOUD, "1e6 points against 1e6", _lattice, 1e-12, "m²"),
     _measured("identical", _POINT, _POINT, 0.0, 1.0),
@@ -221,6 +240,7 @@ CASES = (
     # Rounding the images themselves costs (level / contrast) squared of their last digits.
     Case("metrics.ssim.ssim", "level 80 m, contrast 1 mm", lambda: _ssim(80.0, 1e-3), 7.1e-5),
     Case("metrics.ssim.ssim", "contrast 1e-17 to 1e-9 of the level", _ssim_of_noise),
+    Case("metrics.ssim.ssim", "an image with itself and with its negative", _ssim_ends, 1e-15),
     Case("metrics.elementwise.psnr", "errors 0 to 100 times the peak", _psnr, 1e-6, "dB"),
     Case("metrics.elementwise.psnr", "peak 0 (outside)",
          refused(ValueError, lambda: psnr(np.ones(3), np.zeros(3), 0.0))),

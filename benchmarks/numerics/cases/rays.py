@@ -15,6 +15,7 @@ from nvsf_core import numerics
 from nvsf_core.errors import DataError, DivergedError
 from nvsf_core.fields.layers import Density
 from nvsf_core.kernels.composite import composite_rays
+from nvsf_core.losses.lidar import CLAMP_M, depth_loss
 from nvsf_core.losses.line_of_sight import line_of_sight_loss
 from nvsf_core.recipe import HeadsSpec
 from nvsf_core.rendering.scaled_rays import ScaledRays
@@ -111,6 +112,13 @@ def _opaque() -> Reading:
     return Reading(error=largest(weights.detach(), expected), gradient=slope)
 
 
+def _sums() -> float:
+    """Rays from thin to opaque: all weights and the transmittance behind them, in machine epsilons."""
+    thickest = np.linspace(-7.0, 4.0, 256)[:, None]
+    depths = torch.from_numpy(10.0 ** np.random.default_rng(4).uniform(-8.0, thickest, (256, 768))).float()
+    return largest(_weights(depths).double().sum(dim=1), 1.0) / EPS
+
+
 def _zero_length() -> float:
     """They weigh exactly nothing, and do not disturb their neighbours."""
     rng = np.random.default_rng(3)
@@ -194,6 +202,19 @@ def _median() -> float:
     return float(worst) / EPS
 
 
+def _depth_loss() -> Reading:
+    """Rays of weight 0, 1e-6, 1/2 and 1 over 24 surfaces, up to 1e6 m off a return at 10.25 m."""
+    rng = np.random.default_rng(6)
+    weights = rng.dirichlet(np.ones(24), 400) * np.repeat([0.0, 1e-6, 0.5, 1.0], 100)[:, None]
+    ranges = 10.25 + 10.0 ** rng.uniform(-6.0, 6.0, (400, 24)) * rng.choice([-1.0, 0.0, 1.0], (400, 24))
+
+    def plain(w: Tensor, t: Tensor) -> Tensor:
+        return (w * (t - 10.25).abs().clamp(max=CLAMP_M)).sum(dim=1) + CLAMP_M * (1.0 - w.sum(dim=1))
+
+    return against(lambda w, t: depth_loss(w, t, t.new_full((400,), 10.25)), by_autograd(plain),
+                   [weights, ranges], scale=CLAMP_M)  # fmt: skip
+
+
 def _line_of_sight() -> Reading:
     """No return, a return between two samples, a shell thinner than float32 tells apart."""
     rng = np.random.default_rng(2)
@@ -225,6 +246,7 @@ CASES = (
     Case(_WEIGHTS, "96 samples, τ 1e-16 to 1e8 on one ray", _mixed, SUM_EPS, "ulp"),
     Case(_WEIGHTS, "768 samples, τ 1e-8 to 1e-3: a product of 1 - τ would leave 1", _thin, SUM_EPS, "ulp"),
     Case(_WEIGHTS, "opaque walls: τ = inf, 1e38, sums beyond float32", _opaque),
+    Case(_WEIGHTS, "768 samples, τ 1e-8 to 1e4: weights and what is left sum to 1", _sums, SUM_EPS, "eps"),
     Case(_WEIGHTS, "zero-length and repeated intervals, σ up to 1e17", _zero_length, 1e-6),
     Case(_WEIGHTS, "τ = -1 (outside)",
          refused(DivergedError, lambda: weights_from_optical_depth(torch.tensor([[-1.0]])))),
@@ -241,5 +263,7 @@ CASES = (
          refused(DivergedError, lambda: weighted_median_index(torch.tensor([[0.1, math.nan]])))),
     Case(_MEDIAN, "negative weight (outside)",
          refused(DivergedError, lambda: weighted_median_index(torch.tensor([[0.1, -0.2]])))),
+    Case("losses.lidar.depth_loss", "weights of sum 0, 1e-6, 1/2 and 1; errors 0 to 1e6 m", _depth_loss,
+         ELEMENTWISE_ULP, "ulp of 3 m"),
     Case("losses.line_of_sight.line_of_sight_loss", "half widths 0.02, 1e-12 and 1e-300", _line_of_sight),
 )  # fmt: skip

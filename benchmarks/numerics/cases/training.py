@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.numerics.cases.case import Case, Reading, largest, refused
+from benchmarks.numerics.cases.tolerances import EPS, SUM_EPS
 from nvsf_core.encodings import HashGrid
 from nvsf_core.errors import DivergedError
 from nvsf_core.fields.layers import network
@@ -50,6 +51,30 @@ def _tiny_and_huge() -> str:
     drawn = _draw(made, 10)
     assert all(row < 2 and column < 20 for row, column in drawn), f"{drawn}"
     return "ten draws, all from the ten heavy cells"
+
+
+def _shares(ratio: float) -> float:
+    """Half of the cells weigh more by some ratio: their share of 4,000 single draws, less the exact one."""
+    made, generator = ErrorMap(1, 8, 8, 2), torch.Generator().manual_seed(0)
+    made.errors[0, :2] = ratio
+    drawn = [int(made.sample_pixels(0, 1, generator)[0]) < 4 for _ in range(4000)]
+    return abs(float(np.mean(drawn)) - ratio / (1.0 + ratio))
+
+
+def _update(error: Tensor) -> Tensor:
+    made, place = _map(), torch.arange(len(error))
+    made.update(0, place, place, error)
+    return made.errors
+
+
+def _updates() -> float:
+    """Of two pixels in a cell the second has the larger error; their scale does not matter, relative."""
+    line, exact = torch.linspace(-1.0, 1.0, 60), 0.1 + 0.9 * (1.0 + 999.0 * np.arange(1, 60, 2) / 59.0)
+    assert bool((_update(0.0 * line) == 1.0).all()), "equal errors change the map"
+    tiny = _update(1e-45 * line)
+    assert bool(((tiny >= 1.0) & (tiny <= 1000.0)).all()), f"{tiny.min()} to {tiny.max()}"
+    found = [_update(scale * line)[0].diagonal()[:30] for scale in (1e-30, 1.0, 1e30, 3e38)]
+    return max(largest(errors.numpy() / exact, 1.0) for errors in found) / EPS
 
 
 class _SmallField(nn.Module):
@@ -158,13 +183,18 @@ def long_run(steps: int) -> Reading:
 
 
 _DRAW = "sampling.error_map.ErrorMap.sample_pixels"
-_TRAIN = "training.loop.train"
+_UPDATE, _TRAIN = "sampling.error_map.ErrorMap.update", "training.loop.train"
 CASES = (
     Case(_DRAW, "one-hot weights, 500 draws of one cell", _one_hot),
     Case(_DRAW, "weights 1e-30 and 1e30", _tiny_and_huge),
+    # The limits are four standard deviations.
+    Case(_DRAW, "equal weights, 4,000 single draws", lambda: _shares(1.0), 0.032, "share"),
+    Case(_DRAW, "weights 1 and 1000, 4,000 single draws", lambda: _shares(1000.0), 0.002, "share"),
     Case(_DRAW, "all-zero weights (outside)", refused(DivergedError, lambda: _draw(_map(0.0, 0.0), 10))),
     Case(_DRAW, "an infinite weight (outside)", refused(DivergedError, lambda: _draw(_map(1, math.inf), 10))),
     Case(_DRAW, "a NaN weight (outside)", refused(DivergedError, lambda: _draw(_map(1, math.nan), 10))),
+    Case(_UPDATE, "errors ±1e-45 to ±3e38, and all equal", _updates, SUM_EPS, "eps"),
+    Case(_UPDATE, "a NaN error (outside)", refused(DivergedError, lambda: _update(torch.tensor([math.nan])))),
     Case("training.loop.make_optimiser", "first step, gradients 0 and 1e-18 to 1e18", _first_step, 1e-5),
     Case(_TRAIN, "gradients of 1e25, beyond float32 squared (outside)", refused(DivergedError, _too_large)),
     Case(_TRAIN, "NaN into the weights (outside)", lambda: _injected(_break_a_weight)),

@@ -1,1 +1,1 @@
-"""What images prove."""
+"""Surfels that images prove."""

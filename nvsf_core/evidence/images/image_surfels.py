@@ -1,4 +1,4 @@
-"""Surfaces that images prove where no laser looked: places on which the depths of several views agree."""
+"""Surfels from images, for places where no laser looked: several views must agree on a depth there."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,28 +9,29 @@ from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 
 _VOXEL_M = 0.4
 _LEAST_VIEWS = 3
-"""Views whose depths must meet in a voxel: wrong depths, of sky above all, hardly ever do."""
+"""Fewest views that must have a depth in a voxel. Wrong depths, above all in the sky, rarely agree."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthRays:
-    """What some pixels of one view look at."""
+    """Some pixels of one view, as rays with a depth."""
 
     origin_m: np.ndarray
-    """(3,) float32 scene-local."""
+    """(3,) float32 scene-local, metres."""
     direction: np.ndarray
     """(n, 3) float32 unit, scene-local axes."""
     range_m: np.ndarray
-    """(n,) float32; infinite where the images prove nothing nearer than the sky."""
+    """(n,) float32 metres; infinite where nothing nearer than the sky was found."""
 
 
 def image_surfels(
     views: Sequence[DepthRays], *, far_m: float, intensity: float, threads: int
 ) -> Surfels | None:
-    """Surfels of the places nearer than `far_m` that at least three views show; None where there is none.
+    """Surfels nearer than `far_m` (metres) on which at least three views agree; None where there are none.
 
-    Every ray sees through what it passes, as a return's does: a place that most views look through hardly
-    stops a ray. Images do not tell how brightly a laser returns: `intensity` stands for all.
+    Like a LiDAR ray, each pixel's ray counts as passing through the voxels before its end: a place that most
+    views look through hardly stops a ray. Images do not measure LiDAR intensity: all surfels get `intensity`.
+    `threads` is the number of CPU threads.
     """
     lengths = [len(view.range_m) for view in views]
     if sum(lengths) == 0:
@@ -54,7 +55,7 @@ def image_surfels(
 
 
 def _views_there(point_m: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """(n,) int64: how many views have a point in the voxel of each point (n, 3); `view` (n,) is its own."""
+    """(n,) int64: number of views with a point in each point's voxel; points (n, 3), their views (n,)."""
     if len(point_m) == 0:
         return np.zeros(0, np.int64)
     cell = np.floor(point_m / _VOXEL_M).astype(np.int64)

@@ -1,1 +1,1 @@
-"""What moves: found among the returns, followed from scan to scan, and kept in frames of its own."""
+"""Moving objects: found among the returns, tracked from scan to scan, each in a frame of its own."""

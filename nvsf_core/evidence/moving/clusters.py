@@ -1,4 +1,4 @@
-"""Clusters of one scan: returns that hang together, among them enough that left."""
+"""Clusters of one scan: groups of connected returns, enough of which were labelled as moved."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.visibility import SEED, STATIC
+from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.moving.visibility import SEED, STATIC, AboveGround
 
 _VOXEL_M = 0.25
 _LINK_M = 0.5
 _LEAST_SEEDS = 8
 _FEWEST_SEEDS = 3
 _USUAL_SPACING_RAD = 0.007
-"""Angle between neighbouring lasers of the sensor for which numbers of returns are told."""
+"""Angle between neighbouring lasers of the 64-laser sensor for which all numbers of returns are given."""
 _SEED_SHARE = 0.4
 _SEEDS_PER_STATIC = 2.0
 _LONGEST_M = 12.0
@@ -22,71 +23,63 @@ _LONGEST_M = 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cluster:
-    """One thing that probably moves, in one scan."""
+    """One probably moving object in one scan."""
 
     scan: int
-    """Which scan."""
+    """Number of the scan."""
     members: np.ndarray
-    """(k,) int64 indices of its returns."""
+    """(k,) int64 indices of its returns among all returns."""
     time_s: float
     """Mean time of its returns."""
     centre_m: np.ndarray
-    """(3,) float64 mean of its returns."""
+    """(3,) float64 mean of its returns, scene-local metres."""
     size_m: float
-    """Diagonal of its axis-parallel box."""
+    """Diagonal of its axis-aligned box."""
     nearest_m: float
     """Range of its nearest return."""
 
 
 def laser_density(spacing_rad: float) -> float:
-    """Returns of a thing to those that 64 lasers get of it, at most 1: by the angle between lasers."""
+    """Returns that a sensor gets from an object, relative to a 64-laser sensor; at most 1."""
     return min(1.0, _USUAL_SPACING_RAD / spacing_rad)
 
 
 def pull_together(
     point_m: np.ndarray, above_sensor_m: np.ndarray, range_m: np.ndarray, spacing_rad: float
 ) -> np.ndarray:
-    """Points (m, 3) drawn in towards the sensor's height until rows of lasers are within a link's reach.
+    """Points (m, 3) moved towards the sensor's height until rows of neighbouring lasers can be linked.
 
     Args:
-        point_m: (m, 3) scene-local.
-        above_sensor_m: (m,) their heights above the sensor.
-        range_m: (m,) their ranges.
-        spacing_rad: Between neighbouring lasers.
+        point_m: (m, 3) scene-local, metres.
+        above_sensor_m: (m,) heights above the sensor.
+        range_m: (m,) ranges from the sensor.
+        spacing_rad: Angle between neighbouring lasers.
     """
-    drawn = point_m.copy()
-    drawn[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
-    return drawn
+    pulled = point_m.copy()
+    pulled[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
+    return pulled
 
 
 def cluster_scan(
-    scan: int,
-    index: np.ndarray,
-    point_m: np.ndarray,
-    label: np.ndarray,
-    time_s: np.ndarray,
-    range_m: np.ndarray,
-    pulled_together_m: np.ndarray,
-    density: float,
+    scan: int, returns: TimedReturns, above_ground: AboveGround, range_m: np.ndarray, spacing_rad: float
 ) -> list[Cluster]:
-    """Moving clusters of a scan's standing returns.
+    """Clusters of a scan's returns above the ground that probably move.
 
-    Voxels that are mostly static do not link, the others do up to half a metre.
+    Voxels are linked to others within half a metre, but not those that are mostly static.
 
     Args:
-        scan: Which scan.
-        index: (m,) int64, the standing returns' indices among all returns.
-        point_m: (m, 3) scene-local.
-        label: (m,) int8 from `classify_returns`.
-        time_s: (m,) their times.
-        range_m: (m,) their ranges.
-        pulled_together_m: (m, 3) the same points for the links alone, from `pull_together`.
-        density: From `laser_density`: so many times fewer seeds do.
+        scan: Number of the scan.
+        returns: All training returns.
+        above_ground: Those that may move, with their labels.
+        range_m: (N,) ranges of all returns.
+        spacing_rad: Angle between neighbouring lasers.
     """
-    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * density)
+    index, label = above_ground.of_scan(scan)
+    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * laser_density(spacing_rad))
     if (label == SEED).sum() < least_seeds:
         return []
-    group = _groups(pulled_together_m, label)
+    point_m, range_m = returns.point_m[index], range_m[index]
+    group = _groups(pull_together(point_m, returns.recorded_m[index, 2], range_m, spacing_rad), label)
     count = int(group.max(initial=-1)) + 1
     seeds = np.bincount(group[(label == SEED) & (group >= 0)], minlength=count)
     static = np.bincount(group[(label == STATIC) & (group >= 0)], minlength=count)
@@ -103,7 +96,7 @@ def cluster_scan(
             Cluster(
                 scan=scan,
                 members=index[rows],
-                time_s=float(time_s[rows].mean()),
+                time_s=float(returns.time_s[index[rows]].mean()),
                 centre_m=points.mean(axis=0),
                 size_m=float(np.linalg.norm(extent)),
                 nearest_m=float(range_m[rows].min()),
@@ -113,7 +106,7 @@ def cluster_scan(
 
 
 def _groups(point_m: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Number of the linked group of each point (m,), -1 in mostly static voxels."""
+    """Number (m,) of the linked group of each point (m, 3); -1 in mostly static voxels."""
     cell = np.floor(point_m / _VOXEL_M).astype(np.int64)
     cell -= cell.min(axis=0)
     extent = cell.max(axis=0) + 1

@@ -1,20 +1,20 @@
-"""From training returns to moving objects, without labels and without learning."""
+"""Finds moving objects in the training returns, without labels and without learning."""
 
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density, pull_together
-from nvsf_core.evidence.moving.path_fitting import AboveGround, Path, carry_on, solve_path, start_path
+from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density
+from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path, start_path
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.moving.tracks import link_tracks
-from nvsf_core.evidence.moving.visibility import classify_returns
+from nvsf_core.evidence.moving.visibility import AboveGround, classify_returns
 from nvsf_core.evidence.static.ground import build_ground
 
 ABOVE_GROUND_M = 0.25
-"""Returns at least this high above the ground can move."""
+"""Lower returns are taken as ground and cannot move."""
 _HIGHEST_M = 5.0
 _FARTHEST_M = 80.0
 _NEAREST_M = 1.0
@@ -23,42 +23,27 @@ _GROW_M = 0.3
 _LEAST_RETURNS = 30
 _LEAST_SCANS = 3
 _MOST_OF_WORLD_SHAPE = 0.8
-"""Voxels that an object's returns fill in its own frame, of those they fill in the world: what does not
-move, such as a hedge at whose edges the view changes, fills as many or more."""
+"""Most voxels that an object's returns may fill in its own frame, as a share of those they fill in the world.
+What does not move, such as a hedge whose visible side changes, fills as many or more."""
 _OWN_VEHICLE_M = 2.5
-"""What never gets farther from the sensor than this rides with it: an antenna that was not learned as own."""
+"""What is never farther from the sensor than this is part of the own vehicle, such as an antenna."""
 
 
 def find_moving_objects(returns: TimedReturns) -> MovingObjects:
-    """Find what moved, how it moved, and which returns it made.
+    """Find the moving objects, their paths and their returns. Deterministic.
 
-    Deterministic. Fewer than three scans, no returns, or a drive in which nothing moves give none.
+    None are found in fewer than three scans, without returns, or where nothing moves.
     """
     nothing = MovingObjects((), np.full(len(returns.point_m), -1, np.int32))
     if returns.scan_count < _LEAST_SCANS or len(returns.point_m) == 0:
         return nothing
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
-    above_ground = _judge(returns, range_m)
+    above_ground = _classify(returns, range_m)
     spacing_rad = returns.laser_spacing_rad
     density = laser_density(spacing_rad)
-    clusters = []
-    for scan in range(returns.scan_count):
-        part = slice(int(above_ground.offsets[scan]), int(above_ground.offsets[scan + 1]))
-        index = above_ground.index[part]
-        clusters.append(
-            cluster_scan(
-                scan,
-                index,
-                returns.point_m[index],
-                above_ground.label[part],
-                returns.time_s[index],
-                range_m[index],
-                pull_together(
-                    returns.point_m[index], returns.recorded_m[index, 2], range_m[index], spacing_rad
-                ),
-                density,
-            )
-        )
+    clusters = [
+        cluster_scan(scan, returns, above_ground, range_m, spacing_rad) for scan in range(returns.scan_count)
+    ]
     paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
     for path in paths:
         solve_path(path, returns)
@@ -67,7 +52,8 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     return _whole_objects(paths, returns, above_ground, density) if paths else nothing
 
 
-def _judge(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
+def _classify(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
+    """The returns that may move, with their labels; `range_m` (N,) are the ranges of all."""
     within = ~returns.is_own_vehicle & (range_m > _NEAREST_M) & (range_m < _FARTHEST_M)
     if not within.any():
         return AboveGround(
@@ -81,7 +67,7 @@ def _judge(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
 def _whole_objects(
     paths: list[Path], returns: TimedReturns, above_ground: AboveGround, density: float
 ) -> MovingObjects:
-    """Give each object all loose returns near its accumulated shape, biggest first, and its extent."""
+    """Give each object, largest first, its extent and all loose returns near its accumulated shape."""
     object_id = np.full(len(returns.point_m), -1, np.int32)
     objects: list[MovingObject] = []
     for path in sorted(paths, key=lambda p: (-sum(map(len, p.members)), p.scan[0])):
@@ -99,7 +85,7 @@ def _whole_objects(
 
 
 def _is_object(taken: np.ndarray, local_m: np.ndarray, returns: TimedReturns, fewest: float) -> bool:
-    """Whether returns (k,), in the object's frame (k, 3), are one thing that its motion explains."""
+    """Whether returns (k,), at (k, 3) in the object's frame, form one object that its path explains."""
     if len(taken) < fewest or len(np.unique(returns.scan_of(taken))) < _LEAST_SCANS:
         return False
     if np.linalg.norm(returns.recorded_m[taken], axis=1).max() < _OWN_VEHICLE_M:
@@ -114,7 +100,7 @@ def _take(
     above_ground: AboveGround,
     object_id: np.ndarray,
 ) -> np.ndarray:
-    """Indices of all free loose returns within 0.3 m of the shape (k, 3), in its frame at their own time."""
+    """Indices of all free loose returns within 0.3 m of the shape (k, 3), compared in the object's frame."""
     tree = cKDTree(shape_o)
     reach = np.abs(shape_o).max() + _GROW_M + 1.0
     taken = []
@@ -128,7 +114,7 @@ def _take(
 
 
 def _thinned(point_o: np.ndarray) -> np.ndarray:
-    """Means of the points (k, 3) in voxels of 0.15 m."""
+    """Means of the points (k, 3) in each voxel of 0.15 m."""
     _, voxel = np.unique(np.floor(point_o / _MODEL_VOXEL_M).astype(np.int64), axis=0, return_inverse=True)
     voxel = voxel.ravel()
     count = np.bincount(voxel)

@@ -1,4 +1,4 @@
-"""A moving object's own rays in its own frame: its surface at an instant, and where scans had returns."""
+"""A moving object's rays in its own frame: its surfels at an instant, and its hit priors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,56 +15,53 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
 OBJECT_VOXEL_M = 0.1
-"""For 64 lasers. Where fewer look, voxels are as much larger as keeps the returns in each."""
+"""Voxel edge for 64 lasers; with fewer lasers, larger ones hold about as many returns each."""
 NEAREST_SCANS = 4
-"""More add nothing, and blur what is not rigid, such as legs."""
+"""Scans that an object's surfels are built from: more add nothing, and blur what bends, such as legs."""
 _THREADS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectRays:
-    """Training rays that cross an object's bounds, in its frame at each ray's own time."""
+    """n training rays that cross an object's bounds, in its frame at each ray's own time."""
 
     origin_m: np.ndarray
-    """(n, 3) float32."""
+    """(n, 3) float32 metres."""
     direction: np.ndarray
     """(n, 3) float32 unit."""
     range_m: np.ndarray
-    """(n,) float32 to the return, on the object, before it or behind it."""
+    """(n,) float32 metres to the return, which may lie on the object, before it or behind it."""
     intensity: np.ndarray
-    """(n,) float32 of the return."""
+    """(n,) float32 of the return, 0..1."""
     is_hit: np.ndarray
     """(n,) bool: the return is the object's."""
     scan: np.ndarray
-    """(n,) int32 training scan, ascending."""
+    """(n,) int32 ascending: number of the training scan."""
 
     def of(self, chosen: np.ndarray) -> "ObjectRays":
-        """Chosen rays, by number (m,) or (n,) bool."""
-        return ObjectRays(
-            self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
-            self.is_hit[chosen], self.scan[chosen],
-        )  # fmt: skip
+        """Chosen rays: their numbers (m,), or (n,) bool."""
+        return ObjectRays(*(getattr(self, name)[chosen] for name in self.__slots__))
 
     def point_m(self, chosen: np.ndarray) -> np.ndarray:
-        """Where chosen rays, by number (m,) or (n,) bool, returned: (m, 3)."""
+        """Returns (m, 3) in the object's frame of chosen rays: their numbers (m,), or (n,) bool."""
         point: np.ndarray = self.origin_m[chosen] + self.direction[chosen] * self.range_m[chosen, None]
         return point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectEvidence:
-    """One moving object: its path and all rays that met its place."""
+    """One moving object: its path and all rays that crossed its bounds."""
 
     path: MovingObject
     rays: ObjectRays
     voxel_m: float = OBJECT_VOXEL_M
-    """Edge of its surfels' voxels."""
+    """Edge of its surfels' voxels, metres."""
     flow_m: np.ndarray | None = None
-    """(n, 2, 3) float32 how far each ray's return moves, in its frame, until the path's scan before sees it,
-    and until the scan after does; 0 of no return and without that scan. None where it is taken as rigid."""
+    """(n, 2, 3) float32 metres, in its frame: displacement of each return to the path's scan before and to
+    the scan after; 0 for rays without a return on it, and where there is no such scan. None = it is rigid."""
 
     def of_scans(self, scans: np.ndarray) -> "ObjectEvidence":
-        """Its path and rays in those scans alone, in the same frame and bounds; without a flow."""
+        """The same object from the scans (k,) alone, in the same frame and bounds, without a flow."""
         path = self.path
         kept = np.isin(path.scan, scans)
         return ObjectEvidence(
@@ -73,7 +70,7 @@ class ObjectEvidence:
         )  # fmt: skip
 
     def with_flow(self) -> "ObjectEvidence":
-        """The same object, taken as one that bends."""
+        """The same object with a flow, for one that bends."""
         flow_m = np.zeros((len(self.rays.scan), 2, 3), np.float32)
         rows = [self._rows_of(np.array([scan])) for scan in self.path.scan]
         returns = [own[self.rays.is_hit[own]] for own in rows]
@@ -84,12 +81,12 @@ class ObjectEvidence:
         return replace(self, flow_m=flow_m)
 
     def scans_near(self, time_s: float, *, leave_out: int | None = None) -> np.ndarray:
-        """Its nearest 4 scans (k,); the training scan `leave_out` is not among them."""
+        """Its at most 4 scans nearest to a time, (k,) int32, without the training scan `leave_out`."""
         scans = self.path.scan[np.argsort(np.abs(self.path.time_s - time_s), kind="stable")]
         return (scans if leave_out is None else scans[scans != leave_out])[:NEAREST_SCANS]
 
     def rays_at(self, scans: np.ndarray, time_s: float) -> ObjectRays:
-        """Rays (m,) of some of its scans; those that returned, laid where its flow has them at an instant."""
+        """The m rays of the scans (k,); its returns are moved by the flow to where they are at an instant."""
         used = self._rows_of(scans)
         rays = self.rays.of(used)
         if self.flow_m is None:
@@ -101,7 +98,7 @@ class ObjectEvidence:
         places = np.searchsorted(self.path.scan, [rays.scan[rows[0]] for rows in returns])
 
         def step(first: int, second: int) -> np.ndarray:
-            # A scan that is left out between two: nothing that is stored was seen without it.
+            # Flow is stored between neighbouring scans only: here one between them was left out.
             if abs(places[second] - places[first]) != 1:
                 return flow_between(points[first], points[second])
             stored: np.ndarray = flow_m[returns[first], int(second > first)]
@@ -114,7 +111,7 @@ class ObjectEvidence:
         return replace(rays, origin_m=origin_m)
 
     def surfels_from(self, scans: np.ndarray, time_s: float) -> Surfels | None:
-        """What some of its scans prove of it at an instant, in its frame; None where they saw nothing."""
+        """Its surfels at an instant, in its frame, from the scans (k,); None without a return on it."""
         rays = self.rays_at(scans, time_s)
         if not rays.is_hit.any():
             return None
@@ -124,7 +121,7 @@ class ObjectEvidence:
         )  # fmt: skip
 
     def _rows_of(self, scans: np.ndarray) -> np.ndarray:
-        """(m,) int64 ascending: its rays in some scans."""
+        """Numbers (m,) int64 ascending of its rays in the scans (k,)."""
         ordered = np.sort(scans)
         starts = np.searchsorted(self.rays.scan, ordered, side="left")
         ends = np.searchsorted(self.rays.scan, ordered, side="right")
@@ -133,15 +130,15 @@ class ObjectEvidence:
 
 
 _FORGOTTEN_FRAMES = 1.5
-"""A scan so many frames farther away in time counts e times less: windows and edges look another way."""
+"""A scan's weight falls by a factor e in so many frames, because the view of windows and edges changes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectHitPriors:
-    """What is needed to look up where a training scan fired at a place of an object."""
+    """Everything needed to look up whether a training scan had a return at a point on an object."""
 
     prior: DropPrior
-    """Its scans are the training scans that objects are numbered by."""
+    """Of the training scans, in the numbering that objects use."""
     lasers: np.ndarray
     """(l,) lasers that ever returned, from the top."""
     trajectory: Trajectory
@@ -149,14 +146,14 @@ class ObjectHitPriors:
     elevation_correction_rad: float
 
     def near(
-        self, asked: Sequence[tuple[MovingObject, np.ndarray]], time_s: float
+        self, objects: Sequence[tuple[MovingObject, np.ndarray]], time_s: float
     ) -> tuple["NearHitPriors", ...]:
-        """The votes on each object of some of its scans (k,) about a time; silent ones are not asked."""
+        """Hit priors of objects about a time, each from the identified ones of some scans (k,)."""
         is_unidentified = self.prior.is_unidentified
-        paths = [path for path, _ in asked]
-        speaking = [scans[~is_unidentified[scans]] for _, scans in asked]
-        own_s = [path.time_s[np.searchsorted(path.scan, s)] for path, s in zip(paths, speaking, strict=True)]
-        # One look-up for all objects: of so few times it costs the same.
+        paths = [path for path, _ in objects]
+        known = [scans[~is_unidentified[scans]] for _, scans in objects]
+        own_s = [path.time_s[np.searchsorted(path.scan, s)] for path, s in zip(paths, known, strict=True)]
+        # One lookup for all objects costs as much as for one.
         to_sensor = invert_pose(pose_from_parts(*self.trajectory.at(np.concatenate([*own_s, np.zeros(0)]))))
         ends = np.cumsum([len(instants) for instants in own_s], dtype=np.int64)
         return tuple(
@@ -166,26 +163,26 @@ class ObjectHitPriors:
                 np.exp(-np.abs(instants - time_s) / (_FORGOTTEN_FRAMES * path.frame_s)),
                 to_sensor[end - len(instants) : end] @ path.matrix_at(instants),
             )
-            for path, scans, instants, end in zip(paths, speaking, own_s, ends, strict=True)
+            for path, scans, instants, end in zip(paths, known, own_s, ends, strict=True)
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearHitPriors:
-    """Some scans that saw an object, ready to be asked about any place on it."""
+    """Hit priors at any point of an object, from k scans that saw it."""
 
     hit_priors: ObjectHitPriors
     scans: np.ndarray
-    """(k,) int64 training scans."""
+    """(k,) int64 numbers of the training scans."""
     weight: np.ndarray
     """(k,) float64 above 0."""
     object_to_sensor: np.ndarray
-    """(k, 4, 4) float64: where each scan's sensor had the object."""
+    """(k, 4, 4) float64: pose of the object in each scan's sensor frame."""
 
     def share(self, place_o: np.ndarray) -> np.ndarray:
-        """Share (v,) float32 of the scans, by weight, that returned at places (v, 3) of its own frame.
+        """Weighted share (v,) float32 of the scans with a return at points (v, 3) in the object's frame.
 
-        1 where there is none to ask: what is known of the object are returns.
+        1 where there are no scans: all that is known of the object are its returns.
         """
         if len(self.scans) == 0:
             return np.ones(len(place_o), np.float32)

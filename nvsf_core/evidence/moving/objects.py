@@ -1,4 +1,4 @@
-"""Each moving object's own evidence, in its own frame: where it is solid, and what was seen through it."""
+"""Collects moving objects' rays in their own frames, and finds objects' surfaces along rays to render."""
 
 from dataclasses import dataclass
 
@@ -18,29 +18,35 @@ from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 _MOST_CANDIDATES = 12
 _MARGIN_M = 0.1
 _STEPS_A_FRAME = 8
-"""Instants at which objects are built: what bends moves 2 cm between them."""
+"""Instants per frame at which objects' surfels are built; an object that bends moves 2 cm between them."""
 _SOME = 256
-"""Rays of a sweep that say where and when it was fired: to some decimetres and hundredths of a second."""
+"""Rays from which a sweep's mean origin and time are estimated, to decimetres and hundredths of a second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectSurfels:
-    """A moving object as it is at some time: its path and its surfels in its own frame."""
+    """A moving object about some instant: its path, and its surfels in its own frame."""
 
     number: int
-    """Of the scene's objects."""
+    """Its number among the scene's objects."""
     path: MovingObject
     surfels: Surfels
     hit_priors: NearHitPriors
-    """Its nearest scans, to be asked whether they returned at a place on it."""
+    """Its nearest scans, in which hit priors are looked up."""
 
     def hit_prior(
         self, found: Candidates, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
     ) -> np.ndarray:
-        """Share (r,) float32 of its nearest scans that returned where rays (r, 3) end on it.
+        """Hit prior (r,) float32: share of its nearest scans with a return where the rays end on it.
 
-        Asked for at the ray's own place and not at its voxel's: a window's edge is finer than a voxel.
-        `found` are its surfaces along the rays, at least one each; the weighted median one is asked about.
+        It is looked up at the ray's end and not at a voxel's mean, because windows have edges finer than a
+        voxel.
+
+        Args:
+            found: Its surfaces along the rays, at least one each; the ray ends on the weighted median one.
+            origin_m: (r, 3) scene-local, metres.
+            direction: (r, 3) unit, scene-local axes.
+            time_s: (r,) instants of the rays.
         """
         far = np.cumsum(found.weights, axis=1)
         row = np.arange(len(far))
@@ -58,16 +64,16 @@ def prove_objects(
     time_s: np.ndarray,
     offsets: np.ndarray,
 ) -> tuple[ObjectEvidence, ...]:
-    """Evidence of each moving object.
+    """Evidence of each moving object: its path and the training rays that cross its bounds.
 
     Args:
-        moving: What moves.
-        origin_m: (N, 3) scene-local, of the training rays that it was found in, in the same order.
-        direction: (N, 3) unit.
-        range_m: (N,) to the return.
-        intensity: (N,) of the return.
-        time_s: (N,) of the ray.
-        offsets: (n + 1,) where each training scan begins.
+        moving: The objects, and which of the N training returns are theirs.
+        origin_m: (N, 3) scene-local metres, of the training rays in the same order.
+        direction: (N, 3) unit, scene-local axes.
+        range_m: (N,) metres to the return.
+        intensity: (N,) of the return, 0..1.
+        time_s: (N,) instant of the ray.
+        offsets: (n + 1,) int: scan k's rays are offsets[k] .. offsets[k + 1] - 1.
     """
     voxel_m = OBJECT_VOXEL_M / np.sqrt(moving.density)
     found = []
@@ -99,11 +105,11 @@ def objects_at(
     *,
     leave_out: int | None = None,
 ) -> tuple[ObjectSurfels, ...]:
-    """The objects that may be seen about an instant, each from its nearest scans.
+    """The objects that are there about an instant, each built from its nearest scans.
 
-    The scan `leave_out` tells neither what they look like nor where they are: both as if it were held out.
+    Neither their surfels nor their paths use the training scan `leave_out`, as if it were held out.
     """
-    there, asked = [], []
+    there, looked_up = [], []
     for number, one in enumerate(evidence):
         path = one.path.without(leave_out)
         spare = np.array([time_s - path.frame_s, time_s, time_s + path.frame_s])
@@ -113,15 +119,15 @@ def objects_at(
         surfels = one.surfels_from(scans, time_s + _lag_s(one.path, scans, hit_priors))
         if surfels is not None:
             there.append((number, path, surfels))
-            asked.append((path, scans))
+            looked_up.append((path, scans))
     return tuple(
-        ObjectSurfels(*one, own_votes)
-        for one, own_votes in zip(there, hit_priors.near(asked, time_s), strict=True)
+        ObjectSurfels(*one, own_priors)
+        for one, own_priors in zip(there, hit_priors.near(looked_up, time_s), strict=True)
     )
 
 
 class NearObjects:
-    """Moving objects about the time of rays that are asked for in parts: a sweep's are built once."""
+    """Moving objects about the times of rays; built once for a sweep whose rays come in parts."""
 
     def __init__(
         self,
@@ -130,23 +136,23 @@ class NearObjects:
         *,
         leave_out: int | None = None,
     ) -> None:
-        """Of the objects as all scans but the training scan `leave_out` prove them."""
+        """Objects are built without the training scan `leave_out`."""
         self.evidence = evidence
-        self._votes = hit_priors
+        self._hit_priors = hit_priors
         self._leave_out = leave_out
         self._instant: int | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
     def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
-        """The objects about the middle of times (r,), taken to eighths of a frame; none without rays."""
+        """The objects about the median of times (r,), rounded to eighths of a frame; none without rays."""
         if len(time_s) == 0 or not self.evidence:
             return ()
         frame_s = self.evidence[0].path.frame_s
-        # Parts of a sweep agree: their middles lie near its own.
+        # The median times of a sweep's parts are near each other.
         instant = round(_STEPS_A_FRAME * float(np.median(time_s)) / frame_s)
         if instant != self._instant:
             self._objects = objects_at(
-                self.evidence, instant * frame_s / _STEPS_A_FRAME, self._votes, leave_out=self._leave_out
+                self.evidence, instant * frame_s / _STEPS_A_FRAME, self._hit_priors, leave_out=self._leave_out
             )
             self._instant = instant
         return self._objects
@@ -161,9 +167,19 @@ def candidates_on(
     near_m: float,
     far_m: float,
 ) -> tuple[np.ndarray, Candidates]:
-    """Which rays (k,) int64 of (r, 3) meet an object where it is at their times (r,), and its surfaces there.
+    """Which rays meet an object at their own times, and on which of its surfaces they may end.
 
-    The candidates (k, 12) have the object's own voxel numbers.
+    Args:
+        one: The object.
+        origin_m: (r, 3) scene-local, metres.
+        direction: (r, 3) unit, scene-local axes.
+        time_s: (r,) instants of the rays.
+        near_m: Least range.
+        far_m: Greatest range.
+
+    Returns:
+        (k,) int64 ascending numbers of the rays that meet it, and candidates (k, 12) with the numbers of the
+        object's own voxels.
     """
     middle_s = float(np.median(_some(time_s))) if len(time_s) > 0 else 0.0
     inside, origin_o, direction_o = _crossing(one.path, middle_s, origin_m, direction, time_s, spare_m=2.0)
@@ -184,13 +200,13 @@ def merge_objects(
 
     Args:
         found: Candidates (m, k) of the static surfels along some rays of a batch.
-        rays: (m,) int64 ascending: which rays of the batch those are.
-        first_voxel: Number that the first object's first voxel gets; the others' follow.
+        rays: (m,) int64 ascending numbers of those rays in the batch.
+        first_voxel: Number given to the first object's first voxel; the others follow.
         objects: From `objects_at`.
-        met: What `candidates_on` found of each object in the batch; all of its rays must be in `rays`.
+        met: For each object, the result of `candidates_on` for the batch; its rays must all be in `rays`.
 
     Returns:
-        Candidates of the same shape; where there are more than k the farthest are left out.
+        Candidates of the same shape; where a ray has more than k, the farthest are left out.
     """
     range_m, voxel, opacity, cosine = (
         found.range_m.copy(), found.voxel.copy(), found.opacity.copy(), found.cosine.copy()
@@ -211,16 +227,16 @@ def merge_objects(
 
 
 def _lag_s(path: MovingObject, scans: np.ndarray, hit_priors: ObjectHitPriors) -> float:
-    """How long after a sweep's instant an object is met, as in some of its scans (k,).
+    """How long after a sweep's instant the recording sensor hits an object: the median of some scans (k,).
 
-    By the recording sensor: another one, turned by half a turn, meets it up to half a frame earlier or later.
+    A sensor mounted the other way round hits it up to half a frame earlier or later.
     """
     met_s = path.time_s[np.searchsorted(path.scan, scans)]
     return float(np.median(met_s - hit_priors.prior.time_s[scans])) if len(scans) else 0.0
 
 
 def _some(column: np.ndarray) -> np.ndarray:
-    """Rows (at most 256) of a column of rays, evenly chosen."""
+    """At most 256 rows of an array, evenly chosen."""
     return column[:: len(column) // _SOME + 1]
 
 
@@ -233,10 +249,10 @@ def _crossing(
     *,
     spare_m: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which rays (k,) int64 of (r, 3) cross the object's bounds while it is there, at their times (r,).
+    """Which rays (k,) int64 of (r, 3) cross the object's bounds at their own times (r,).
 
-    With the origins and directions (k, 3) float32 of those in its frame. Asked are rays towards the ball
-    around the object as it is at `middle_s`, so much larger as the object moves until they are fired.
+    Also returns their origins and directions (k, 3) float32 in its frame. Only rays towards a ball around the
+    object at `middle_s` are tested; `spare_m` enlarges it by how far the object moves until they are fired.
     """
     axis, least_cosine = _cone(path, middle_s, origin_m, spare_m)
     first_s, last_s = path.there_s
@@ -251,7 +267,7 @@ def _crossing(
 def _cone(
     path: MovingObject, time_s: float, origin_m: np.ndarray, spare_m: float
 ) -> tuple[np.ndarray, float]:
-    """Axis (3,) float64 and least cosine of the rays (r, 3) that run towards an object's ball at a time."""
+    """Cone from the rays' mean origin to an object's ball at a time: axis (3,) float64, least cosine."""
     centre_o = 0.5 * (path.low_m + path.high_m)
     pose = path.matrix_at(np.array([time_s]))[0]
     radius_m = 0.5 * float(np.linalg.norm(path.high_m - path.low_m)) + spare_m

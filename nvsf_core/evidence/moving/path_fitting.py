@@ -1,4 +1,4 @@
-"""The path of one track: its clusters registered in pairs, smoothed, and extended where the clusters end."""
+"""The path of one track: its clusters are registered in pairs, then smoothed and continued at both ends."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from nvsf_core.evidence.moving.registration import Cloud, PairMotions, make_clou
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.moving.tracks import Track
-from nvsf_core.evidence.moving.visibility import STATIC
+from nvsf_core.evidence.moving.visibility import AboveGround
 
 _STRIDES = (1, 2, 4)
 _REACH_M = 0.5
@@ -23,55 +23,34 @@ _MODEL_SCANS = 3
 _LEAST_RETURNS = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AboveGround:
-    """The standing returns, judged."""
-
-    index: np.ndarray
-    """(m,) int64 among all returns, ascending."""
-    label: np.ndarray
-    """(m,) int8 from `classify_returns`."""
-    offsets: np.ndarray
-    """(n + 1,) int64: which of them are of which scan."""
-
-    def loose_near(
-        self, returns: TimedReturns, scan: int, low_m: np.ndarray, high_m: np.ndarray
-    ) -> np.ndarray:
-        """Indices among all returns of a scan's standing, not static returns in a scene-local box."""
-        part = slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))
-        index = self.index[part][self.label[part] != STATIC]
-        point = returns.point_m[index]
-        return index[np.all((point >= low_m) & (point <= high_m), axis=1)]
-
-
 @dataclass(slots=True, eq=False)
 class Path:
-    """A track's poses as they are being found."""
+    """A track's poses while they are estimated."""
 
     scan: list[int]
     members: list[np.ndarray]
-    """Indices of its returns in each scan."""
+    """Indices of its returns in each scan, among all returns."""
     time_s: np.ndarray
-    """(k,) mean times."""
+    """(k,) mean times of its returns."""
     pose: np.ndarray
-    """(k, 4) x, y, z, yaw."""
+    """(k, 4) x, y, z in scene-local metres and yaw in radians."""
 
     def as_object(self, frame_s: float) -> MovingObject:
-        """The same, with no extent yet."""
+        """The path as an object, without an extent yet."""
         return MovingObject(
             np.array(self.scan, np.int32), self.time_s, self.pose, frame_s, np.zeros(3), np.zeros(3)
         )
 
 
 def solve_path(path: Path, returns: TimedReturns) -> None:
-    """Register the path's clouds with one another and find the poses anew, in place."""
+    """Register the path's clouds with one another and estimate its poses anew, in place."""
     clouds = _clouds(path, returns)
     first, second = [], []
     for stride in _STRIDES:
         first.append(np.arange(len(clouds) - stride))
         second.append(np.arange(stride, len(clouds)))
     i, k = np.concatenate(first), np.concatenate(second)
-    # Both ways: a partial view matches the fuller one well, the fuller one not the partial.
+    # In both directions: a partial view matches a fuller one well, but not the other way round.
     i, k = np.concatenate([i, k]), np.concatenate([k, i])
     pairs = register(clouds, i, k, path.pose[k, :3] - path.pose[i, :3])
     time_frames = (path.time_s - path.time_s[0]) / returns.frame_s
@@ -79,7 +58,7 @@ def solve_path(path: Path, returns: TimedReturns) -> None:
 
 
 def start_path(track: Track) -> Path:
-    """A path through the means of a track's clusters, heading where they went."""
+    """A path through the means of a track's clusters, all with the yaw from the first to the last."""
     centre = track.centres_m()
     ahead = centre[-1] - centre[0]
     heading = np.full((len(centre), 1), np.arctan2(ahead[1], ahead[0]))
@@ -92,7 +71,7 @@ def start_path(track: Track) -> Path:
 
 
 def carry_on(path: Path, returns: TimedReturns, above_ground: AboveGround) -> bool:
-    """Follow the object into scans where it made no cluster, at both ends; True where any was added."""
+    """Follow the object, at both ends, into scans where it made no cluster; True if a scan was added."""
     grown = _carry(path, returns, above_ground, forward=True)
     return _carry(path, returns, above_ground, forward=False) or grown
 
@@ -119,7 +98,7 @@ def _find_in_scan(
     model_o = _model(path, returns, forward=forward)
     margin = _REACH_M + np.abs(model_o).max(axis=0).max()
     time_s = float(returns.scan_time_s[scan])
-    # The sweep's phase shifts the object's own time by up to half a turn: look again with that time.
+    # The object is hit up to half a sweep before or after the scan's instant: look again at that time.
     for _ in range(2):
         pose = moving.pose_at(np.array([time_s]))[0]
         near = above_ground.loose_near(returns, scan, pose[:3] - margin, pose[:3] + margin)
@@ -141,7 +120,7 @@ def _find_in_scan(
         return None
     if np.linalg.norm(pair.motion[0, 1:]) > _MOST_SHIFT_M:
         return None
-    # What brings the scan's returns onto the prediction is how far the prediction is off.
+    # The motion that brings the returns onto the prediction is the prediction's error.
     pose[:3] -= pair.motion[0, 1:]
     pose[3] -= pair.motion[0, 0]
     return members, time_s, pose
@@ -158,7 +137,7 @@ def _add(
 
 
 def _end(path: Path, forward: bool) -> Path:
-    """The path's last, or first, scans, as one straight step: what a prediction reads its velocity from."""
+    """The path's last, or first, scans as one straight step, from which the velocity is predicted."""
     part = slice(-_MODEL_SCANS, None) if forward else slice(0, _MODEL_SCANS)
     time_s, pose = path.time_s[part][[0, -1]], path.pose[part][[0, -1]]
     return Path([path.scan[part][0], path.scan[part][-1]], [], time_s, pose)
@@ -179,7 +158,7 @@ def _to_scene(point_o: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def _clouds(path: Path, returns: TimedReturns) -> list[Cloud]:
-    """Each scan's returns brought to their mean time by the path's own velocity there."""
+    """Each scan's returns, moved to their mean time by the path's velocity there."""
     velocity = _velocity(path.time_s, path.pose[:, :3])
     clouds = []
     for members, time_s, v in zip(path.members, path.time_s, velocity, strict=True):
@@ -189,7 +168,7 @@ def _clouds(path: Path, returns: TimedReturns) -> list[Cloud]:
 
 
 def _velocity(time_s: np.ndarray, position_m: np.ndarray) -> np.ndarray:
-    """Velocity (k, 3) of the quadratic through positions (k, 3)."""
+    """Velocity (k, 3) in m/s of the quadratic fitted to positions (k, 3)."""
     middle = time_s - time_s.mean()
     degree = min(2, len(time_s) - 1)
     matrix = np.stack([middle**power for power in range(degree + 1)], axis=1)
@@ -202,13 +181,15 @@ def _velocity(time_s: np.ndarray, position_m: np.ndarray) -> np.ndarray:
 
 _STEPS = 8
 _JERK = np.array([0.03, 0.03, 0.009, 0.01])
-"""A frame^2: deviation of the second difference of x, y, z in metres and of yaw in radians."""
+"""Standard deviation of the acceleration of x, y, z (metres per frame^2) and yaw (radians per frame^2)."""
 _PIN = 1e8
+"""Weight that keeps the middle pose where it is."""
 _ROBUST = 9.0
+"""Squared Mahalanobis distance at which a pair's weight is one half."""
 
 
 def smooth_poses(pose: np.ndarray, time_frames: np.ndarray, pairs: PairMotions) -> np.ndarray:
-    """Poses (k, 4) float64 of x, y, z, yaw that fit the pair motions best.
+    """Poses (k, 4) float64 of x, y, z (metres) and yaw (radians): the smooth path that best fits the pairs.
 
     Args:
         pose: (k, 4) first guess; the middle one is kept.
@@ -235,7 +216,7 @@ def smooth_poses(pose: np.ndarray, time_frames: np.ndarray, pairs: PairMotions) 
 
 
 def _solve(system: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution of a positive definite system whose far entries are 0: scans are tied to near ones only."""
+    """Solve a positive definite banded system: scans are tied to near ones only."""
     reach = int(np.ptp(np.nonzero(system), axis=0).max())
     bands = np.zeros((reach + 1, len(system)))
     for k in range(reach + 1):
@@ -244,7 +225,7 @@ def _solve(system: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _second_differences(time: np.ndarray) -> np.ndarray:
-    """Matrix (k - 2, k) of accelerations, each weighted by the root of the time it speaks for."""
+    """Matrix (k - 2, k) that gives accelerations, each weighted by the root of the time it stands for."""
     rows = max(len(time) - 2, 0)
     matrix = np.zeros((rows, len(time)))
     before, after = time[1:-1] - time[:-2], time[2:] - time[1:-1]
@@ -260,7 +241,7 @@ def _second_differences(time: np.ndarray) -> np.ndarray:
 def _add_pairs(pose: np.ndarray, pairs: PairMotions, system: np.ndarray, right: np.ndarray) -> None:
     """Add the pair motions' normal equations in place.
 
-    A pair says where the place c goes: R(psi_j - psi_i) (c - x_i) + x_j = c + shift, and psi_j - psi_i.
+    A pair measures R(psi_j - psi_i) (c - x_i) + x_j = c + shift, and the yaw psi_j - psi_i.
     """
     i, k = pairs.first, pairs.second
     turn = pose[k, 3] - pose[i, 3]

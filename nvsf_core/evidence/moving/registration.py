@@ -1,4 +1,4 @@
-"""How a thing moved between two scans: its returns registered to one another."""
+"""How an object moved between two scans: point-to-plane registration of its returns."""
 
 from dataclasses import dataclass
 
@@ -13,35 +13,35 @@ _GATES_M = np.array([1.2, 0.8, 0.5, 0.35])
 _YAW_RETURNS = 40
 _YAW_SIZE_M = 0.7
 _FLOOR = np.array([0.006, 0.015, 0.015, 0.015])
-"""Radians and metres: no registration is better than this, however many points it has."""
+"""Least standard deviation of a registered yaw (radians) and shift (metres), however many points it has."""
 _LEAST_INLIERS = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """A thing's returns in one scan, brought to one instant, with their planes."""
+    """An object's returns in one scan, moved to one instant, with their planes."""
 
     centre_m: np.ndarray
-    """(3,) float64 scene-local, the mean."""
+    """(3,) float64 mean, scene-local metres."""
     point_m: np.ndarray
-    """(k, 3) float32 about the centre, k <= 400."""
+    """(k, 3) float32 metres from the centre, k <= 400."""
     normal: np.ndarray
-    """(k, 3) float32, 0 where the neighbourhood is no plane."""
+    """(k, 3) float32 unit, 0 where the neighbourhood is no plane."""
 
     @property
     def tells_yaw(self) -> bool:
-        """Whether it is large and dense enough to see it turn."""
+        """Whether it is large and dense enough for its yaw to be measured."""
         return len(self.point_m) >= _YAW_RETURNS and bool(np.ptp(self.point_m, axis=0).max() >= _YAW_SIZE_M)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMotions:
-    """Measured motions of p pairs of clouds: a place c + u goes to R(yaw) u + c + shift."""
+    """Measured motions of p pairs of clouds: a point c + u moves to R(yaw) u + c + shift."""
 
     first: np.ndarray
-    """(p,) int64 cloud."""
+    """(p,) int64 number of the cloud that moved."""
     second: np.ndarray
-    """(p,) int64 cloud."""
+    """(p,) int64 number of the cloud it was registered to."""
     centre_m: np.ndarray
     """(p, 3) float64 c, the first cloud's centre."""
     motion: np.ndarray
@@ -49,13 +49,13 @@ class PairMotions:
     information: np.ndarray
     """(p, 4, 4) float64 inverse covariance of `motion`."""
     inlier_share: np.ndarray
-    """(p,) of the first cloud's points."""
+    """(p,) share of the first cloud's points with a partner."""
     residual_m: np.ndarray
-    """(p,) mean distance of the inliers."""
+    """(p,) mean distance of those points."""
 
 
 def make_cloud(point_m: np.ndarray) -> Cloud:
-    """A cloud of at least one point (k, 3), scene-local, thinned evenly to 400."""
+    """A cloud of at least one point (k, 3), scene-local metres, thinned evenly to at most 400."""
     thinned = point_m[np.linspace(0, len(point_m) - 1, min(len(point_m), _MOST_POINTS)).astype(np.int64)]
     centre = thinned.mean(axis=0, dtype=np.float64)
     local = thinned - centre
@@ -68,13 +68,13 @@ def make_cloud(point_m: np.ndarray) -> Cloud:
 
 
 def register(clouds: list[Cloud], first: np.ndarray, second: np.ndarray, shift_m: np.ndarray) -> PairMotions:
-    """Register pairs of clouds; those with less than 3 in 10 partners found are left out.
+    """Register pairs of clouds; pairs in which fewer than 30 % of the points find a partner are left out.
 
     Args:
         clouds: All clouds.
-        first: (p,) which ones moved.
-        second: (p,) where to.
-        shift_m: (p, 3) first guess of how far; the first guess is that nothing turned.
+        first: (p,) numbers of the clouds that moved.
+        second: (p,) numbers of the clouds they are registered to.
+        shift_m: (p, 3) first guess of the shifts; the first guess of every yaw is 0.
     """
     centre = np.array([cloud.centre_m for cloud in clouds])
     between = centre[second] - centre[first]
@@ -104,9 +104,9 @@ def register(clouds: list[Cloud], first: np.ndarray, second: np.ndarray, shift_m
 
 
 def _covariance(information: np.ndarray, energy: np.ndarray, yaw_free: np.ndarray) -> np.ndarray:
-    """Covariance (p, 4, 4): the residuals' own scale over the information, plus the floor."""
+    """Covariance (p, 4, 4): the residuals' variance times the inverse information, plus the floor."""
     known = information.copy()
-    # A yaw that was not estimated is not correlated with anything and known to be small only.
+    # A yaw that was not estimated has no correlations; all that is known is that it is small.
     known[~yaw_free, 0, :] = 0.0
     known[~yaw_free, :, 0] = 0.0
     known[~yaw_free, 0, 0] = np.inf

@@ -1,4 +1,4 @@
-"""Moving objects: what they are made of and where each was at any time."""
+"""Moving objects and their rigid paths: the pose of each at any time."""
 
 from dataclasses import dataclass, replace
 
@@ -7,15 +7,15 @@ import numpy as np
 from nvsf_core.geometry.se3 import pose_from_parts
 
 _BEYOND_FRAMES = 1.5
-"""How long before its first and after its last scan an object is still there, at a constant velocity."""
+"""Frames before its first and after its last scan in which an object is still shown, at constant velocity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingObject:
-    """One thing that moves and its rigid path; its own frame has z up and x ahead at first."""
+    """One moving object and its rigid path; in its own frame z is up and x is ahead at first."""
 
     scan: np.ndarray
-    """(k,) int32 training scans that saw it, ascending."""
+    """(k,) int32 ascending: numbers of the training scans that saw it."""
     time_s: np.ndarray
     """(k,) float64 mean times of its returns in them."""
     pose: np.ndarray
@@ -23,9 +23,9 @@ class MovingObject:
     frame_s: float
     """Seconds from frame to frame."""
     low_m: np.ndarray
-    """(3,) lower corner of its returns in its own frame."""
+    """(3,) metres: lower corner of its returns in its own frame."""
     high_m: np.ndarray
-    """(3,) upper corner."""
+    """(3,) metres: their upper corner."""
 
     def pose_at(self, time_s: np.ndarray) -> np.ndarray:
         """Poses (r, 4) of x, y, z, yaw at times (r,): linear between scans, constant velocity beyond."""
@@ -39,7 +39,7 @@ class MovingObject:
         return pose
 
     def without(self, scan: int | None) -> "MovingObject":
-        """The path as the other scans tell it; itself where the scan is not one that saw the object."""
+        """The path without one of its scans; itself where that scan did not see the object."""
         kept = self.scan != scan
         if kept.all():
             return self
@@ -47,14 +47,14 @@ class MovingObject:
 
     @property
     def there_s(self) -> tuple[float, float]:
-        """From when to when the object's place is known: up to 1.5 frames beyond its scans; never without."""
+        """First and last instant, 1.5 frames beyond the path's scans; an empty interval without scans."""
         if len(self.time_s) == 0:
             return np.inf, -np.inf
         spare_s = _BEYOND_FRAMES * self.frame_s
         return float(self.time_s[0] - spare_s), float(self.time_s[-1] + spare_s)
 
     def is_there(self, time_s: np.ndarray) -> np.ndarray:
-        """Whether (r,) bool the object's place is known at times (r,)."""
+        """Whether (r,) bool times (r,) lie within `there_s`."""
         first_s, last_s = self.there_s
         return np.asarray((time_s >= first_s) & (time_s <= last_s))
 
@@ -64,13 +64,13 @@ class MovingObject:
         return pose_from_parts(_about_z(pose[:, 3]), pose[:, :3])
 
     def to_object(self, point_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-        """Scene-local points (r, 3), each at its own time (r,), in the object's frame, float64."""
+        """Scene-local points (r, 3), each at its own time (r,), moved to the object's frame, float64."""
         pose = self.pose_at(time_s)
         return self.turn_to_object(point_m - pose[:, :3], pose[:, 3])
 
     @staticmethod
     def turn_to_object(vector: np.ndarray, yaw_rad: np.ndarray) -> np.ndarray:
-        """Scene-local vectors (r, 3) in the frame of an object that is turned by `yaw_rad` (r,)."""
+        """Scene-local vectors (r, 3) in the axes of an object with the yaws `yaw_rad` (r,)."""
         cosine, sine = np.cos(yaw_rad), np.sin(yaw_rad)
         x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
         return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
@@ -83,9 +83,9 @@ class MovingObjects:
     objects: tuple[MovingObject, ...]
     """Largest first."""
     object_id: np.ndarray
-    """(N,) int32 of every training return; -1 for what does not move."""
+    """(N,) int32 of every training return; -1 = not on a moving object."""
     density: float = 1.0
-    """Returns of a thing to those that a usual 64-laser sensor gets of it, at most 1."""
+    """From `laser_density`."""
 
     @property
     def is_static(self) -> bool:

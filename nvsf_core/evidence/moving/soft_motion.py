@@ -1,4 +1,4 @@
-"""Flow of what bends: how a thing's returns move, in its own frame, beside its rigid motion."""
+"""Flow of objects that bend: how their returns move in the object's frame, besides its rigid motion."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,32 +9,32 @@ from nvsf_core.evidence.static.voxels import PLANE_POINTS, planes_around
 
 _STEPS = 12
 _MOST_POINTS = 500
-"""Of a cloud: neighbours on a leg are then still some centimetres apart."""
+"""Most points of a cloud: neighbours on a leg are then still some centimetres apart."""
 _SMOOTH_POINTS = 12
 _SMOOTH_M = 0.25
-"""About as far as a limb moves alike."""
+"""Distance within which points move alike: about a limb's length."""
 _REACH_M, _LAST_REACH_M = 0.6, 0.1
-"""A place that finds nothing so near counts little; in the first step, and after the last."""
+"""A point without a target this near gets little weight; in the first step, and after the last."""
 _CARRIED_POINTS = 4
 _CARRIED_M = 0.02
 
 Step = Callable[[int, int], np.ndarray]
-"""Flow (n, 3) of one of some clouds to another of them, by their numbers."""
+"""Gives the flow (n, 3) from one cloud to another, by their numbers."""
 
 
 def flow_between(source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """How far each return of a thing moves until another scan sees it.
+    """Displacement of each of an object's returns from one scan to another.
 
-    Each step moves every return onto the plane through its nearest target return, whose normal the 8 around
-    that tell, and then as its neighbours within some 25 cm do. Along a surface nothing is moved: where on it
-    a laser hits tells nothing of how it moves.
+    Each step moves every return onto the plane through its nearest target return (fitted to 8 neighbours),
+    then averages the motion over neighbours within some 25 cm. Returns are not moved along a surface: where
+    on it a laser hits does not show how it moves.
 
     Args:
-        source_m: (n, 3), in the thing's own frame.
-        target_m: (m, 3), in the same.
+        source_m: (n, 3) in the object's frame.
+        target_m: (m, 3) in the same frame.
 
     Returns:
-        (n, 3) float32 metres; 0 where either has fewer than 8 returns, about 0 of what finds nothing near.
+        (n, 3) float32 metres; 0 where either has fewer than 8 returns, nearly 0 where no target is near.
     """
     if min(len(source_m), len(target_m)) < PLANE_POINTS:
         return np.zeros((len(source_m), 3), np.float32)
@@ -58,19 +58,19 @@ def flow_between(source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
 def flow_to(
     clouds: Sequence[np.ndarray], cloud_time_s: np.ndarray, time_s: float, step: Step
 ) -> list[np.ndarray]:
-    """How far returns of scans before and after an instant have moved at that instant.
+    """Displacement of the returns of several scans from their own instants to a given one.
 
-    The last scan before it and the first after it are laid between each other, in proportion to time; returns
-    of earlier and later ones flow to the next nearer scan, and go on as its returns there do.
+    Returns of the two scans around the instant move in proportion to time. Returns of earlier and later scans
+    first move to the next scan towards the instant, then on as that scan's returns do.
 
     Args:
-        clouds: Each (n, 3), n >= 1, in the thing's own frame, in order of time.
-        cloud_time_s: (k,) ascending.
-        time_s: The instant; beyond the first or the last scan, what that scan saw stays.
-        step: Gives the flow between neighbours in time, and between the two about the instant.
+        clouds: Of each scan (n, 3), n >= 1, in the object's frame, in order of time.
+        cloud_time_s: (k,) ascending instants of the scans.
+        time_s: The instant; before the first or after the last scan, that scan's own instant is used.
+        step: Gives the flow between scans that are neighbours in time.
 
     Returns:
-        Of each cloud (n, 3) float32 metres.
+        For each cloud (n, 3) float32 metres.
     """
     moved: list[np.ndarray] = [np.zeros((len(cloud), 3), np.float32) for cloud in clouds]
     if len(clouds) < 2:
@@ -89,7 +89,7 @@ def flow_to(
 
 
 def carried(place_m: np.ndarray, known_m: np.ndarray, flow_m: np.ndarray) -> np.ndarray:
-    """Flow (n, 3) float32 at places (n, 3) from that (m, 3) of the 4 nearest of others (m, 3)."""
+    """Flow (n, 3) float32 at points (n, 3), from the 4 nearest of points (m, 3) with the flow (m, 3)."""
     apart_m, near = cKDTree(known_m).query(place_m, min(_CARRIED_POINTS, len(known_m)))
     apart_m, near = apart_m.reshape(len(place_m), -1), near.reshape(len(place_m), -1)
     weight = 1.0 / np.square(apart_m + _CARRIED_M)

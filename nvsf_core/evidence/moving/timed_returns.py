@@ -1,4 +1,4 @@
-"""The training returns that motion is read from: where and when each was measured, and by which laser."""
+"""The training returns as the search for moving objects needs them: point, time and laser of each."""
 
 from dataclasses import dataclass
 
@@ -11,36 +11,36 @@ from nvsf_core.sensors.tables import LaserTable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedReturns:
-    """N returns of n scans, in the order of the scans' times."""
+    """N returns of n scans, ascending in the scans' times."""
 
     point_m: np.ndarray
-    """(N, 3) float32, scene-local."""
+    """(N, 3) float32, scene-local metres."""
     recorded_m: np.ndarray
-    """(N, 3) float32, in the moving sensor's frame, as the files have them."""
+    """(N, 3) float32 metres as recorded, in the moving sensor's frame."""
     laser: np.ndarray
-    """(N,) int16, -1 where unknown."""
+    """(N,) int16, 0 on top, -1 unknown."""
     is_own_vehicle: np.ndarray
-    """(N,) bool: the recording car itself, which moves with the sensor."""
+    """(N,) bool: on the recording car, which moves with the sensor."""
     time_s: np.ndarray
     """(N,) float64, each return's own instant."""
     offsets: np.ndarray
     """(n + 1,) int64: scan k's returns are offsets[k] .. offsets[k + 1] - 1."""
     scan_time_s: np.ndarray
-    """(n,) float64, ascending instants of the scans' poses."""
+    """(n,) float64: instants of the scans' poses, ascending."""
     trajectory: Trajectory
-    """Where the sensor was; scene-local."""
+    """Poses of the sensor."""
     period_s: float
-    """Seconds over which a turn's rays are spread; 0 where all were put at the pose's instant."""
+    """Seconds of one sweep; 0 where all rays were put at the pose's instant."""
     table: LaserTable
     """The sensor."""
     elevation_correction_rad: float
-    """How far rays were turned up on their way into the world."""
+    """Angle by which rays were turned up."""
 
     def __post_init__(self) -> None:
-        """Check that everything speaks of the same returns.
+        """Check that the arrays belong together.
 
         Raises:
-            ShapeError: It does not.
+            ShapeError: They do not.
         """
         n, count = len(self.scan_time_s), len(self.point_m)
         lengths = (len(self.recorded_m), len(self.laser), len(self.time_s))
@@ -57,7 +57,7 @@ class TimedReturns:
 
     @property
     def frame_s(self) -> float:
-        """Seconds from frame to frame, held-out frames counted: the unit of all motion constants."""
+        """Seconds from frame to frame, held-out frames included; all motion constants are per frame."""
         steps_s = np.diff(self.trajectory.times_s)
         return float(np.median(steps_s)) if len(steps_s) else 0.1
 
@@ -69,9 +69,9 @@ class TimedReturns:
         return float(np.median(steps)) if len(steps) else np.inf
 
     def scan_of(self, index: np.ndarray) -> np.ndarray:
-        """Scan (k,) int64 of the returns `index` (k,)."""
+        """Numbers (k,) int64 of the scans of returns `index` (k,)."""
         return np.searchsorted(self.offsets, index, side="right") - 1
 
     def part(self, scan: int) -> slice:
-        """Where a scan's returns lie."""
+        """Slice of a scan's returns in the flat arrays."""
         return slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))

@@ -1,4 +1,4 @@
-"""Clusters of many scans joined into tracks: the same thing, again and again."""
+"""Joins clusters of successive scans into tracks of the same object."""
 
 from dataclasses import dataclass
 
@@ -7,36 +7,36 @@ import numpy as np
 from nvsf_core.evidence.moving.clusters import Cluster
 
 _NEW_GATE_M = 2.2
-"""A frame: how far a thing that was seen once may have gone."""
+"""Metres per frame that an object seen in one scan may have moved."""
 _GATE_M = 0.8
-"""A frame: how far off its prediction a thing may be."""
+"""Metres per frame that an object may be away from its prediction."""
 _MOST_COST = 1.6
 _SIZE_COST_M = 0.3
 _LONGEST_GAP_FRAMES = 3.5
 _LEAST_SCANS = 3
 _LEAST_MOVED_M = 0.5
 _LEAST_SPEED_M = 0.04
-"""A frame: slower than this is noise."""
+"""Metres per frame; slower motion is noise."""
 _NEAREST_M = 60.0
 _LEAST_RETURNS, _FEWEST_RETURNS = 10.0, 4.0
 
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """One thing's returns in the scans that saw it, ascending in time."""
+    """One object's clusters, one per scan that saw it, ascending in time."""
 
     clusters: list[Cluster]
 
     def times_s(self) -> np.ndarray:
-        """(k,) mean times."""
+        """(k,) mean times of the clusters' returns."""
         return np.array([cluster.time_s for cluster in self.clusters])
 
     def centres_m(self) -> np.ndarray:
-        """(k, 3) means of the returns."""
+        """(k, 3) means of the clusters' returns, scene-local metres."""
         return np.array([cluster.centre_m for cluster in self.clusters])
 
     def predict(self, time_s: float) -> np.ndarray:
-        """Where its centre will be (3,): the last three at a constant velocity, one stays where it is."""
+        """Centre (3,) predicted for a time at the constant velocity of the last three clusters."""
         last = self.clusters[-3:]
         if len(last) == 1:
             return last[0].centre_m
@@ -46,9 +46,9 @@ class Track:
 
 
 def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: float = 1.0) -> list[Track]:
-    """Join clusters scan by scan, greedily by cost, and keep the tracks of what has moved.
+    """Join clusters scan by scan, greedily by cost, and keep the tracks that have moved.
 
-    `density` is from `laser_density`: so many times fewer returns make a track.
+    `density`, from `laser_density`, scales the number of returns that a track needs.
     """
     tracks: list[Track] = []
     for clusters in clusters_by_scan:
@@ -74,7 +74,7 @@ def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: 
 
 
 def _cost(track: Track, cluster: Cluster, frame_s: float) -> float:
-    """Distance from the prediction plus what the size changed; infinite outside the gate."""
+    """Distance from the prediction plus a cost of a changed size; infinite outside the gate."""
     last = track.clusters[-1]
     frames = (cluster.time_s - last.time_s) / frame_s
     if frames <= 0.0:

@@ -1,9 +1,11 @@
-"""What moved, by visibility in time: a surface that other scans saw through and that never came back.
+"""Labels returns as static or moved: something moved where later or earlier scans see through its surface.
 
-Every standing return is put into every other scan's range image, at the moment when that scan looked
-there. Walking outwards in time from the return's own scan, a confirmation that comes after a see-through
-is late: foliage and edges are, a thing that drove away is not.
+Each return above the ground is looked up in the range image of every other scan, at the moment when that scan
+looked there. Scans are visited outwards in time from the return's own. Foliage and edges are confirmed again
+after a scan has seen through them; an object that drove away is not.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.kernels.visibility import look_back
 
 UNKNOWN, STATIC, SEED = 0, 1, 2
-"""What a return is: nothing is known, it stayed, or something was there that left."""
+"""Label of a return: unknown; static; or of something that left, the seed of a cluster."""
 _CELLS = 2000
 _MOMENTS = 256
 _MARGIN_M = 0.3
@@ -23,15 +25,43 @@ _CONFIRMED_SHARE = 0.5
 _MOST_IMAGE_BYTES = 1 << 30
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AboveGround:
+    """The returns that may move, because they lie above the ground, and what is known of each."""
+
+    index: np.ndarray
+    """(m,) int64 indices among all returns, ascending."""
+    label: np.ndarray
+    """(m,) int8 from `classify_returns`."""
+    offsets: np.ndarray
+    """(n + 1,) int64: scan k has the rows offsets[k] .. offsets[k + 1] - 1."""
+
+    def of_scan(self, scan: int) -> tuple[np.ndarray, np.ndarray]:
+        """`index` (k,) and `label` (k,) of one scan's returns."""
+        part = slice(int(self.offsets[scan]), int(self.offsets[scan + 1]))
+        return self.index[part], self.label[part]
+
+    def loose_near(
+        self, returns: TimedReturns, scan: int, low_m: np.ndarray, high_m: np.ndarray
+    ) -> np.ndarray:
+        """Returns (k,) int64 of a scan in a scene-local box that are not labelled static.
+
+        Args:
+            returns: All training returns.
+            scan: Number of the scan.
+            low_m: (3,) lower corner.
+            high_m: (3,) upper corner.
+        """
+        index, label = self.of_scan(scan)
+        index = index[label != STATIC]
+        point = returns.point_m[index]
+        return index[np.all((point >= low_m) & (point <= high_m), axis=1)]
+
+
 def classify_returns(returns: TimedReturns, above_ground: np.ndarray) -> np.ndarray:
-    """Say of each standing return whether it stayed or left.
+    """Labels (m,) int8, UNKNOWN, STATIC or SEED, of the returns with the indices `above_ground` (m,) int64.
 
-    Args:
-        returns: The training returns.
-        above_ground: (m,) int64 indices of the returns to judge.
-
-    Returns:
-        (m,) int8 of UNKNOWN, STATIC, SEED. Everything is UNKNOWN where fewer than two lasers are known.
+    All are UNKNOWN where fewer than two lasers are known.
     """
     lasers = np.unique(returns.laser[returns.laser >= 0])
     label = np.zeros(len(above_ground), np.int8)
@@ -60,9 +90,9 @@ def classify_returns(returns: TimedReturns, above_ground: np.ndarray) -> np.ndar
 
 
 def _range_images(returns: TimedReturns, lasers: np.ndarray) -> np.ndarray:
-    """Range images (n, lasers, cells) float32 from the sensor's centre, nearest return, 0 where none."""
+    """Range images (n, lasers, cells) float32 metres from the sensor's centre: nearest return, 0 = none."""
     firings = (returns.laser >= 0).sum() / (len(lasers) * returns.scan_count)
-    # Cells finer than the firings stay empty, and empty cells say nothing.
+    # Cells narrower than the firings would stay empty, and nothing is learned from empty cells.
     cells = int(
         np.clip(firings, 16, min(_CELLS, _MOST_IMAGE_BYTES // (4 * len(lasers) * returns.scan_count)))
     )
@@ -82,7 +112,7 @@ def _range_images(returns: TimedReturns, lasers: np.ndarray) -> np.ndarray:
 
 
 def _to_sensor(returns: TimedReturns) -> np.ndarray:
-    """Scene to sensor (n, k, 3, 4) float32 at k moments of each turn."""
+    """Poses scene to sensor (n, k, 3, 4) float32 at k moments of each sweep."""
     moments = _MOMENTS if returns.period_s > 0 else 1
     fraction = (np.arange(moments) + 0.5) / moments - 0.5
     time_s = returns.scan_time_s[:, None] + fraction * returns.period_s

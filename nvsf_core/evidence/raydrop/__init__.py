@@ -1,1 +1,1 @@
-"""Which rays return, as the training scans tell."""
+"""Which rays return, counted in the training scans."""

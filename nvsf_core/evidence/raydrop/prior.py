@@ -1,8 +1,7 @@
-"""Which beams never return: training scans vote, laser by laser and firing by firing.
+"""Hit priors: in what share of the nearest training scans a laser had a return at the same angle.
 
-Windows, puddles and the sky drop the same beams scan after scan. A laser's firing of a scan that is to
-be predicted asks the nearest training scans whether their firing at the same angle returned. A scan in
-rain or snow whose lasers could not be recovered returned as well, and nobody knows where: it has no vote.
+Windows, puddles and the sky drop the same rays scan after scan. A scan whose lasers could not be recovered
+(rain or snow) is left out: it had returns, but nobody knows of which rays.
 """
 
 from dataclasses import dataclass
@@ -14,33 +13,33 @@ from nvsf_core.errors import DataError
 
 @dataclass(frozen=True, slots=True)
 class DropPrior:
-    """Hits of the training scans, in the grid of lasers and firings."""
+    """Returns of n training scans in a grid of lasers and firings."""
 
     time_s: np.ndarray
-    """(n,) float64: time of each training scan."""
+    """(n,) float64: instant of each training scan."""
     fraction: np.ndarray
-    """(n, f) float32: sweep fraction of each firing, ascending; infinite behind the last."""
+    """(n, f) float32: sweep fraction of each firing, ascending; infinite after the last firing."""
     is_hit: np.ndarray
-    """(n, lasers, f) bool: whether the laser returned."""
+    """(n, lasers, f) bool: whether the ray returned."""
 
     @property
     def laser_count(self) -> int:
-        """Rows of the grid, whether or not each was ever seen."""
+        """Number of the sensor's lasers, including those that never returned."""
         return self.is_hit.shape[1]
 
     @property
     def is_unidentified(self) -> np.ndarray:
-        """(n,) bool: scans of which no laser is known, where others' are; none where no scan's is."""
+        """(n,) bool: no return's laser is known, though other scans' are; all False where no scan's are."""
         speaks = np.asarray(self.is_hit.any(axis=(1, 2)))
         return ~speaks & bool(speaks.any())
 
     def nearest_scans(self, time_s: float, count: int, *, leave_out_s: float | None = None) -> np.ndarray:
-        """Indices of the training scans nearest in time; a scan at `leave_out_s` itself is not asked.
+        """Indices (k,) of the at most `count` training scans nearest to a time, nearest first.
 
-        Nor are silent ones, unless no other is left.
+        Left out are the scan at `leave_out_s` and, unless only those are left, unidentified ones.
 
         Raises:
-            DataError: No scan is left to ask.
+            DataError: No scan is left.
         """
         order = np.argsort(np.abs(self.time_s - time_s), kind="stable")
         if leave_out_s is not None:
@@ -51,22 +50,22 @@ class DropPrior:
         return (speaking if len(speaking) > 0 else order)[:count]
 
     def hit_prior(self, laser: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
-        """Share (r,) float32 of `scans` whose firing nearest to each ray (laser, fraction: (r,)) returned."""
+        """Share (r,) float32 of `scans` whose firing nearest to a ray (laser, fraction: (r,)) returned."""
         total = np.zeros(len(laser), np.float32)
         for scan in scans:
             total += self.is_hit[scan, laser, self.nearest_firing(scan, fraction)]
         return total / np.float32(len(scans))
 
     def hit_prior_of_sweep(self, lasers: np.ndarray, fraction: np.ndarray, scans: np.ndarray) -> np.ndarray:
-        """`hit_prior` (l, f) of a whole turn: lasers (l,) that all fire at the sweep fractions (f,)."""
+        """`hit_prior` (l, f) of a whole sweep: all lasers (l,) fire at the sweep fractions (f,)."""
         total = np.zeros((len(lasers), len(fraction)), np.float32)
         for scan in scans:
-            # Whole rows first: they lie in one piece.
+            # Whole rows first: they are contiguous in memory.
             total += self.is_hit[scan][lasers][:, self.nearest_firing(scan, fraction)]
         return total / np.float32(len(scans))
 
     def nearest_firing(self, scan: int, fraction: np.ndarray) -> np.ndarray:
-        """Columns (r,) int64 of a scan's firings nearest to the sweep fractions (r,)."""
+        """Firings (r,) int64 of a scan that are nearest to the sweep fractions (r,)."""
         firings = self.fraction[scan][: self.firings_of(scan)]
         right = np.minimum(np.searchsorted(firings, fraction), len(firings) - 1)
         left = np.maximum(right - 1, 0)
@@ -74,22 +73,23 @@ class DropPrior:
         return nearest
 
     def firings_of(self, scan: int) -> int:
-        """How often each laser of a scan fired."""
+        """Number of firings in a scan."""
         return int(np.isfinite(self.fraction[scan]).sum())
 
 
 @dataclass(frozen=True, slots=True)
 class FiredCells:
-    """Where N returns lie in the grid of a `DropPrior`."""
+    """Cells of N returns in the grid of a `DropPrior`."""
 
     scan: np.ndarray
-    """(N,) int64."""
+    """(N,) int64 training scan."""
     column: np.ndarray
     """(N,) int64 firing."""
     is_known: np.ndarray
-    """(N,) bool: laser and firing are; the other arrays mean nothing where not."""
+    """(N,) bool: laser and firing are known; where not, the other arrays mean nothing."""
 
 
+# Wide: each array is a column of the returns or of the scans.
 def build_drop_prior(
     laser: np.ndarray,
     firing: np.ndarray,
@@ -101,9 +101,18 @@ def build_drop_prior(
     lasers: int,
     nominal_firings: int,
 ) -> DropPrior:
-    """Fill the grid from flat returns (N,) of n scans with `offsets` (n + 1).
+    """The grid of N returns of n training scans.
 
-    Scans whose firings are unknown (`firings` 0) are laid on evenly spaced nominal ones by their time.
+    Args:
+        laser: (N,) int, 0 on top, -1 unknown.
+        firing: (N,) int, number within the sweep, -1 unknown.
+        sweep_fraction: (N,) sweeps after the pose's instant, NaN unknown.
+        offsets: (n + 1,) int: scan k's returns are offsets[k] .. offsets[k + 1] - 1.
+        firings: (n,) int, firings of each scan. 0 = unknown: its returns are assigned by their sweep fraction
+            to evenly spaced nominal firings.
+        time_s: (n,) instants of the scans.
+        lasers: Number of the sensor's lasers.
+        nominal_firings: The sensor's usual number of firings in a sweep.
     """
     fraction, cells = find_cells(
         laser, firing, sweep_fraction, offsets, firings, nominal_firings=nominal_firings
@@ -123,9 +132,15 @@ def find_cells(
     *,
     nominal_firings: int,
 ) -> tuple[np.ndarray, FiredCells]:
-    """Each scan's sweep fractions (n, f), infinite behind the last, and where each return (N,) lies.
+    """`DropPrior.fraction` (n, f) of n training scans, and the grid cells of their N returns.
 
-    Arguments as of `build_drop_prior`.
+    Args:
+        laser: (N,) int, as for `build_drop_prior`.
+        firing: (N,) int, likewise.
+        sweep_fraction: (N,), likewise.
+        offsets: (n + 1,) int, likewise.
+        firings: (n,) int, likewise.
+        nominal_firings: Likewise.
     """
     n = len(firings)
     counts = np.where(firings > 0, firings, nominal_firings)

@@ -1,1 +1,1 @@
-"""What never moves: voxels that hold returns, as surfaces; the ground; space that no ray observed."""
+"""The static part of a scene: surfels, the ground, and unobserved voxels."""

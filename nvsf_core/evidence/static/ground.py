@@ -1,4 +1,4 @@
-"""The ground as a height map, robust against what stands on it and against mirrored returns below it."""
+"""The ground as a height map, robust to objects on it and to mirrored returns below it."""
 
 from dataclasses import dataclass
 
@@ -10,36 +10,37 @@ _MOST_RETURNS = 1_000_000
 _MOST_CELLS = 4_000_000
 _PERCENTILE = 0.03
 _ABOVE_NEIGHBOURS_M = 0.6
-"""A cell that much above the lowest one within 3 m holds no ground: a car's roof, a hedge."""
+"""A cell that much higher than the lowest within 3 m is not ground but a car's roof or a hedge."""
 _MIRRORED_M, _MIRROR_PERCENTILE = 1.5, 25
-"""A cell that much below the quarter of the cells within 7 m that are lowest holds mirror images: it is left
-out before its depth is taken for that of all cells around."""
+"""A cell that much lower than the lower quartile within 7 m holds mirror images. It is left out first, so
+that its height does not spread."""
 _BELOW_NEIGHBOURS_M = 0.7
-"""A cell that much below the median within 7 m holds mirror images in puddles or bonnets."""
+"""A cell that much lower than the median within 7 m holds mirror images from puddles or car bonnets."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundMap:
-    """Height of the ground in cells of one metre."""
+    """Height of the ground in square cells of one metre."""
 
     origin_m: np.ndarray
-    """(2,) float64, lower corner in x and y, scene-local."""
+    """(2,) float64, lower corner in x and y, scene-local metres."""
     height_m: np.ndarray
-    """(a, b) float32, scene-local z."""
+    """(a, b) float32, scene-local z in metres, by x and y cell."""
 
     def above(self, point_m: np.ndarray) -> np.ndarray:
-        """Height (N,) float32 of points (N, 3) above the ground of their cell (the border's outside)."""
+        """Heights (N,) float32 metres of scene-local points (N, 3) above the ground of the nearest cell."""
         column = np.floor((point_m[:, :2] - self.origin_m) / CELL_M).astype(np.int32)
         column = np.clip(column, 0, np.array(self.height_m.shape) - 1)
         return (point_m[:, 2] - self.height_m[column[:, 0], column[:, 1]]).astype(np.float32)
 
 
 def build_ground(point_m: np.ndarray) -> GroundMap:
-    """Ground of at least one return (N, 3), scene-local, z up.
+    """Height map of the ground below at least one return (N, 3), scene-local metres, z up.
 
-    A cell's third percentile of z, but nothing where that is 1.5 m below a quarter of the 15 x 15 cells;
-    where the cell is empty or 0.6 m above the least of the 7 x 7 cells around, that least; the median of
-    3 x 3; where 0.7 m below the median of 15 x 15, that median.
+    1. Each cell takes the third percentile of its z; it is emptied where that lies 1.5 m below the lower
+       quartile of the 15 x 15 cells around.
+    2. A cell 0.6 m above the lowest of the 7 x 7 cells around takes that height; empty ones take the nearest.
+    3. Each cell takes the median of 3 x 3 cells; 0.7 m below the median of 15 x 15, it takes that median.
     """
     point_m = point_m[:: max(1, len(point_m) // _MOST_RETURNS)]
     # A few returns far off would make the map huge: beyond the extent of nearly all the border holds.

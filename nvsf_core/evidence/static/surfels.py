@@ -1,11 +1,11 @@
-"""Voxels as surfaces: mean, plane, intensity, and how often they stopped a ray or let it through."""
+"""Surfels: the surface in each voxel, and how often the voxel stopped a ray or let it pass."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.evidence.static.voxels import VoxelIndex, index_points
+from nvsf_core.evidence.static.voxels import VoxelIndex, index_points, voxel_moments
 from nvsf_core.kernels.voxel_march import (
     VoxelSurfaces,
     WalkLimits,
@@ -18,37 +18,37 @@ PLANE_EIGENVALUE_RATIO = 4.0
 _MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
 _STOP_TRANSMITTANCE = 0.005
 _NOISE_M = 0.005
-"""Returns of one surface scatter at least so far."""
+"""Smallest standard deviation of returns from one surface."""
 _DOUBT = 0.3
-"""So many returns, spread evenly over the voxel, are added to the covariance of those that there are."""
+"""Weight, in returns, of a prior that they are spread evenly over the voxel; for the covariance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surfels:
-    """One surface element a voxel; all arrays are numbered as the index numbers its voxels."""
+    """One surface element per occupied voxel; arrays are in the order of the index's voxel numbers."""
 
     index: VoxelIndex
     mean_m: np.ndarray
-    """(v, 3) float32: mean of the voxel's returns, scene-local."""
+    """(v, 3) float32: mean of the voxel's returns, scene-local metres."""
     normal: np.ndarray
     """(v, 3) float32: unit normal of the voxel's plane, 0 where there is none."""
     precision: np.ndarray
-    """(v, 6) float32, 1/m^2: inverse covariance of the voxel's returns as xx, xy, xz, yy, yz, zz; (0, 6) of
+    """(v, 6) float32, 1/m^2: inverse covariance of the voxel's returns as xx, xy, xz, yy, yz, zz; (0, 6) for
     surfels without shapes."""
     thickness_m: np.ndarray
-    """(v,) float32: standard deviation across the plane."""
+    """(v,) float32 metres: standard deviation across the plane."""
     intensity: np.ndarray
     """(v,) float32: mean intensity of the voxel's returns."""
     hits: np.ndarray
-    """(v,) int32: rays that ended in the voxel."""
+    """(v,) int32: number of rays that ended in the voxel."""
     passes: np.ndarray
-    """(v,) int32: rays that went through it; through its shape, where it has one."""
+    """(v,) int32: number of rays that passed through it, or through its shape where it has one."""
 
     ARRAYS: ClassVar[tuple[str, ...]] = (
         "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "precision", "thickness_m",
         "intensity", "hits", "passes",
     )  # fmt: skip
-    """Names of the arrays that surfels are stored as."""
+    """Names under which the arrays are stored."""
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
@@ -60,7 +60,7 @@ class Surfels:
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> "Surfels":
-        """Read back what `to_arrays` gave; other names are left alone."""
+        """Read back what `to_arrays` gave; other names are ignored."""
         a = arrays
         return Surfels(
             index=VoxelIndex(a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"]),
@@ -70,7 +70,7 @@ class Surfels:
 
     @property
     def opacity(self) -> np.ndarray:
-        """(v,) float32: share of rays that ended here, between 0 and 1 by its prior counts."""
+        """(v,) float32: share of the rays that ended here; its prior counts keep it between 0 and 1."""
         return ((self.hits + 0.1) / (self.hits + self.passes + 0.2)).astype(np.float32)
 
     @property
@@ -81,28 +81,24 @@ class Surfels:
         )
 
     def walk_limits(self, near_m: float, far_m: float, most: int) -> WalkLimits:
-        """A walk from near to far, over at most so many surfaces.
-
-        What is left of a voxel's opacity for a ray that misses its shape, or without one its plane, is a
-        constant of the method.
-        """
+        """Limits of a walk from near to far, over at most so many surfaces."""
         missed_share = _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
         return WalkLimits(float(near_m), float(far_m), most, missed_share, _STOP_TRANSMITTANCE)
 
     @property
     def is_planar(self) -> np.ndarray:
-        """(v,) bool."""
+        """(v,) bool: whether the returns lie on a plane."""
         return np.asarray(np.any(self.normal != 0, axis=1))
 
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Surfaces that rays may end on, in order along each ray; see `find_candidates`."""
+    """Surfaces on which rays may end, in order along each ray; see `find_candidates`."""
 
     range_m: np.ndarray
-    """(r, k) float32."""
+    """(r, k) float32 metres."""
     voxel: np.ndarray
-    """(r, k) int32, -1 where there is none."""
+    """(r, k) int32 number of the surfel, -1 where there is none."""
     opacity: np.ndarray
     """(r, k) float32, 0 where there is none."""
     cosine: np.ndarray
@@ -116,6 +112,7 @@ class Candidates:
         return np.asarray(self.opacity * before)
 
 
+# Wide: four arrays are columns of the same rays; the rest are independent settings.
 def build_surfels(
     origin_m: np.ndarray,
     direction: np.ndarray,
@@ -127,22 +124,30 @@ def build_surfels(
     is_surface: np.ndarray | None = None,
     shaped: bool = False,
 ) -> Surfels:
-    """Surfels of all returns of the training sweeps, scene-local: origins (n, 3), unit directions, ranges.
+    """Surfels of the returns of rays.
 
-    A ray sees through every voxel that it crosses up to one voxel before its return. With shapes it sees
-    through the returns of a voxel that it leaves half a voxel before its own return, and passes as closely as
-    one of them would: the road, over which flat rays pass through its voxels, and a wall beside a gap stay
-    opaque. A renderer that learns nothing needs shapes; a field learns less from them (decision 0013).
+    Without shapes, a ray passes through every voxel that it crosses up to one voxel before its return. With
+    shapes, it passes through a voxel only if it comes as near to the voxel's returns as one of them would,
+    and leaves it half a voxel before its own return. So a road stays opaque below rays that graze it, and a
+    wall beside a gap. `reproject` needs shapes; a field learns less from them (decision 0013).
 
-    Returns that are not `is_surface` (n,) bool, such as those of moving objects, make no surface, but still
-    see through.
+    Args:
+        origin_m: (n, 3) scene-local, metres.
+        direction: (n, 3) unit, scene-local axes.
+        range_m: (n,) metres to the return.
+        intensity: (n,) of the return, 0..1.
+        voxel_m: Edge of a voxel.
+        threads: CPU threads.
+        is_surface: (n,) bool: the return is part of a surface. False for example on moving objects, whose
+            rays then only pass through voxels. None = all are.
+        shaped: Whether surfels get shapes (`Surfels.precision`).
     """
     kept = slice(None) if is_surface is None else is_surface
     points = origin_m[kept] + direction[kept] * range_m[kept, None]
     index, voxel = index_points(points, voxel_m)
     count = index.voxel_count
     hits = np.bincount(voxel, minlength=count)
-    mean, covariance = _moments(points, voxel, hits)
+    mean, covariance = voxel_moments(points, voxel, hits)
     normal, thickness = _planes(covariance, hits)
     mean_m = mean.astype(np.float32)
     precision = _precision(covariance, hits, voxel_m) if shaped else np.zeros((0, 6), np.float32)
@@ -171,7 +176,16 @@ def build_surfels(
 def candidates_of(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, *, most: int, near_m: float, far_m: float
 ) -> Candidates:
-    """Surfaces that rays (n, 3), scene-local, may end on between near and far."""
+    """Surfaces on which rays may end.
+
+    Args:
+        surfels: All surfaces.
+        origin_m: (n, 3) in the surfels' frame, metres.
+        direction: (n, 3) unit.
+        most: Most surfaces per ray.
+        near_m: Least range.
+        far_m: Greatest range.
+    """
     range_m, voxel, opacity, cosine, _ = find_candidates(
         np.ascontiguousarray(origin_m, np.float32),
         np.ascontiguousarray(direction, np.float32),
@@ -182,24 +196,8 @@ def candidates_of(
     return Candidates(range_m, voxel, opacity, cosine)
 
 
-def _moments(points: np.ndarray, voxel: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (v, 3) and covariance (v, 3, 3) of each voxel's points, in float64 about the voxel's mean."""
-    count = len(hits)
-    mean = (
-        np.stack([np.bincount(voxel, weights=points[:, a], minlength=count) for a in range(3)], 1)
-        / hits[:, None]
-    )
-    centred = points - mean[voxel]
-    covariance = np.empty((count, 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / hits
-            covariance[:, a, b] = covariance[:, b, a] = moment
-    return mean, covariance
-
-
 def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (v, 3) float32, 0 where the returns are too few or too round, and thickness (v,) metres."""
+    """Normals (v, 3) float32, 0 where returns are too few or no plane, and thickness (v,) in metres."""
     values, vectors = np.linalg.eigh(covariance)
     planar = (hits >= MIN_PLANE_RETURNS) & (values[:, 1] > PLANE_EIGENVALUE_RATIO * values[:, 0])
     normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
@@ -207,10 +205,10 @@ def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.ndarray:
-    """Inverse covariances (v, 6) float32 of returns, 1/m^2, of which few are doubted."""
+    """Inverse covariances (v, 6) float32 of returns, 1/m^2, smoothed where returns are few."""
     # A coordinate that is even over a voxel has the variance voxel_m^2 / 12.
     even, noise = _DOUBT * voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
-    told = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
-    precision = np.linalg.inv(told + noise)
+    smoothed = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
+    precision = np.linalg.inv(smoothed + noise)
     rows, columns = np.triu_indices(3)
     return precision[:, rows, columns].astype(np.float32)

@@ -1,4 +1,4 @@
-"""Voxels beside proven surfaces that no ray observed: a surface may continue there."""
+"""Unobserved voxels beside surfels: no ray met or crossed them, so the surface may continue there."""
 
 import numpy as np
 
@@ -13,18 +13,18 @@ _NO_SHAPES = np.zeros((0, 6), np.float32)
 def unobserved_beside(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, *, threads: int
 ) -> Surfels | None:
-    """Voxels that share a face with a proven one, hold no return, and that no ray crossed.
+    """Unobserved voxels that share a face with a surfel's voxel, as surfels of opacity one half.
 
     Args:
         surfels: The proven surfaces.
-        origin_m: (n, 3) scene-local, of all rays, those that end on moving objects included.
-        direction: (n, 3) unit.
-        range_m: (n,) to the returns.
-        threads: Of the walk.
+        origin_m: (n, 3) scene-local metres, of all rays, those that end on moving objects included.
+        direction: (n, 3) unit, scene-local axes.
+        range_m: (n,) metres to the returns.
+        threads: CPU threads.
 
     Returns:
-        Surfels with neither hits nor passes, so that their opacity is one half: no planes, centred in their
-        voxels, with the intensity of a proven neighbour. None where there are no such voxels.
+        Surfels in the middle of their voxels, without hits, passes or planes, each with the intensity of one
+        surfel beside it. None where there are none.
     """
     voxel_m = surfels.index.voxel_m
     middle_m, beside = _empty_beside(surfels)
@@ -51,7 +51,7 @@ def unobserved_beside(
 
 
 def _empty_beside(surfels: Surfels) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (n, 3) float64 of empty voxels across all faces of proven ones, and across whose (n,)."""
+    """Middles (n, 3) float64 of the empty voxels beside surfels, and numbers (n,) of those surfels."""
     index = surfels.index
     place = (index.places()[:, None] + _FACES).reshape(-1, 3)
     empty = np.flatnonzero(index.find(place) < 0)

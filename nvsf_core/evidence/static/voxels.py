@@ -1,4 +1,4 @@
-"""A sparse index of the voxels that hold returns, in bricks, ready for the march; planes of their points."""
+"""A sparse index of the voxels that hold returns, in bricks of 8 x 8 x 8; and how their points scatter."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,16 @@ from scipy.spatial import cKDTree
 from nvsf_core.errors import DataError
 
 BRICK = 8
+"""Voxels along each edge of a brick."""
 
 
 class VoxelIndex(NamedTuple):
     """Numbers the voxels that hold at least one return."""
 
     origin_m: np.ndarray
-    """(3,) float64: lower corner, scene-local."""
+    """(3,) float64 metres: lower corner of the grid, scene-local."""
     voxel_m: float
-    """Edge of a voxel."""
+    """Edge of a voxel, metres."""
     bricks: np.ndarray
     """(bx, by, bz) int32: a brick's row in `cells`, or -1."""
     cells: np.ndarray
@@ -28,7 +29,7 @@ class VoxelIndex(NamedTuple):
         return int(self.cells.max(initial=-1)) + 1
 
     def places(self) -> np.ndarray:
-        """(v, 3) int64: which voxel of the grid each numbered one is, along each axis from its corner."""
+        """(v, 3) int64: grid coordinates of each numbered voxel, counted from the lower corner."""
         brick = np.argwhere(self.bricks >= 0)
         corner = np.empty_like(brick)
         corner[self.bricks[tuple(brick.T)]] = brick * BRICK
@@ -38,7 +39,7 @@ class VoxelIndex(NamedTuple):
         return found
 
     def find(self, place: np.ndarray) -> np.ndarray:
-        """(n,) int32 numbers of the voxels at places (n, 3) int of the grid; -1 where there is none."""
+        """(n,) int32 numbers of the voxels at grid coordinates (n, 3) int; -1 where there is none."""
         inside = np.all((place >= 0) & (place < np.array(self.bricks.shape) * BRICK), axis=1)
         x, y, z = place[inside].T
         row = self.bricks[x // BRICK, y // BRICK, z // BRICK]
@@ -49,7 +50,7 @@ class VoxelIndex(NamedTuple):
 
 
 def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.ndarray]:
-    """Build the index over points (n, 3), scene-local metres, and say which voxel each point lies in.
+    """Build the index over points (n, 3), scene-local metres, and find the voxel of each point.
 
     Returns:
         The index, and (n,) int32 voxel numbers.
@@ -83,7 +84,7 @@ def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.n
 
 
 def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
-    """Number the entries of a flat table of -1 that `place` (n,) names, ascending, without a sort.
+    """Number the entries `place` (n,) of a flat table of -1 in ascending order, without sorting.
 
     Returns:
         How many there are, and (n,) int32 the number at each place.
@@ -94,15 +95,37 @@ def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
     return len(named), table[place]
 
 
+def voxel_moments(
+    points_m: np.ndarray, voxel: np.ndarray, returns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (v, 3) and covariance (v, 3, 3) float64 of each voxel's points, metres.
+
+    Args:
+        points_m: (n, 3) metres.
+        voxel: (n,) number of the voxel of each point, from `index_points`.
+        returns: (v,) number of points in each voxel, at least 1.
+    """
+    count = len(returns)
+    total = np.stack([np.bincount(voxel, weights=points_m[:, a], minlength=count) for a in range(3)], axis=1)
+    mean = total / returns[:, None]
+    centred = points_m - mean[voxel]
+    covariance = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / returns
+            covariance[:, a, b] = covariance[:, b, a] = moment
+    return mean, covariance
+
+
 PLANE_POINTS = 8
-"""Neighbours, itself included, that tell a point's plane."""
+"""Neighbours, itself included, from which a point's plane is fitted."""
 
 
 def planes_around(point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How points (n, 3), n >= 8, scatter with their 8 nearest.
+    """Principal axes of each point (n, 3), n >= 8, with its 8 nearest points.
 
     Returns:
-        Sums of squares (n, 3) along the principal axes, ascending; the first axis (n, 3), a unit normal.
+        Sums of squares (n, 3) along the principal axes, ascending; the first axis (n, 3), the unit normal.
     """
     _, near = cKDTree(point_m).query(point_m, PLANE_POINTS)
     apart = point_m[near] - point_m[near].mean(axis=1, keepdims=True)

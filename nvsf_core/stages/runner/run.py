@@ -23,8 +23,8 @@ from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
-DEMO_SCENE = "demo"
-"""The scene whose drive is written when it is absent."""
+DEMO_SCENE, STREET_SCENE = "demo", "street"
+"""Scenes of the embedded street, short and full: their drives are written here where they are absent."""
 DEFAULT_RECIPE = "lean"
 """Used if neither the user nor the catalogue names one."""
 
@@ -178,18 +178,27 @@ def find_scene(name: str) -> SceneEntry:
     raise DataError(f"no scene {name!r} in the catalogue; it has {known}. NVSF_SCENES names other catalogues")
 
 
-def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
-    """Write the embedded drive if the scene is the demo and its drive is absent."""
-    if scene.name != DEMO_SCENE or has_data(scene):
-        return
-    # The writer loads scipy and cv2: imported only where a drive is written.
-    from nvsf_core.demo.drive import DEMO_SEQUENCE, write_demo
+def is_embedded(scene: SceneEntry) -> bool:
+    """Whether the scene's drive is the embedded street, which is written where it is absent."""
+    # The writer loads scipy and cv2: imported only where a drive may be written.
+    from nvsf_core.demo.drive import DEMO_SEQUENCE
 
-    if scene.sequence != DEMO_SEQUENCE:
-        return  # a user's own drive of the same name
+    # A drive of the same name with another sequence is the user's own.
+    return scene.name in (DEMO_SCENE, STREET_SCENE) and scene.sequence == DEMO_SEQUENCE
+
+
+def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
+    """Write the embedded drive if the scene is one of the embedded street and its drive is absent."""
+    if has_data(scene) or not is_embedded(scene):
+        return
+    from nvsf_core.demo.drive import DemoSize, write_demo
+
+    size = DemoSize.full() if scene.name == STREET_SCENE else DemoSize.short()
     progress(f"[{scene.name}] drive: writing the embedded street to {scene.root}")
     started, say = time.perf_counter(), sparse(progress)
-    write_demo(scene.root, progress=lambda done, n: say(f"[{scene.name}] drive: {done} of {n} frames"))
+    write_demo(
+        scene.root, size=size, progress=lambda done, n: say(f"[{scene.name}] drive: {done} of {n} frames")
+    )
     progress(f"[{scene.name}] drive: written in {time.perf_counter() - started:.1f} s")
 
 

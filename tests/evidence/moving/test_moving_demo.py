@@ -29,11 +29,9 @@ def demo_returns() -> tuple[TimedReturns, np.ndarray, DemoWorld]:
     trajectory = Trajectory(instants, poses, poses[0, :3, 3])
     scans = [simulate_scan(world, frame, LASERS, FIRINGS) for frame in FRAMES]
     points = []
-    for frame, scan in zip(FRAMES, scans, strict=True):
-        fraction = (scan.time_s - instants[frame]) / FRAME_PERIOD_S
-        origin, direction, range_m = compensate(
-            HDL_64E, scan.points_m, LASERS[scan.laser], fraction, instants[frame], FRAME_PERIOD_S, trajectory
-        )
+    for scan in scans:
+        laser = LASERS[scan.laser]
+        origin, direction, range_m = compensate(HDL_64E, scan.points_m, laser, scan.time_s, trajectory)
         points.append((origin + range_m[:, None] * direction).astype(np.float32))
     returns = TimedReturns(
         point_m=np.concatenate(points),
@@ -127,11 +125,10 @@ def test_rays_of_the_left_out_scan_meet_what_stands_within_two_centimetres(stree
         fired_from.astype(np.float32), (along / range_m[:, None]).astype(np.float32),
         range_m.astype(np.float32), np.zeros(len(range_m)), voxel_m=0.2, threads=1, shaped=shaped,
     )  # fmt: skip
-    scan, instant = simulate_scan(world, 15, LASERS, FIRINGS), 15 * FRAME_PERIOD_S
+    scan = simulate_scan(world, 15, LASERS, FIRINGS)
     origin, direction, _ = compensate(
-        HDL_64E, scan.points_m, LASERS[scan.laser], (scan.time_s - instant) / FRAME_PERIOD_S, instant,
-        FRAME_PERIOD_S, returns.trajectory,
-    )  # fmt: skip
+        HDL_64E, scan.points_m, LASERS[scan.laser], scan.time_s, returns.trajectory
+    )
     stood = ~np.isin(scan.instance, [OWN_VEHICLE, *(mover.object_id for mover in world.street.movers)])
     found = reproject_rays(
         surfels, origin[stood].astype(np.float32), direction[stood].astype(np.float32),

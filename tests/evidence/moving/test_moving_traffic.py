@@ -27,11 +27,9 @@ def traffic() -> tuple[np.ndarray, np.ndarray, MovingObjects]:
     trajectory = Trajectory(instants, poses, poses[0, :3, 3])
     scans = [simulate_scan(world, frame, LASERS, 1000) for frame in range(FRAMES)]
     points = []
-    for instant, scan in zip(instants, scans, strict=True):
-        fraction = (scan.time_s - instant) / FRAME_PERIOD_S
-        origin, direction, range_m = compensate(
-            HDL_64E, scan.points_m, LASERS[scan.laser], fraction, instant, FRAME_PERIOD_S, trajectory
-        )
+    for scan in scans:
+        laser = LASERS[scan.laser]
+        origin, direction, range_m = compensate(HDL_64E, scan.points_m, laser, scan.time_s, trajectory)
         points.append((origin + range_m[:, None] * direction).astype(np.float32))
     instance = np.concatenate([scan.instance for scan in scans])
     returns = TimedReturns(

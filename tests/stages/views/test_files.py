@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.ply import read_ply
 from nvsf_core.errors import DataError
 from nvsf_core.stages.views.files import file_numbers, scans_of, write_scans
+from tests.clouds.ply_reader import read_ply
 
 SCAN = np.arange(12, dtype=np.float32).reshape(3, 4) / 12.0
 

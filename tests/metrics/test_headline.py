@@ -1,0 +1,41 @@
+"""The few lines that a run ends with."""
+
+import math
+
+from nvsf_core.metrics.headline import headline
+from tests.metrics.test_table import _row
+
+
+def rows_of(method: str, chamfer_m2: float, f_score: float) -> list[dict]:
+    return [
+        _row(recipe=method, value=chamfer_m2),
+        _row(recipe=method, metric="f_score", unit="1", value=f_score),
+        _row(recipe=method, metric="f_score", unit="1", value=0.0, split="shift_1m"),
+    ]
+
+
+def test_it_says_where_the_model_wins_and_which_baseline_wins_elsewhere() -> None:
+    rows = [*rows_of("mesh", 0.02, 0.90), *rows_of("reproject", 0.03, 0.97), *rows_of("quick", 0.01, 0.95)]
+    lines = headline(rows).splitlines()
+    assert lines[0] == "demo: quick beats every baseline in CD"
+    assert lines[1] == "  reproject is better in F"
+    assert [line.split()[0] for line in lines[3:6]] == ["quick", "reproject", "mesh"]
+    assert lines[3].split()[1:] == ["0.0100", "0.9500"]
+
+
+def test_it_fits_a_terminal_of_eighty_columns() -> None:
+    every = [("lidar4d_scan", name) for name in ("chamfer_m2", "f_score", "range_psnr_db", "hit_accuracy")]
+    every += [("image", name) for name in ("image_psnr_db", "image_lpips_squeeze")]
+    rows = [
+        _row(recipe=method, protocol=protocol, metric=metric, value=12.0 + len(method))
+        for method in ("lean", "reproject", "copy_nearest", "mesh")
+        for protocol, metric in every
+    ]
+    lines = headline(rows).splitlines()
+    assert len(lines) <= 10 and max(map(len, lines)) <= 80
+
+
+def test_what_nobody_measured_is_neither_won_nor_lost() -> None:
+    rows = [_row(recipe="quick", value=math.nan), _row(recipe="reproject", value=0.1)]
+    assert headline(rows).splitlines()[0] == "demo: quick beats every baseline in nothing"
+    assert headline([_row(recipe="reproject")]) == "" and headline([]) == ""
