@@ -24,7 +24,7 @@ class End:
     """How a case ended."""
 
     kind: str
-    """refused, doubted, healed, harmless; silent, raw error, hang, crash."""
+    """`refused`, `doubted`, `healed`, `harmless`; `silent`, `raw error`, `hang`, `crash`."""
     words: str = ""
     """The error's, or what was doubted."""
 

@@ -1,4 +1,4 @@
-"""What is harmed, and how its end is told: a drive, a home, a catalogue, a run's choices."""
+"""What is harmed, and how it ends: a drive, a home, a catalogue, a run's choices."""
 
 import contextlib
 import hashlib

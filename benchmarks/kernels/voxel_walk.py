@@ -1,4 +1,4 @@
-"""Rays a second of the walk through the evidence's voxels, and how far its answers are off.
+"""Rays a second of the walk through the evidence's voxels, and how far its ranges are off.
 
 ``python -m benchmarks.kernels.voxel_walk`` measures SCENES (default: all whose `evidence` lies under
 NVSF_HOME) on an otherwise idle machine, writes benchmarks/results/voxel_walk.json and brings docs/results.md

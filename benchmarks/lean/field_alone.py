@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.lean.field_alone`` takes, for each of SCENES (default: k360_street), the size of
 `paper_cpu` that was the best on left-out frames, gives it the seconds that `lean` took there on the mean,
-renders and judges every held-out frame, and brings the results up to date. It reads what ``make bench``
+renders and scores every held-out frame, and brings the results up to date. It reads what ``make bench``
 left: the sizes, the curve and `lean`.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks.common.places import ROOT
 from benchmarks.speed_error.curves import SCENE
-from benchmarks.speed_error.plan import FULL, RESULTS, read_result, result_path
+from benchmarks.speed_error.plan import FULL, RESULTS, OneRun, read_result
 from benchmarks.speed_error.sizes import NAME, chosen_size, timed
 from benchmarks.tables.results_table import RECIPES, measured_rows, write
 from nvsf_core.drives.catalogue import home_from_environment
@@ -36,7 +36,7 @@ def equally_long(curves: Path, recipes: Path, scene: str) -> PaperRecipe:
         DataError: The curve or `lean` was not measured on this scene yet.
         FileNotFoundError: A size was not.
     """
-    curve_path = result_path(curves, scene, FULL, NAME, _SEED)
+    curve_path = OneRun(scene, FULL, NAME, _SEED).path(curves)
     curve, lean = read_result(curve_path), recipes / f"{DEFAULT_RECIPE}.json"
     seconds = [row["train_seconds"] for row in measured_rows(lean) if row["scene"] == scene]
     if curve is None or not seconds:
@@ -50,7 +50,7 @@ def equally_long(curves: Path, recipes: Path, scene: str) -> PaperRecipe:
 
 
 def main() -> None:
-    """Train, render, judge, and write the tables."""
+    """Train, render, score, and write the tables."""
     home = home_from_environment(os.environ)
     for scene in os.environ.get("SCENES", "").split() or [SCENE]:
         run_scene(scene, home, recipe=equally_long(RESULTS, ROOT / RECIPES, scene), seed=_SEED)

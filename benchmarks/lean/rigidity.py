@@ -8,8 +8,8 @@ Each scan's returns of a moving object are laid, by its rigid path, over those o
 (as many as the renderer uses) and compared with the plane through the 8 nearest of them. The same is done
 with returns of what stands, at the same distances from the sensor and heights above the ground, and with the
 moving object's returns as if it had stood still. A limb that swings lies between its other places, and hardly
-off them: so the same rays are also answered by surfels of those 4 scans, as the renderer does, and ranges
-compared: what blurs shows there. The same is told of objects that have a flow, with it.
+off them: so the same rays are also rendered from surfels of those 4 scans, as the renderer does, and ranges
+compared: what blurs shows there. Objects that have a flow are rendered with it, too.
 """
 
 import argparse
@@ -47,7 +47,7 @@ _UNSEEN_M = 0.5
 VEHICLE_M = 2.5
 """What is at least as long is a vehicle; smaller things are people, on foot or on wheels."""
 FEWEST_RETURNS = 1000
-"""Of an object that is told by itself: below it, its own surface is hardly known."""
+"""Of an object that has a row of its own: below it, its own surface is hardly known."""
 _HIGHEST_M = 2.5
 _STANDING_A_SCAN = 4000
 _RENDERED_EVERY = 4
@@ -80,7 +80,7 @@ class Moved(NamedTuple):
     """The same as if it had stood still."""
     range_m: np.ndarray
     error_m: np.ndarray
-    """Of the range that these scans' surfels answer."""
+    """Of the range that these scans' surfels give."""
     error_range_m: np.ndarray
     flowing_m: np.ndarray
     """Range errors with a flow, where the object has one."""
@@ -117,11 +117,11 @@ def joined(parts: Sequence[Moved]) -> Moved:
 def _range_error_m(
     surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray
 ) -> np.ndarray:
-    """Absolute range errors (r,) of answers by evidence alone; NaN where it has none."""
-    answered = reproject_rays(
+    """Absolute range errors (r,) of what evidence alone renders; NaN where that is nothing."""
+    rendered = reproject_rays(
         surfels, origin_m, direction, np.ones(len(range_m), np.float32), most=_MOST_SURFACES, far_m=2 * _FAR_M
     )
-    error = np.abs(answered.range_m - range_m)
+    error = np.abs(rendered.range_m - range_m)
     return np.where(np.isfinite(error), error, np.nan)
 
 
@@ -131,7 +131,7 @@ class AboveGround(NamedTuple):
     distance_m: np.ndarray
     """Distance to its surface as 4 other scans show it, and range."""
     error_m: np.ndarray
-    """Range error of what these scans' surfels answer, and range."""
+    """Range error of what these scans' surfels give, and range."""
 
 
 def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> AboveGround:
@@ -180,7 +180,7 @@ def figures(distance_m: np.ndarray) -> dict[str, float]:
 
 
 def like(static: np.ndarray, range_m: np.ndarray) -> np.ndarray:
-    """Distances (n,) of standing returns at the ranges of some others, as many at each as those are."""
+    """Distances (n,) of static returns at the ranges of some others, as many at each as those are."""
     random, low = np.random.default_rng(0), np.quantile(range_m, [0.0, 0.25, 0.5, 0.75, 1.0])
     parts = [static[(static[:, 1] >= a) & (static[:, 1] <= b), 0] for a, b in itertools.pairwise(low)]
     count = min((len(part) for part in parts if len(part)), default=0)

@@ -58,9 +58,9 @@ class Variant:
 
 
 def variants() -> tuple[Variant, ...]:
-    """The first is the one that is judged; the others say what its choices were for.
+    """The first is the one that has targets; the others say what its choices were for.
 
-    Chamfer distance on single scans goes on falling after the flow is right: on what stands still, the points
+    Chamfer distance on single scans goes on falling after the flow is right: on what is static, the points
     of the next scan lie elsewhere, and the flow learns to follow them. A grid without fine levels and few
     steps keep it from that; so does a small weight on |flow|, which the paper does not have.
     """
@@ -159,7 +159,7 @@ def errors_m(motions: list[TrueMotion], displacements: Displacements) -> list[di
 
 
 def measure(motions: list[TrueMotion], bounds: Bounds) -> dict[str, Any]:
-    """Train every variant and judge it beside the baselines."""
+    """Train every variant and measure it beside the baselines."""
     rows = [{"method": "zero flow"} | row for row in errors_m(motions, nothing)]
     rows += [{"method": "nearest in time"} | row for row in errors_m(motions, nearest_in_time(motions))]
     runs = []
@@ -210,7 +210,7 @@ def frame_count(motions: list[TrueMotion]) -> int:
 
 
 def targets(rows: list[dict[str, Any]], judged: str) -> dict[str, bool]:
-    """Which targets every seed of the judged variant meets on the training frames."""
+    """Which targets every seed of the variant `judged` meets on the training frames."""
     worst: dict[tuple[str, str], float] = {}
     for row in rows:
         if row["split"] == "train":

@@ -91,7 +91,15 @@ def _motion(
 def displacements_m(
     world: DemoWorld, points_m: np.ndarray, times_s: np.ndarray, instance: np.ndarray, after_s: float
 ) -> np.ndarray:
-    """Displacements (n, 3) of points in the world that are rigidly tied to what they lie on."""
+    """Displacements (n, 3) in metres of points that are rigidly tied to what they lie on.
+
+    Args:
+        world: The demo's.
+        points_m: (n, 3) in the world.
+        times_s: (n,) when they are there.
+        instance: (n,) what they lie on.
+        after_s: How much later is asked about; negative = earlier.
+    """
     moved = np.zeros_like(points_m)
     for number in _MOVERS:
         on = np.flatnonzero(instance == number)

@@ -12,15 +12,16 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 from benchmarks.speed_error.document import write_document
-from benchmarks.speed_error.plan import FULL, MARKS_S, RESULTS, VAL, read_result, result_path
+from benchmarks.speed_error.plan import FULL, MARKS_S, RESULTS, VAL, OneRun, read_result
 from benchmarks.speed_error.sizes import NAME as PAPER_CPU
 from benchmarks.speed_error.sizes import SIZE_SECONDS, SIZES, chosen_size
 from nvsf_core.drives.catalogue import catalogue_from_environment, has_data
 from nvsf_core.metrics.table import BASELINES
-from nvsf_core.recipe import PaperRecipe, preset
+from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.stages.runner.run import DEMO_SCENE, say_on_stderr
 
 SCENE = "k360_street"
@@ -38,15 +39,13 @@ class Asked:
     splits: tuple[str, ...]
     marks_s: tuple[float, ...]
 
-    def runs(self) -> Iterator[tuple[str, str, str, int]]:
-        """Scene, split, recipe and seed: the baselines first, the first seed of all before the second."""
-        for scene in self.scenes:
-            for split in self.splits:
-                yield from ((scene, split, name, 0) for name in BASELINES)
-                for seed in self.seeds:
-                    for name in self.recipes:
-                        if seed == self.seeds[0] or not isinstance(preset(name), PaperRecipe):
-                            yield scene, split, name, seed
+    def runs(self) -> Iterator[OneRun]:
+        """The baselines first, the first seed of all recipes before the second."""
+        for scene, split in product(self.scenes, self.splits):
+            yield from (OneRun(scene, split, name, 0) for name in BASELINES)
+            for seed, name in product(self.seeds, self.recipes):
+                if seed == self.seeds[0] or not isinstance(preset(name), PaperRecipe):
+                    yield OneRun(scene, split, name, seed)
 
 
 def asked_from(environ: Mapping[str, str]) -> Asked:
@@ -69,33 +68,37 @@ def asked_from(environ: Mapping[str, str]) -> Asked:
 def measure(asked: Asked, results: Path = RESULTS) -> list[str]:
     """Do the runs that are not done, each in a process of its own; returns those that failed, in words."""
     failed: list[str] = []
-    for scene, split, recipe, seed in asked.runs():
-        if is_done(results, scene, split, recipe, seed):
-            say_on_stderr(f"[{scene}] {recipe}, split {split}, seed {seed}: measured before")
+    for run in asked.runs():
+        if is_done(results, run):
+            say_on_stderr(f"[{run.scene}] {run.recipe}, split {run.split}, seed {run.seed}: measured before")
             continue
-        sizes = [*SIZES, *BASELINES] if recipe == PAPER_CPU else []
-        wanted = [
-            (VAL, size, [SIZE_SECONDS]) for size in sizes if not is_done(results, scene, VAL, size, seed)
-        ]
-        for place, name, marks in [*wanted, (split, recipe, asked.marks_s)]:
-            run = (scene, place, name, str(seed), "--marks", *map(str, marks))
-            code = _prepare(scene, place) or _process(*run)
+        sizes = [*SIZES, *BASELINES] if run.recipe == PAPER_CPU else []
+        first = [run._replace(split=VAL, recipe=size) for size in sizes]
+        wanted = [(one, (SIZE_SECONDS,)) for one in first if not is_done(results, one)]
+        for one, marks in [*wanted, (run, asked.marks_s)]:
+            command = (*map(str, one), "--marks", *map(str, marks))
+            code = _prepare(one.scene, one.split) or _process(*command)
             if code:
-                failed.append(f"{scene}, split {place}, {name}, seed {seed}: exit code {code}")
+                failed.append(
+                    f"{one.scene}, split {one.split}, {one.recipe}, seed {one.seed}: exit code {code}"
+                )
                 break
     return failed
 
 
-def is_done(results: Path, scene: str, split: str, recipe: str, seed: int) -> bool:
+def is_done(results: Path, run: OneRun) -> bool:
     """Whether the run left its JSON, with the recipe as it is today."""
-    found = read_result(result_path(results, scene, split, recipe, seed))
-    if found is None or recipe in BASELINES:
+    found = read_result(run.path(results))
+    if found is None or run.recipe in BASELINES:
         return found is not None
-    if recipe == PAPER_CPU:
-        done = all(is_done(results, scene, VAL, size, seed) for size in SIZES)
-        return done and found["run"]["recipe_identity"] == chosen_size(results, scene, seed).identity()
-    asked = SIZES[recipe] if recipe in SIZES else preset(recipe)
-    return found["run"]["recipe_identity"] == asked.identity()
+    if run.recipe == PAPER_CPU:
+        if not all(is_done(results, run._replace(split=VAL, recipe=size)) for size in SIZES):
+            return False
+        asked: Recipe = chosen_size(results, run.scene, run.seed)
+    else:
+        asked = SIZES[run.recipe] if run.recipe in SIZES else preset(run.recipe)
+    identity: str = found["run"]["recipe_identity"]
+    return identity == asked.identity()
 
 
 @cache

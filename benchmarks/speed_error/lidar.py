@@ -1,7 +1,7 @@
 """The LiDAR that a curve is scored by: a fixed quarter of the pano, and every fourth recorded ray."""
 
+from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -19,12 +19,8 @@ _ROUGH_RANGE_M = 20.0
 """Where a ray is taken to end when it is asked which column it falls into."""
 WHOLE, SECTORS = LinearPano(reference_quirks=True), QuarterPano(reference_quirks=True, block=32)
 
-
-class Answers(Protocol):
-    """The LiDAR of a method: the scan of a frame, and ranges along recorded rays."""
-
-    def __call__(self, number: int, /) -> tuple[PanoImage, np.ndarray]:
-        """The frame's pano, whole, and the ranges along every fourth recorded ray."""
+Answers = Callable[[int], tuple[PanoImage, np.ndarray]]
+"""The LiDAR of a method: of each scored frame its pano, whole, and ranges along every fourth recorded ray."""
 
 
 def quarter_of_rays(lidar: LidarRecording, plan: SweepPlan, time_s: float, prior_scans: int) -> SweepRays:
@@ -54,7 +50,7 @@ def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> 
 
     def answer(number: int) -> tuple[PanoImage, np.ndarray]:
         frame, time_s = int(plan.frame[number]), float(plan.time_s[number])
-        points, intensity, laser = RenderedSweep.of(*_quarter_turn(lidar, plan, model, time_s)).scan()
+        points, intensity, laser = RenderedSweep.of(*_quarter_sweep(lidar, plan, model, time_s)).scan()
         pano = project_scan(WHOLE, Scan(points_m=points, intensity=intensity, laser=laser))
         a, part = sweeps.arrays, sweeps.returns_of(scan_of(lidar, frame))
         rays = (a[name][part][::SHARE] for name in ("origin_m", "direction", "laser", "sweep_fraction"))
@@ -63,10 +59,10 @@ def model_answers(lidar: LidarRecording, plan: SweepPlan, model: SceneModel) -> 
     return answer
 
 
-def _quarter_turn(
+def _quarter_sweep(
     lidar: LidarRecording, plan: SweepPlan, model: SceneModel, time_s: float
 ) -> tuple[SweepRays, RenderedRays]:
-    """The chosen columns' rays, answered; what corrects a turn is asked about the whole of it."""
+    """The chosen columns' rays, rendered; what corrects a sweep is asked about the whole of it."""
     if model.correct is None:
         rays = quarter_of_rays(lidar, plan, time_s, model.prior_scans)
         rendered = render_along(

@@ -1,4 +1,4 @@
-"""A training's weights as they were at fixed seconds, saved while the training's clock stands still."""
+"""A training's weights as they were at fixed seconds, saved while the training's clock is stopped."""
 
 import time
 from bisect import bisect_right
@@ -77,7 +77,7 @@ class Marks:
         self._started += self._seen - now
 
     def finish(self) -> None:
-        """Stop the clock that runs; what came after its last step (a U-Net, judging) counts to it."""
+        """Stop the clock that runs; what came after its last step (a U-Net, validation) counts to it."""
         if self._clock:
             spent = time.perf_counter() - self._started
             self.seconds[self._clock] = spent + self.before_s.get(self._clock, 0.0)

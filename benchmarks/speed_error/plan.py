@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks.common import places
 from benchmarks.common.stored import write_whole
@@ -19,6 +19,19 @@ MARKS_S = (5.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 FULL, VAL = "full", "val"
 _VAL_EVERY = 7
 _SPLIT = re.compile(r"(full|val)|(every|frames|images)([1-9]\d*)")
+
+
+class OneRun(NamedTuple):
+    """What one training measures; a baseline is a recipe too."""
+
+    scene: str
+    split: str
+    recipe: str
+    seed: int
+
+    def path(self, results: Path) -> Path:
+        """Where it leaves its JSON."""
+        return results / self.scene / self.split / f"{self.recipe}-{self.seed}.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,11 +86,6 @@ def split_of(scene: SceneEntry, name: str) -> Split:
         return Split(name=name, entry=_held_out(scene, left_out), scored=scene.test_frames)
     divisor = number if kind == "images" else 1
     return Split(name=name, entry=scene, scored=scene.test_frames, image_divisor=divisor)
-
-
-def result_path(results: Path, scene: str, split: str, recipe: str, seed: int) -> Path:
-    """Where a run leaves its JSON."""
-    return results / scene / split / f"{recipe}-{seed}.json"
 
 
 def read_result(path: Path) -> dict[str, Any] | None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks.common.commit import commit
 from benchmarks.speed_error.marks import CAMERA, LIDAR, Marked, Marks
-from benchmarks.speed_error.plan import FULL, MARKS_S, RESULTS, Split, result_path, split_of, write_result
+from benchmarks.speed_error.plan import FULL, MARKS_S, RESULTS, OneRun, Split, split_of, write_result
 from benchmarks.speed_error.scoring import IMAGE_METRIC, Judge, judge_of, samples_a_ray, shrunk_images
 from benchmarks.speed_error.sizes import NAME as PAPER_CPU
 from benchmarks.speed_error.sizes import SIZE_SECONDS, SIZES, chosen_size, probe, timed
@@ -134,7 +134,7 @@ def run(setting: Setting, name: str, seed: int, asked: Recipe | None = None) -> 
         ],
         "stage_seconds": _stage_seconds(setting), "run_seconds": time.perf_counter() - started,
     }  # fmt: skip
-    path = result_path(setting.results, scene, split.name, name, seed)
+    path = OneRun(scene, split.name, name, seed).path(setting.results)
     rows = [{"recipe": name, "scene": scene, "seed": seed} | point for point in points]
     write_result(path, about | facts, rows)
     setting.progress(f"[{scene}] {name}, split {split.name}, seed {seed}: {path}")

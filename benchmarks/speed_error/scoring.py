@@ -161,7 +161,7 @@ class Judge:
 
 
 def judge_of(recording: Recording, store: SceneStore, frames: Sequence[int]) -> Judge:
-    """The judge of some frames that were not trained on.
+    """Scores some frames that were not trained on.
 
     Raises:
         ValueError: None of them was recorded by any sensor.

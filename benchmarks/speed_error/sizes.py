@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.speed_error.plan import VAL, read_result, result_path
+from benchmarks.speed_error.plan import VAL, OneRun, read_result
 from nvsf_core.recipe import PaperRecipe, preset
 from nvsf_core.reporting.speed_error import METRICS, final_values
 
@@ -46,7 +46,7 @@ def chosen_size(results: Path, scene: str, seed: int) -> PaperRecipe:
     """
     values = {}
     for name in SIZES:
-        path = result_path(results, scene, VAL, name, seed)
+        path = OneRun(scene, VAL, name, seed).path(results)
         found = read_result(path)
         if found is None:
             raise FileNotFoundError(f"{path}: expected the run of this size, found none; run the sizes first")

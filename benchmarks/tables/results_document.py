@@ -44,6 +44,15 @@ class Column(NamedTuple):
         """Over the column."""
         return f"{self.title} {self.way}"
 
+    @property
+    def sign(self) -> float:
+        """What makes of a value one of which less is better."""
+        return 1.0 if self.way == _LOWER else -1.0
+
+    def keeps(self, value: float, limit: float) -> bool:
+        """Whether a value is at least as good as a limit; a NaN is not, and nothing is as good as a NaN."""
+        return self.sign * value <= self.sign * limit
+
 
 _CD_M2, _F = Column("chamfer_m2", "CD m²", 4), Column("f_score", "F", 4, _HIGHER)
 _RANGE_RMSE_M = Column("range_rmse_m", "range RMSE m", 2)
@@ -191,23 +200,15 @@ def _others(found: dict[tuple[str, str], Measured]) -> list[str]:
     for (scene, method), mine in found.items():
         cells = []
         for protocol, column in _OTHERS:
-            is_missed = (
-                method not in BASELINES and protocol == "lidar4d_scan" and column.metric in NEVER_WORSE
-                and _is_worse(mine, found.get((scene, _COPY)), protocol, column.metric)
-            )  # fmt: skip
-            text = cell(mine.errors(protocol, column.metric), column.digits)
-            cells.append(_marked(text, is_missed=is_missed))
+            own, copied = mine.errors(protocol, column.metric), found.get((scene, _COPY))
+            other = [] if copied is None else copied.errors(protocol, column.metric)
+            is_asked = protocol == "lidar4d_scan" and column.metric in NEVER_WORSE and method not in BASELINES
+            is_missed = is_asked and not column.keeps(_mean(own), _mean(other))
+            cells.append(_marked(cell(own, column.digits), is_missed=is_missed))
         cells.append(_cost(method, mine, name, sweep_digits))
         lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
     head = ["drive", "method", "seeds", *(column.head for _, column in _OTHERS), sweep, "commit"]
     return [_ABOUT_OTHERS, _provenance(found.values()), markdown_table(head, lines)]
-
-
-def _is_worse(mine: Measured, copied: Measured | None, protocol: str, metric: str) -> bool:
-    """Whether it is not at least as good as copying; so it is where either is unknown."""
-    own = _mean(mine.errors(protocol, metric))
-    other = _mean([] if copied is None else copied.errors(protocol, metric))
-    return not (own >= other if NEVER_WORSE[metric] else own <= other)
 
 
 def _provenance(measured: Iterable[Measured]) -> str:
@@ -246,7 +247,7 @@ def _errors(scene: str, protocol: str, mine: dict[str, Measured]) -> str:
         if all(value is None for row in errors.values() for value in row):
             continue
         heads.append(column.head)
-        limit, best = _limit(scene, protocol, column, errors), _best(errors, column.way)
+        limit, best = _limit(scene, protocol, column, errors), _best(errors, column)
         words.append(limit.words)
         for method, values in errors.items():
             text = cell(values, column.digits)
@@ -260,19 +261,19 @@ def _errors(scene: str, protocol: str, mine: dict[str, Measured]) -> str:
 
 def _limit(scene: str, protocol: str, column: Column, errors: dict[str, list[float | None]]) -> _Limit:
     """What a mean is to be: a number that was written down, or better than what baselines reach here."""
-    place = (scene, protocol, column.metric)
-    for target in TARGETS:
-        if (target.scene, target.protocol, target.metric) == place:
-            words = f"{'≥' if target.at_least else '≤'} {target.limit:.{column.digits}f}"
-            return _Limit(words, target.is_met)
-    others = BETTER_THAN.get(place, ())
+    limit = TARGETS.get((scene, protocol), {}).get(column.metric)
+    if limit is not None:
+        words = f"{'≤' if column.way == _LOWER else '≥'} {limit:.{column.digits}f}"
+        return _Limit(words, lambda value: column.keeps(value, limit))
+    others = BETTER_THAN.get((scene, protocol, column.metric), ())
     if not others:
         return _Limit("", lambda _: True)
     # Whether an unmeasured one is beaten is unknown: not met.
     means = [_mean(errors.get(method, [])) for method in others]
     names = "every baseline" if others == BASELINES else ", ".join(f"`{other}`" for other in others)
-    sign = 1.0 if column.way == _LOWER else -1.0
-    return _Limit(f"better than {names}", lambda value: all(sign * value < sign * mean for mean in means))
+    return _Limit(
+        f"better than {names}", lambda value: all(column.sign * value < column.sign * mean for mean in means)
+    )
 
 
 def _views(mine: dict[str, Measured]) -> list[str]:
@@ -305,10 +306,9 @@ def _over_interpolation(method: str, measured: Measured, view: str) -> str:
     return _marked(text, is_missed=is_missed)
 
 
-def _best(errors: dict[str, list[float | None]], way: str) -> str:
-    means = {method: _mean(values) for method, values in errors.items()}
-    known = [method for method, mean in means.items() if not math.isnan(mean)]
-    return (min if way == _LOWER else max)(known, key=lambda method: means[method])
+def _best(errors: dict[str, list[float | None]], column: Column) -> str:
+    means = {method: column.sign * _mean(values) for method, values in errors.items()}
+    return min((method for method in means if not math.isnan(means[method])), key=means.__getitem__)
 
 
 def _mean(values: Sequence[float | None]) -> float:

@@ -10,7 +10,7 @@ from benchmarks.speed_error import run as curve_run
 from benchmarks.speed_error.curves import asked_from, is_done
 from benchmarks.speed_error.document import write_document
 from benchmarks.speed_error.lidar import SECTORS, WHOLE
-from benchmarks.speed_error.plan import read_result, result_path, split_of, write_result
+from benchmarks.speed_error.plan import OneRun, read_result, split_of, write_result
 from benchmarks.speed_error.scoring import thin_pinhole, thinned
 from benchmarks.speed_error.sizes import SIZES, chosen_size
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
@@ -170,7 +170,7 @@ def write_invented(results: Path, split: str, recipe: str, seed: int, value: flo
          "metric": "chamfer_m2", "value": value * share}
         for mark, seconds, share in ((5.0, 5.1, 2.0), (None, 61.0, 1.0))
     ]  # fmt: skip
-    write_result(result_path(results, "s", split, recipe, seed), facts, points)
+    write_result(OneRun("s", split, recipe, seed).path(results), facts, points)
 
 
 def test_the_best_size_is_chosen_and_a_run_is_repeated_only_when_its_recipe_changed(tmp_path):
@@ -178,11 +178,11 @@ def test_the_best_size_is_chosen_and_a_run_is_repeated_only_when_its_recipe_chan
         write_invented(tmp_path, "val", name, 0, abs(rank - 2) + 1.0, size.identity())
     best = chosen_size(tmp_path, "s", 0)
     assert replace(best, name=list(SIZES)[2]) == list(SIZES.values())[2]
-    assert not is_done(tmp_path, "s", "full", "paper_cpu", 0)
+    assert not is_done(tmp_path, OneRun("s", "full", "paper_cpu", 0))
     write_invented(tmp_path, "full", "paper_cpu", 0, 1.0, best.identity())
-    assert is_done(tmp_path, "s", "full", "paper_cpu", 0)
+    assert is_done(tmp_path, OneRun("s", "full", "paper_cpu", 0))
     write_invented(tmp_path, "full", "quick", 0, 1.0, "of another day")
-    assert not is_done(tmp_path, "s", "full", "quick", 0)
+    assert not is_done(tmp_path, OneRun("s", "full", "quick", 0))
 
 
 def test_document_and_report_show_means_over_seeds_and_say_where_they_are_from(tmp_path):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.lean.field_alone import equally_long
-from benchmarks.speed_error.plan import RESULTS, result_path
+from benchmarks.speed_error.plan import RESULTS, OneRun
 from benchmarks.speed_error.sizes import chosen_size
 from benchmarks.tables.results_table import RECIPES, ROOT
 from nvsf_core.errors import DataError
@@ -21,7 +21,7 @@ def _lean(folder: Path, *seconds: float) -> Path:
 
 
 def test_the_best_size_gets_as_many_steps_as_fit_into_the_mean_of_leans_seconds(tmp_path):
-    curve = json.loads(result_path(RESULTS, SCENE, "full", "paper_cpu", 0).read_text())
+    curve = json.loads(OneRun(SCENE, "full", "paper_cpu", 0).path(RESULTS).read_text())
     seconds_a_step = curve["run"]["training"]["seconds_a_step"]
     found = equally_long(RESULTS, _lean(tmp_path, 100.0, 300.0), SCENE)
     assert found.optimiser.steps == round(200.0 / seconds_a_step)
