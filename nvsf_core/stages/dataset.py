@@ -73,7 +73,7 @@ def _run(task: Task) -> StageOutput:
                 "software": _software(),
                 "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
                 "source_checksums": sources,
-                "scans": _with_poses(scans, arrays),
+                "scans": scans,
                 "images": pictures,
                 "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
             }
@@ -163,23 +163,17 @@ def _write_scans(
     if not scans:
         return []
     numbers = file_numbers(arrays["frame"])
-    return [
-        {"number": number, "files": files, "returns": len(scan)}
-        for number, files, scan in zip(
-            numbers, write_scans(folder, numbers, scans, view.exports), scans, strict=True
-        )
-    ]
-
-
-def _with_poses(scans: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    files = write_scans(folder, numbers, scans, view.exports)
     return [
         {
-            **scan,
+            "number": number,
+            "files": files[index],
+            "returns": len(scans[index]),
             "nearest_frame": int(arrays["frame"][index]),
             "time_s": float(arrays["time_s"][index]),
             "lidar_to_world": arrays["lidar_to_world"][index].reshape(-1).tolist(),
         }
-        for index, scan in enumerate(scans)
+        for index, number in enumerate(numbers)
     ]
 
 

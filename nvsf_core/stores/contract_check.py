@@ -1,11 +1,10 @@
 """Check a stage's output against the data contract before it is published; no data is read."""
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from nvsf_core.stores.arrays import array_layouts
-from nvsf_core.stores.schemas import CONTRACT, FileSpec, column_faults, violations
+from nvsf_core.stores.schemas import CONTRACT, FileSpec, column_faults, path_patterns, violations
 from nvsf_core.stores.tables import column_kinds
 
 
@@ -27,14 +26,9 @@ def contract_faults(stage: str, location: str, folder: Path) -> list[str]:
         f"{path.relative_to(folder)}: {fault}"
         for spec in CONTRACT
         if spec.stage == stage
-        for path in sorted(folder.glob("/".join(_patterns(spec)[depth:])))
+        for path in sorted(folder.glob("/".join(path_patterns(spec)[depth:])))
         for fault in _faults(spec, path)
     ]
-
-
-def _patterns(spec: FileSpec) -> list[str]:
-    """Glob patterns of the parts of a contract's path; `<recipe>` matches any name."""
-    return [re.sub("<[a-z]+>", "*", part) for part in spec.path.split("/")]
 
 
 def _faults(spec: FileSpec, path: Path) -> Iterator[str]:

@@ -241,14 +241,16 @@ def spec_of(path: str) -> FileSpec:
 def spec_at(path: Path) -> FileSpec | None:
     """The contract of a published file, by its path on disk; None if it has none."""
     for spec in CONTRACT:
-        named = spec.path.split("/")
-        # `<recipe>` matches any name, `<method>.zarr` any with that ending.
-        patterns = [re.sub("<[a-z]+>", "*", part) for part in named]
-        if all(map(fnmatch.fnmatchcase, path.parts[-len(named) :], patterns)) and len(path.parts) > len(
-            named
-        ):
+        patterns = path_patterns(spec)
+        parts = path.parts[-len(patterns) :]
+        if all(map(fnmatch.fnmatchcase, parts, patterns)) and len(path.parts) > len(patterns):
             return spec
     return None
+
+
+def path_patterns(spec: FileSpec) -> list[str]:
+    """Glob pattern of each part of the contract's path: `<recipe>` matches any name."""
+    return [re.sub("<[a-z]+>", "*", part) for part in spec.path.split("/")]
 
 
 def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray], *, whole: bool = True) -> list[str]:
