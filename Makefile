@@ -27,13 +27,13 @@ $(STAMP): pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "installing into .venv: 3.1 GB; one to two minutes where pip has the packages, else as long as 1 GB takes to come"
 	@$(PIP) -e .
+	@echo "compiling the kernels: a minute, once"
+	@$(BIN)/python -m nvsf_core.stages.runner.compile_kernels
 	@touch $@
 
 $(DEV): $(STAMP)
 	@echo "installing what tests and checks need: another GB"
 	@$(PIP) -e '.[dev]'
-	@echo "compiling the kernels: a minute, once"
-	@$(BIN)/python -m nvsf_core.stages.runner.compile_kernels
 	@touch $@
 
 # Initialised once and by one process: two that meet an empty DAGSTER_HOME race for its tables.
@@ -42,8 +42,8 @@ $(DAGSTER_HOME)/dagster.yaml: dagster.yaml | $(STAMP)
 	@cp dagster.yaml $@
 	@$(BIN)/dagster instance info > /dev/null
 
-demo: install $(DAGSTER_HOME)/dagster.yaml ## write the embedded drive and train it with the recipe quick
-	SCENES=demo RECIPE=quick $(TRAIN)
+demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.3 GB
+	SCENES=demo RECIPE=short $(TRAIN)
 
 train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes
 	$(TRAIN)

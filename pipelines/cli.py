@@ -38,8 +38,8 @@ def main() -> None:
 
 @main.command()
 def demo() -> None:
-    """Write the embedded drive, train it with the recipe quick, and measure what it shows."""
-    sys.exit(_run_job(["demo"], "quick", 0))
+    """Write the embedded drive, train it with the recipe short, and measure what it shows."""
+    sys.exit(_run_job(["demo"], "short", 0))
 
 
 @main.command()

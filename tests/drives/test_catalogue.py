@@ -40,7 +40,7 @@ def test_the_papers_ten_scenes_have_its_frames_and_splits() -> None:
 
 def test_the_demo_lies_in_the_home_and_asks_for_a_shifted_view() -> None:
     demo = next(e for e in catalogue_from_environment({"NVSF_HOME": "/somewhere"}) if e.name == "demo")
-    assert demo.root == Path("/somewhere/drives/demo") and demo.recipe == "quick"
+    assert demo.root == Path("/somewhere/drives/demo") and demo.recipe == "short"
     assert [(view.name, view.shift_m) for view in demo.views] == [("shift_1m", (0.0, 1.0, 0.0))]
 
 

@@ -1,4 +1,4 @@
-"""One row of the table of hard cases: which function, what is hard about its inputs, how it is judged."""
+"""One row of the table of hard cases: which function, what is hard about its inputs, how it is checked."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Reading:
     """What a case found."""
 
     error: float | None = None
-    """Largest error, judged by the case's limit; None where the outcome is no number."""
+    """Largest error, compared with the case's limit; None where the outcome is no number."""
     gradient: float | None = None
     """Largest relative error of the gradient, infinite where it is not finite; None = no gradient."""
     gradient_limit: float = GRADIENT
@@ -31,7 +31,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A shipped function, a range of inputs, and the judge of what it makes of them."""
+    """A shipped function, a range of inputs, and the check of its results."""
 
     function: str
     """Where it is: module and name below nvsf_core."""

@@ -47,7 +47,7 @@ def _table(layout: GridLayout) -> Tensor:
 
 
 def _hash(layout: GridLayout) -> Reading:
-    """The kernel against the plain-torch oracle, which is what answers in float64."""
+    """The kernel against the plain-torch oracle in float64."""
     # A position is off by half an eps, times the resolution, along three axes; features differ by up to 2.
     allowed = 6.0 * (torch.tensor(layout.scales).repeat_interleave(layout.features).double() + 8.0)
     positions, table = _hard_positions(layout), _table(layout)

@@ -107,7 +107,7 @@ def _axis_rays() -> str:
 
 
 def _votes() -> str:
-    """Scans of which all, none and each laser's own firing returned; a turn of one firing."""
+    """Scans of which all, none and each laser's own firing returned; a sweep of one firing."""
     fraction = ((np.arange(100) + 0.5) / 100 - 0.5).astype(np.float32)
     is_hit = np.stack([np.ones((4, 100)), np.zeros((4, 100)), np.eye(4, 100)]).astype(bool)
     prior = DropPrior(np.arange(3.0), np.tile(fraction, (3, 1)), is_hit)
