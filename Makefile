@@ -14,7 +14,8 @@ STAMP := .venv/.installed
 DEV   := .venv/.installed-dev
 # Compiled where they are first imported: compiling every file of torch and Dagster ahead takes longer.
 PIP   := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
-TRAIN := $(BIN)/dagster job execute -j train_all_scenes
+# Dagster advises `dg launch` at every start; the bare command is what users know.
+TRAIN := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo train test test-fast check docs bench ablation stability gpu contract ui clean
@@ -28,7 +29,7 @@ $(STAMP): pyproject.toml
 	@echo "installing into .venv: 3.1 GB; one to two minutes where pip has the packages, else as long as 1 GB takes to come"
 	@$(PIP) -e .
 	@echo "compiling the kernels: a minute, once"
-	@$(BIN)/python -m nvsf_core.stages.runner.compile_kernels
+	@$(BIN)/python -c 'import pipelines.definitions' & $(BIN)/python -m nvsf_core.stages.runner.compile_kernels && wait
 	@touch $@
 
 $(DEV): $(STAMP)
@@ -43,7 +44,7 @@ $(DAGSTER_HOME)/dagster.yaml: dagster.yaml | $(STAMP)
 	@$(BIN)/dagster instance info > /dev/null
 
 demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.3 GB
-	SCENES=demo RECIPE=short $(TRAIN)
+	@SCENES=demo RECIPE=short NVSF_EXECUTOR=$${NVSF_EXECUTOR:-in_process} $(TRAIN)
 
 train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes
 	$(TRAIN)

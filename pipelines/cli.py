@@ -144,7 +144,11 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
     place = Path(os.environ.get("DAGSTER_HOME") or home / "dagster").absolute()
     environment = os.environ | chosen | {
         "DAGSTER_HOME": str(place), "DAGSTER_MODULE_NAME": "pipelines.definitions",
+        "PYTHONWARNINGS": "ignore:Function `job_execute_command`",
     }  # fmt: skip
+    if list(scenes) == ["demo"]:
+        # One process: to start one for each step takes longer than the steps of so short a drive.
+        environment.setdefault("NVSF_EXECUTOR", "in_process")
     dagster = [sys.executable, "-m", "dagster"]
     if not (place / _TEMPLATE).is_file():
         place.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,11 @@
 """A logger for the terminal: progress, warnings and errors, without Dagster's own events."""
 
 import logging
+import re
+import shutil
 import sys
 import time
+from typing import TextIO
 
 import dagster as dg
 
@@ -28,6 +31,48 @@ class _TerseFormatter(logging.Formatter):
         return f"{clock} {message}" if record.levelno < logging.ERROR else f"{clock} ERROR {message}"
 
 
+_KEPT = re.compile(r"done in|up to date|written|no data|left out|dataset/|FAILED|shows ")
+"""Lines that stay: what was finished or decided. Others tell how far a stage is."""
+_SHARE = re.compile(r"(\d+)(?:/| of )(\d+)")
+_EVERY_S = 15.0
+"""Where lines cannot be rewritten, one about progress every so many seconds."""
+_BAR = 20
+
+
+class ProgressHandler(logging.Handler):
+    """On a terminal one line of progress that rewrites itself; elsewhere few lines, and those that matter."""
+
+    def __init__(self, stream: TextIO) -> None:
+        """Write to `stream`."""
+        super().__init__()
+        self._stream, self._is_terminal = stream, stream.isatty()
+        self._is_open, self._said_s = False, -_EVERY_S
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record, or leave it out."""
+        line = self.format(record)
+        if record.levelno != logging.INFO or _KEPT.search(line):
+            self._stream.write(("\r\033[K" if self._is_open else "") + line + "\n")
+            self._is_open = False
+        elif self._is_terminal:
+            width = shutil.get_terminal_size().columns - 1
+            self._stream.write("\r\033[K" + with_bar(line)[:width])
+            self._is_open = True
+        elif time.monotonic() - self._said_s >= _EVERY_S:
+            self._stream.write(line + "\n")
+            self._said_s = time.monotonic()
+        self._stream.flush()
+
+
+def with_bar(line: str) -> str:
+    """A progress line with a bar in front of what it counts, as in `step 100/900` or `3 of 16 frames`."""
+    found = _SHARE.search(line)
+    if found is None or int(found[2]) == 0:
+        return line
+    filled = min(_BAR, _BAR * int(found[1]) // int(found[2]))
+    return f"{line[: found.start()]}[{'#' * filled}{'.' * (_BAR - filled)}] {line[found.start() :]}"
+
+
 @dg.logger(
     config_schema={"log_level": dg.Field(str, is_required=False, default_value="INFO")},
     description="One short line a message on standard error.",
@@ -35,7 +80,7 @@ class _TerseFormatter(logging.Formatter):
 def terse_logger(context: dg.InitLoggerContext) -> logging.Logger:
     """The terminal's logger; with log_level DEBUG it shows Dagster's own events too."""
     level = str(context.logger_config["log_level"]).upper()
-    handler = logging.StreamHandler(sys.stderr)
+    handler = ProgressHandler(sys.stderr) if level == "INFO" else logging.StreamHandler(sys.stderr)
     handler.setFormatter(_TerseFormatter())
     logger = logging.Logger("nvsf", level=level)
     logger.addHandler(handler)

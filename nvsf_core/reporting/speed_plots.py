@@ -1,7 +1,7 @@
 """Plots of error over training time, and the section of the report that shows them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -61,10 +61,19 @@ def curves_png(runs: Sequence[Run]) -> bytes:
     return figure_png(figure)
 
 
-def speed_section(folder: Path | None) -> str:
-    """HTML section on all runs below `folder`; empty if there are none."""
+def speed_section(folder: Path | None, scenes: Collection[str] | None = None) -> str:
+    """HTML section on the runs below `folder`; empty if there are none.
+
+    Args:
+        folder: Where `make bench` stored them; None = nowhere.
+        scenes: Only runs of these scenes; None = all.
+    """
     runs = [] if folder is None else read_runs(folder)
-    shown = {key: mine for key, mine in groups(runs).items() if key[1] not in _INNER_SPLITS}
+    shown = {
+        key: mine
+        for key, mine in groups(runs).items()
+        if key[1] not in _INNER_SPLITS and (scenes is None or key[0] in scenes)
+    }
     if not shown:
         return ""
     parts = [

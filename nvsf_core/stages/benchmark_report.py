@@ -31,7 +31,8 @@ def make_benchmark_report(
         scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
         failures: Scene to the reason why its run failed; its earlier outputs are shown.
         no_data: Catalogue scenes whose recordings are not on this machine.
-        curves: Folder with error over training time by `make bench`; None = not shown.
+        curves: Folder with error over training time by `make bench`, shown for the page's scenes; None = not
+            shown.
 
     Returns:
         Path of `<home>/benchmark_report/index.html`.
@@ -44,9 +45,11 @@ def make_benchmark_report(
     scenes = [_collected(home, name, failures.get(name)) for name in [*own, *others]]
     no_data = [name for name in no_data if name not in others]
     target = home / "benchmark_report"
+    # Curves of scenes that this home never trained would only look like its own.
+    shown = {scene.name for scene in scenes}
     try:
         with publish_folder(target) as folder:
-            written = write_report(folder, scenes, no_data, speed_section(curves))
+            written = write_report(folder, scenes, no_data, speed_section(curves, shown))
     except OSError as error:
         raise StoreError(
             f"the disk refused {error.filename or target} ({error.strerror or error}); free space, or mend "
