@@ -39,9 +39,9 @@ _LEAN = replace(
 _SHORT = replace(
     _QUICK,
     name="short",
-    lidar_training=replace(_QUICK.lidar_training, steps=900),
-    depth_training=replace(_QUICK.depth_training, steps=60),
-    camera_training=replace(_QUICK.camera_training, steps=110),
+    lidar_training=replace(_QUICK.lidar_training, steps=700),
+    depth_training=replace(_QUICK.depth_training, steps=45),
+    camera_training=replace(_QUICK.camera_training, steps=80),
 )
 _SMOKE = replace(
     _QUICK,
