@@ -25,7 +25,7 @@ from nvsf_core.stages.inputs import read_recording
 
 OF_MOTION = (
     "evidence/moving/objects.py", "evidence/moving/object_evidence.py",
-    "evidence/moving/object_hit_priors.py", "evidence/moving/soft_motion.py", "fields/object_surfaces.py",
+    "evidence/moving/object_evidence.py", "evidence/moving/soft_motion.py", "fields/object_surfaces.py",
 )  # fmt: skip
 
 
