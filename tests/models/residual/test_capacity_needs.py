@@ -24,9 +24,11 @@ from nvsf_core.stages import Outcome, plan_run, run_named_stage
 from nvsf_core.stages.inputs import read_recording
 
 OF_MOTION = (
-    "evidence/moving/objects.py", "evidence/moving/object_evidence.py",
-    "evidence/moving/object_evidence.py", "evidence/moving/soft_motion.py", "fields/object_surfaces.py",
-)  # fmt: skip
+    "evidence/moving/objects.py",
+    "evidence/moving/object_evidence.py",
+    "evidence/moving/soft_motion.py",
+)
+FUNCTIONS_OF_MOTION = {"object_surfaces", "join_surfaces", "object_places"}
 
 
 @pytest.fixture(scope="module")
@@ -81,10 +83,12 @@ def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcom
     field = make_fields(recipe, recording, 0).lidar
     assert field is not None
     called: set[str] = set()
+    functions: set[str] = set()
 
     def note(frame: FrameType, event: str, argument: Any) -> None:
         if event == "call":
             called.add(frame.f_code.co_filename)
+            functions.add(frame.f_code.co_name)
 
     lidar = recording.lidar
     rays = [lidar.sweeps.arrays[name][:256] for name in ("origin_m", "direction")]
@@ -98,6 +102,7 @@ def test_a_static_scene_asks_nobody_about_motion(static: tuple[Recording, Outcom
     assert np.isfinite(rendered.range_m).any()
     assert any(name.endswith("fields/lidar_field.py") for name in called)
     assert not [name for name in called if name.endswith(OF_MOTION)]
+    assert not functions & FUNCTIONS_OF_MOTION
 
 
 def test_a_field_is_as_large_as_its_surface_and_its_points_fill_and_never_larger_than_the_recipe_s() -> None:
