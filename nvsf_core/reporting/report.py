@@ -212,6 +212,7 @@ def _scene(scene: SceneOutputs) -> str:
     newest = scene.runs[0]
     parts += [
         _verdict(rows),
+        _data_sets(scene),
         "<h3>Error beside time</h3>",
         headline_table(rows),
         not_run(scene),
@@ -252,6 +253,17 @@ def _verdict(rows: Sequence[Row]) -> str:
         f'<div class="note {css}"><b>{escape(best)}</b> is best in {count[best]} of {total} main numbers at'
         f" the held-out frames ({others}).</div>"
     )
+
+
+def _data_sets(scene: SceneOutputs) -> str:
+    """Links to the folders of the newest data sets; the page lies in a folder beside the scenes'."""
+    links = []
+    for record in scene.records:
+        for key, version in sorted(record.metadata.items()):
+            if record.stage.startswith("dataset") and key.endswith("_version"):
+                folder = f"dataset/{key.removesuffix('_version')}/{version}"
+                links.append(f'<a href="../{escape(scene.name)}/{escape(folder)}/">{escape(folder)}</a>')
+    return f"<p>Scans and images: {', '.join(links)}.</p>" if links else ""
 
 
 def _cost_plot(rows: Sequence[Row]) -> str:

@@ -48,6 +48,15 @@ def test_the_bare_command_trains_and_prints_table_report_and_scans(first_run, ho
         assert list((version / "velodyne_points/data").glob("*.bin"))
 
 
+def test_the_report_links_to_the_data_sets_and_shows_no_scene_of_another_home(first_run, home):
+    page = (home / "benchmark_report/index.html").read_text()
+    for view in ("test", "shift_1m"):
+        (version,) = (home / "tiny/dataset" / view).iterdir()
+        link = f"../tiny/dataset/{view}/{version.name}/"
+        assert f'href="{link}"' in page and (home / "benchmark_report" / link).resolve() == version.resolve()
+    assert 'id="speed"' not in page and "k360_street" not in page
+
+
 def test_without_the_variable_the_command_says_what_is_missing(run_process, tiny_catalogue):
     done = run_process(*COMMAND, NVSF_SCENES=str(tiny_catalogue))
     assert done.returncode == 2 and "Invalid set of CLI arguments" in done.stderr
