@@ -1,8 +1,8 @@
 """How long a newcomer waits: installation, the demo, and the demo again, idle and beside a busy core.
 
 ``python -m benchmarks.first_contact`` clones the checkout into a temporary folder and runs ``make install``
-and ``make demo`` there, as README says; ``--busy`` keeps one core busy meanwhile; ``--installed`` takes the
-present environment instead of a new one. It prints a table: seconds, lines on the terminal, and disk.
+and ``make demo`` there, as README says; ``--busy`` keeps one core busy meanwhile; ``--installed`` runs the
+demo of this checkout instead. It prints a table: seconds, lines on the terminal, and disk.
 """
 
 import argparse
@@ -26,14 +26,15 @@ def main() -> None:
     parser.add_argument("--installed", action="store_true", help="use the present environment")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="nvsf-first-") as folder:
-        place = Path(folder) / "nvsf"
-        subprocess.run(["git", "clone", "--quiet", str(ROOT), str(place)], check=True)
-        if arguments.installed:
-            (place / ".venv").symlink_to(ROOT / ".venv")
+        place = ROOT
+        if not arguments.installed:
+            place = Path(folder) / "nvsf"
+            subprocess.run(["git", "clone", "--quiet", str(ROOT), str(place)], check=True)
+        home = Path(folder) / "home"
         spin = subprocess.Popen(["python3", "-c", _SPIN]) if arguments.busy else None
         try:
-            rows = [] if arguments.installed else [("make install", *_timed(place, "install"))]
-            rows += [("make demo", *_timed(place, "demo")), ("make demo again", *_timed(place, "demo"))]
+            rows = [] if arguments.installed else [("make install", *_timed(place, home, "install"))]
+            rows += [(name, *_timed(place, home, "demo")) for name in ("make demo", "make demo again")]
         finally:
             if spin is not None:
                 spin.kill()
@@ -43,22 +44,17 @@ def main() -> None:
         print("| command | s | lines |\n| --- | ---: | ---: |")
         for name, seconds, lines in rows:
             print(f"| `{name}` | {seconds:.0f} | {lines} |")
-        sizes = {name: _megabytes(place / name) for name in (".venv", ".nvsf")}
-        print("\n" + ", ".join(f"{name} {size:,.0f} MB" for name, size in sizes.items()))
+        print(f"\n.venv {_megabytes(place / '.venv'):,.0f} MB, outputs {_megabytes(home):,.0f} MB")
 
 
-def _timed(place: Path, target: str) -> tuple[float, int]:
+def _timed(place: Path, home: Path, target: str) -> tuple[float, int]:
     """Seconds and printed lines of a make target.
 
     Raises:
         CalledProcessError: It failed.
     """
-    environment = {
-        key: value for key, value in os.environ.items() if not key.startswith(("NVSF_", "DAGSTER_"))
-    }
-    # Stamps younger than what they depend on: a clone's files are as old as the clone.
-    for stamp in (place / ".venv").glob(".installed*"):
-        stamp.touch()
+    names = [name for name in os.environ if not name.startswith(("NVSF_", "DAGSTER_"))]
+    environment = {name: os.environ[name] for name in names} | {"NVSF_HOME": str(home)}
     started = time.perf_counter()
     done = subprocess.run(
         ["make", target], cwd=place, env=environment, check=True, text=True, stdout=subprocess.PIPE,
