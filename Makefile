@@ -43,7 +43,7 @@ $(DAGSTER_HOME)/dagster.yaml: dagster.yaml | $(STAMP)
 	@cp dagster.yaml $@
 	@$(BIN)/dagster instance info > /dev/null
 
-demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.3 GB
+demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.2 GB
 	@SCENES=demo RECIPE=short NVSF_EXECUTOR=$${NVSF_EXECUTOR:-in_process} $(TRAIN)
 
 train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes

@@ -116,7 +116,7 @@ def weights(backbone: Path | None, out: Path | None) -> None:
         backbone = Path(torch.hub.get_dir()) / "checkpoints" / BACKBONE_URL.rpartition("/")[2]
         try:
             torch.hub.load_state_dict_from_url(BACKBONE_URL, check_hash=True, weights_only=True)
-        except OSError as error:
+        except (OSError, RuntimeError) as error:  # torch raises RuntimeError for another file's hash
             raise click.ClickException(
                 f"{BACKBONE_URL}: {error}; fetch it and name it: --backbone"
             ) from error

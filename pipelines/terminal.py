@@ -49,8 +49,13 @@ class ProgressHandler(logging.Handler):
         self._is_open, self._said_s = False, -_EVERY_S
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record, or leave it out."""
-        line = self.format(record)
+        """Write a record, or leave it out; a terminal that is gone does not stop a stage."""
+        try:
+            self._write(record, self.format(record))
+        except Exception:  # as of every handler of `logging`
+            self.handleError(record)
+
+    def _write(self, record: logging.LogRecord, line: str) -> None:
         if record.levelno != logging.INFO or _KEPT.search(line):
             self._stream.write(("\r\033[K" if self._is_open else "") + line + "\n")
             self._is_open = False

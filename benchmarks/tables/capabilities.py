@@ -37,7 +37,7 @@ CAPABILITIES = (
     Capability(
         "range bias and intensity gain of each laser",
         ("evidence/sensor_errors.py",),
-        "k360_street, left-out scans: raw median .064 to .038 m, intensity PSNR + .6 dB (issue 2's notes)",
+        "k360_street, left-out scans: raw median .064 to .038 m, intensity PSNR + .6 dB (notes of its session)",
     ),
     Capability(
         "scans recorded at a standstill",
@@ -47,7 +47,7 @@ CAPABILITIES = (
     Capability(
         "voxel size chosen by left-out scans",
         ("models/selection/voxel_size.py",),
-        "20 or 30 cm by drive; range errors of sparse drives fall by the larger ones (0013)",
+        "20 or 30 cm, by drive; what the choice gains over 20 cm alone was not tabled (0013)",
     ),
     Capability(
         "unobserved space",
@@ -65,7 +65,7 @@ CAPABILITIES = (
     Capability(
         "a field as large as the scene needs",
         ("models/residual/capacity.py", "evidence/profile.py"),
-        "the same errors with fewer parameters on small scenes (docs/speed_and_error.md)",
+        "smaller tables where a scene cannot fill them; errors with and without were not tabled",
     ),
     Capability(
         "raydrop network on the sensor's own grid",

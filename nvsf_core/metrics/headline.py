@@ -1,7 +1,7 @@
 """What a run gained, in a sentence and a small table for the terminal: a model beside the best baseline."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
@@ -16,7 +16,8 @@ _SHOWN = (
     ("image", "image_lpips_squeeze", "LPIPS", 3, False),
 )
 """Few enough for 80 columns; all others stand in the report."""
-_LEGEND = "CD, LPIPS: lower is better; others: higher. Mean of the held-out frames."
+_LEGEND = "CD, LPIPS: lower is better; others: higher. Mean of the held-out frames;"
+_PARTIAL = "* over fewer of them than there are, - over none."
 
 
 def headline(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -29,7 +30,7 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
         Where the model beats the best baseline and where a baseline beats it, then the table; empty where
         nothing was measured on held-out frames.
     """
-    values = _values(rows)
+    values, partial = _values(rows)
     models = [method for method in values if method not in BASELINES]
     if not models:
         return ""
@@ -52,32 +53,40 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
             lost.setdefault(best, []).append(word)
     lines = [f"{scene}: {model} beats every baseline in {', '.join(won) or 'nothing'}"]
     lines += [f"  {name} is better in {', '.join(words)}" for name, words in lost.items()]
-    return "\n".join([*lines, *_table(values, model)])
+    return "\n".join([*lines, *_table(values, partial, model)])
 
 
-def _values(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """Mean of each shown metric by method, over all cameras."""
+def _values(
+    rows: Sequence[Mapping[str, Any]],
+) -> tuple[dict[str, dict[str, float]], set[tuple[str, str]]]:
+    """Mean of each shown metric by method, over all cameras; and which are undefined on some frames."""
     found: dict[str, dict[str, list[float]]] = {}
+    partial = set()
     shown = {(protocol, metric) for protocol, metric, *_ in _SHOWN}
     for row in mean_rows(rows):
         if (row["protocol"], row["metric"]) in shown and (row["split"], row["region"]) == (HELD_OUT, "all"):
             found.setdefault(row["recipe"], {}).setdefault(row["metric"], []).append(row["value"])
-    return {
+            if row["n_defined"] < row["n_frames"]:
+                partial.add((row["recipe"], row["metric"]))
+    means = {
         method: {metric: sum(values) / len(values) for metric, values in metrics.items()}
         for method, metrics in found.items()
     }
+    return means, partial
 
 
-def _table(values: Mapping[str, Mapping[str, float]], model: str) -> list[str]:
+def _table(
+    values: Mapping[str, Mapping[str, float]], partial: Collection[tuple[str, str]], model: str
+) -> list[str]:
     methods = [model, *(name for name in BASELINES if name in values)]
     shown = [row for row in _SHOWN if any(row[1] in values[name] for name in methods)]
-    lines = ["  " + "".join([f"{'':14}", *(f"{heading:>10}" for _, _, heading, *_ in shown)])]
+    lines = ["  " + "".join([f"{'':14}", *(f"{heading:>9} " for _, _, heading, *_ in shown)])]
     for name in methods:
         cells = [
-            f"{values[name][metric]:10.{digits}f}"
+            f"{values[name][metric]:9.{digits}f}{'*' if (name, metric) in partial else ' '}"
             if not math.isnan(values[name].get(metric, math.nan))
-            else f"{'-':>10}"
+            else f"{'-':>9} "
             for _, metric, _, digits, _ in shown
         ]
         lines.append("  " + "".join([f"{name:14}", *cells]))
-    return [*lines, f"  {_LEGEND}"]
+    return [*(line.rstrip() for line in lines), f"  {_LEGEND}", f"  {_PARTIAL}"]

@@ -39,3 +39,13 @@ def test_what_nobody_measured_is_neither_won_nor_lost() -> None:
     rows = [_row(recipe="quick", value=math.nan), _row(recipe="reproject", value=0.1)]
     assert headline(rows).splitlines()[0] == "demo: quick beats every baseline in nothing"
     assert headline([_row(recipe="reproject")]) == "" and headline([]) == ""
+
+
+def test_a_mean_over_fewer_frames_is_starred() -> None:
+    rows = [
+        _row(recipe="quick"),
+        _row(recipe="quick", frame=1, value=math.nan),
+        _row(recipe="mesh", value=1.0),
+    ]
+    lines = headline(rows).splitlines()
+    assert "0.0400*" in lines[2] and "1.0000" in lines[3] and "*" not in lines[3]

@@ -40,6 +40,15 @@ def test_warnings_are_never_left_out():
     assert len(stream.getvalue().splitlines()) == 3
 
 
+def test_a_terminal_that_is_gone_stops_nothing(monkeypatch):
+    monkeypatch.setattr(logging, "raiseExceptions", False)
+    logger = logging.Logger("test")
+    gone = Terminal()
+    logger.addHandler(ProgressHandler(gone))
+    gone.close()
+    logger.info("[a] field: done in 3 s")
+
+
 def test_a_line_that_counts_nothing_has_no_bar():
     assert with_bar("[a] mesh: started") == "[a] mesh: started"
     assert with_bar("[a] x: 16 of 16 frames") == "[a] x: [####################] 16 of 16 frames"

@@ -180,11 +180,13 @@ def find_scene(name: str) -> SceneEntry:
 
 def is_embedded(scene: SceneEntry) -> bool:
     """Whether the scene's drive is the embedded street, which is written where it is absent."""
+    if scene.name not in (DEMO_SCENE, STREET_SCENE):
+        return False
     # The writer loads scipy and cv2: imported only where a drive may be written.
     from nvsf_core.demo.drive import DEMO_SEQUENCE
 
     # A drive of the same name with another sequence is the user's own.
-    return scene.name in (DEMO_SCENE, STREET_SCENE) and scene.sequence == DEMO_SEQUENCE
+    return scene.sequence == DEMO_SEQUENCE
 
 
 def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
