@@ -66,7 +66,7 @@ def main() -> None:
 def _demo_rows(
     scene: str, store: SceneStore, sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects
 ) -> list[str]:
-    """Rows of the demo: above the ground returns that truly met a moving object against those that were found."""
+    """Rows of the demo: returns above the ground that truly met a moving object, and those that were found."""
     world = DemoWorld(0)
     frames = sweeps.arrays["frame"][sweeps.is_training]
     scans = [simulate_scan(world, int(frame), np.arange(64), 2100) for frame in frames]
@@ -99,7 +99,7 @@ def _mover_centre(world: DemoWorld, mover, time_s: np.ndarray, sweeps: Sweeps) -
 def _box_rows(
     scene: str, store: SceneStore, sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects
 ) -> list[str]:
-    """Rows of a recorded drive: above the ground returns inside the boxes of what moves, grown by 0.3 m."""
+    """Rows of a recorded drive: returns above the ground in the boxes of what moves, grown by 0.3 m."""
     boxes = [box for box in read_rows(store.require("frames") / "boxes.parquet") if box["dynamic"]]
     frames = sweeps.arrays["frame"][sweeps.is_training]
     range_m = np.linalg.norm(returns.recorded_m, axis=1)

@@ -37,7 +37,7 @@ CAPABILITIES = (
     Capability(
         "range bias and intensity gain of each laser",
         ("evidence/sensor_errors.py",),
-        "k360_street, left-out scans: raw median .064 to .038 m, intensity PSNR + .6 dB (notes of its session)",
+        "k360_street, left-out scans: raw median .064 to .038 m, intensity PSNR + .6 dB (its notes)",
     ),
     Capability(
         "scans recorded at a standstill",

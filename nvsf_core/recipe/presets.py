@@ -41,7 +41,7 @@ _SHORT = replace(
     name="short",
     lidar_training=replace(_QUICK.lidar_training, steps=700),
     depth_training=replace(_QUICK.depth_training, steps=45),
-    camera_training=replace(_QUICK.camera_training, steps=80),
+    camera_training=replace(_QUICK.camera_training, steps=150),
 )
 _SMOKE = replace(
     _QUICK,
