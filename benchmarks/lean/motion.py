@@ -66,7 +66,7 @@ def main() -> None:
 def _demo_rows(
     scene: str, store: SceneStore, sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects
 ) -> list[str]:
-    """Rows of the demo: returns above the ground that truly met a moving object, and those that were found."""
+    """Rows of the demo: returns above the ground that truly met a moving object, and those found."""
     world = DemoWorld(0)
     frames = sweeps.arrays["frame"][sweeps.is_training]
     scans = [simulate_scan(world, int(frame), np.arange(64), 2100) for frame in frames]
