@@ -50,12 +50,12 @@ train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: 
 	$(TRAIN)
 
 test: $(DEV) ## the whole suite
-	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # What says most about a change in least time: no training, no process of its own but the contracts'.
 FAST := architecture cameras drives encodings geometry losses metrics recipe rendering sampling sensors stores
 test-fast: $(DEV) ## the quick half of the suite, for the first green
-	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(FAST:%=tests/%)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(FAST:%=tests/%)
 
 check: $(DEV) docs ## ruff, mypy strict on the core, import contracts, the documentation site
 	$(BIN)/ruff check .

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import dagster as dg
 
 from nvsf_core.errors import MissingLibraryError, RecipeError
+from nvsf_core.kernels.threads import thread_count
 
-_THREADS_A_STEP = 2
+_THREADS_A_STEP = 4
+"""With fewer, a second step at once gains nothing: a step uses all threads itself."""
 _MOST_STEPS = 4
 """Most parallel steps: each takes about 1.5 GB of memory."""
 
@@ -65,8 +67,5 @@ def _processes(most_steps: int) -> dg.ExecutorDefinition:
 
 
 def _local_steps() -> int:
-    """Number of parallel steps such that each has its own cores.
-
-    Waiting threads spin: with another step on the same two cores a training took three times as long.
-    """
-    return max(1, min(_MOST_STEPS, (os.cpu_count() or 1) // _THREADS_A_STEP))
+    """Number of parallel steps; each may use all of NVSF_THREADS where the others wait."""
+    return max(1, min(_MOST_STEPS, thread_count() // _THREADS_A_STEP))

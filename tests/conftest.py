@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from nvsf_core.kernels.threads import VARIABLE, use_threads
+
 REPO = Path(__file__).resolve().parents[1]
 SHARED = REPO.parent / "shared"
 """Real drives, beside the checkout; tests that need them skip where they are absent."""
@@ -50,6 +52,8 @@ def _no_choices_of_the_shell(monkeypatch: pytest.MonkeyPatch) -> None:
         if name != "DAGSTER_DISABLE_TELEMETRY":
             monkeypatch.delenv(name)
     monkeypatch.setenv("DAGSTER_DISABLE_TELEMETRY", "1")
+    monkeypatch.setenv(VARIABLE, "1")  # two workers share two cores
+    use_threads()
 
 
 @pytest.fixture(scope="session")
@@ -73,7 +77,7 @@ def run_process() -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
     """Run a command in the repository, with the given variables and none of the user's shell."""
 
     def run(*command: str, timeout_s: float = 200.0, **variables: str) -> subprocess.CompletedProcess[str]:
-        environment = clean_environment() | {"DAGSTER_DISABLE_TELEMETRY": "1", **variables}
+        environment = clean_environment() | {"DAGSTER_DISABLE_TELEMETRY": "1", VARIABLE: "1", **variables}
         environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
         return subprocess.run(
             command, cwd=REPO, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False

@@ -53,7 +53,7 @@ def smoke_plan(folder: Path) -> Plan:
         test_frames=(2,),
     )  # fmt: skip
     paper = _paper("paper_smoke")
-    smoke, few = preset("smoke"), TrainingSpec(steps=2, rays=64, threads=1)
+    smoke, few = preset("smoke"), TrainingSpec(steps=2, rays=64)
     assert isinstance(smoke, ResidualRecipe)
     smoke = replace(smoke, lidar_training=few, depth_training=few, camera_training=few)
     return Plan(

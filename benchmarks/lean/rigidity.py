@@ -162,7 +162,7 @@ def standing_returns(store: SceneStore, objects: tuple[ObjectEvidence, ...]) -> 
         if k % _RENDERED_EVERY == 0:
             surfels = build_surfels(
                 a["origin_m"][near], a["direction"][near], a["range_m"][near], a["intensity"][near],
-                voxel_m=OBJECT_VOXEL_M, threads=1, is_surface=stands[near],
+                voxel_m=OBJECT_VOXEL_M, is_surface=stands[near],
             )  # fmt: skip
             off_m = _range_error_m(surfels, *(a[name][mine] for name in ("origin_m", "direction", "range_m")))
             errors.append(np.stack([off_m, a["range_m"][mine]], axis=1))

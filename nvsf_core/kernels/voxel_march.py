@@ -9,10 +9,10 @@ Precisions are inverse covariances, 1/m^2: xx, xy, xz, yy, yz, zz; (0, 6) where 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import get_num_threads, njit, prange
 
 BRICK = 8
 _NO_PLANE_COSINE = 0.5
@@ -139,25 +139,35 @@ def _cross_brick(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(parallel=True, cache=True)
-def count_passes(  # type: ignore[no-untyped-def]
-    origins, directions, stops_m, grid, means, precisions, n_threads
-):  # fmt: skip
+def count_passes(
+    origins: np.ndarray, directions: np.ndarray, stops_m: np.ndarray, grid: Any, means: np.ndarray,
+    precisions: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """How often each voxel's returns were seen through by rays that end at given distances.
 
     Args:
         origins: (n, 3) float32, scene-local.
         directions: (n, 3) float32, of unit length.
         stops_m: (n,) float32 where each ray ends.
-        grid: A `VoxelIndex`.
+        grid: A `VoxelIndex`: which voxels have returns.
         means: (v, 3) float32 mean of each voxel's returns.
         precisions: (v, 6) float32, or (0, 6) without shapes.
-        n_threads: Parts that the rays are divided into.
 
     Returns:
         (v,) int32: rays that met a voxel's returns (see above; without shapes, that crossed the voxel) and
         left the voxel before their end.
     """
+    counted: np.ndarray = _count_passes(
+        origins, directions, stops_m, grid, means, precisions, get_num_threads()
+    )
+    return counted
+
+
+@njit(parallel=True, cache=True)
+def _count_passes(  # type: ignore[no-untyped-def]
+    origins, directions, stops_m, grid, means, precisions, n_threads
+):  # fmt: skip
+    # Whole numbers: their sum is the same in any order.
     partial = np.zeros((n_threads, means.shape[0]), np.int32)
     n = origins.shape[0]
     for thread in prange(n_threads):

@@ -20,6 +20,14 @@ class LossBreakdown:
     reduced: dict[str, Tensor] = field(default_factory=dict)
     """The same, differentiable: to find the term with a broken gradient when there is one."""
 
+    def scaled(self, share: float) -> "LossBreakdown":
+        """The loss and its terms, times `share`: of a part of a step."""
+        return LossBreakdown(
+            self.total * share,
+            {name: value * share for name, value in self.terms.items()},
+            {name: value * share for name, value in self.reduced.items()},
+        )
+
 
 def total_loss(
     terms: dict[str, Tensor], weights: dict[str, float], sums: Collection[str] = ()

@@ -16,8 +16,6 @@ from nvsf_core.models.selection.object_flow import choose_flow
 from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M, ScanRays, VoxelChoice, choose_voxel_m
 from nvsf_core.recording.sweeps import Sweeps, training_returns
 
-_THREADS = 2
-
 
 def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     """The evidence, and as metadata the validation scans' range error with each voxel size that was tried."""
@@ -46,11 +44,10 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         rays,
         unidentified=training[prior.is_unidentified],
         far_m=float(sweeps.table.max_range_m),
-        threads=_THREADS,
     )
     best_m = FIELD_VOXEL_M if choice is None else choice.best_m
     surfels = build_surfels(
-        rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M, threads=_THREADS
+        rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M
     )
     dynamic = None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays)
     static = surfels if dynamic is None else dynamic.static
@@ -63,9 +60,9 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_intensity=a["own_vehicle_intensity"],
         dynamic=dynamic,
         stationary=_stationary_scans(sweeps, of_training, prior),
-        rendered=rays.surfels(best_m, _THREADS, shaped=True),
+        rendered=rays.surfels(best_m, shaped=True),
         left_out=None if choice is None else _left_out(choice, training),
-        unobserved=unobserved_beside(static, rays.origin_m, rays.direction, rays.range_m, threads=_THREADS),
+        unobserved=unobserved_beside(static, rays.origin_m, rays.direction, rays.range_m),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
     for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
@@ -117,6 +114,6 @@ def _prove_motion(
         sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
     )  # fmt: skip
     return DynamicEvidence(
-        static=rays.surfels(FIELD_VOXEL_M, _THREADS, shaped=False),
+        static=rays.surfels(FIELD_VOXEL_M, shaped=False),
         objects=choose_flow(objects),
     )

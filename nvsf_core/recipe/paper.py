@@ -197,8 +197,6 @@ class PaperOptimiser:
     """Decay of the weights' moving average, updated once per epoch; 0 = no average."""
     checkpoint_s: float = 60.0
     """Seconds between two checkpoints."""
-    threads: int = 2
-    """CPU threads; part of the recipe's identity."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -97,7 +97,7 @@ _PAPER_SMOKE = replace(
     ),
     flow=FlowSpec(grid=replace(_TINY_GRID, features=8), hidden=16, points=64),
     sampling=PaperSampling(rays=64, rays_at_once=48, samples=12),
-    optimiser=PaperOptimiser(steps=12, checkpoint_s=0.0, threads=1),
+    optimiser=PaperOptimiser(steps=12, checkpoint_s=0.0),
     refinement=RefinementSpec(channels=8, steps=3, frames_a_step=1, panos=2, column_step=4),
 )
 

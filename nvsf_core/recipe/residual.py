@@ -91,10 +91,11 @@ class TrainingSpec:
     """Adam's step size for the networks."""
     final_share: float = 0.05
     """Both rates decay exponentially to this share of their first value."""
+    parts: int = 2
+    """Parts of a step that CPU threads compute beside each other, each of its own share of the rays, drawn by
+    itself; their gradients are added."""
     checkpoint_s: float = 20.0
     """Seconds between two checkpoints."""
-    threads: int = 2
-    """CPU threads; part of the recipe's identity, as sums in another order give other bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks, DepthNetwork, RefineNetwork
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor
 from nvsf_core.rendering.plane_volume import (
@@ -200,12 +201,15 @@ def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) ->
 
     A member's depth of a pixel is its hypothesis of most trust.
     """
-    colours, depths = [], []
-    for member in networks:
+    members = list(networks)
+
+    def seen_by(number: int) -> tuple[Tensor, Tensor]:
+        member = members[number]
         blend = blend_sources(member, view, believe_depth(member.depth, view, spec), spec)
         found = blend.hypotheses
-        colours.append(blend.colour)
-        depths.append(found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0])
+        return blend.colour, found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
+
+    colours, depths = zip(*in_parts(seen_by, len(members)), strict=True)
     image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
     believed = torch.stack(depths).median(dim=0).values
     return RenderedImage(

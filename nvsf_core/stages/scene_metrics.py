@@ -2,16 +2,15 @@
 
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from nvsf_core._types import Scalar
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.metrics.lpips import load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
@@ -31,8 +30,6 @@ from nvsf_core.stages.scoring.moving_boxes import NO_BOXES, read_moving_boxes
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
-
-_THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +109,8 @@ def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
             task.progress(f"[{task.scene.name}] scene_metrics: {part.name} {done}")
         return own
 
-    # Each part uses one core, in torch too (whose setting is per thread).
-    with ThreadPoolExecutor(_THREADS, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        for own in pool.map(run, parts):
-            ledger.take(own)
+    for own in in_parts(lambda number: run(parts[number]), len(parts)):
+        ledger.take(own)
 
 
 def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:

@@ -1,13 +1,14 @@
 """The training loop. A training that is killed and resumed gives the same bits as one that is not."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 
 from nvsf_core.errors import DivergedError, StoreError
+from nvsf_core.kernels.threads import in_parts, use_threads
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.training.ema import WeightAverage
@@ -16,8 +17,12 @@ _SAY_EVERY_S = 4.0
 _RECORD_EVERY = 10
 _ADAM_KEYS = ("step", "exp_avg", "exp_avg_sq")
 
-Step = Callable[[int, torch.Generator], Iterable[LossBreakdown]]
-"""Given a step's number and the generator, the loss of that step, in parts whose gradients are added."""
+Part = Callable[[], Iterable[LossBreakdown]]
+"""A part of a step that other threads may compute beside other parts; its losses one after the other."""
+Step = Callable[[int, torch.Generator], Sequence[Part]]
+"""Given a step's number and the generator, the step's parts. All gradients are added, in their order. Only
+a step's single part may draw from the generator; several draw before, or from generators of their own."""
+_SEEDS = 2**62
 Save = Callable[[dict[str, Tensor], dict[str, object]], None]
 
 
@@ -108,6 +113,23 @@ def make_optimiser(model: nn.Module, spec: TrainingSpec) -> torch.optim.Adam:
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 
+def side_by_side(
+    parts: int, generator: torch.Generator, loss: Callable[[torch.Generator], LossBreakdown]
+) -> list[Part]:
+    """Parts of a step whose loss is the mean of theirs, each with a generator of its own.
+
+    Args:
+        parts: How many.
+        generator: Of the step; seeds the others.
+        loss: Of one part.
+    """
+
+    def part(seed: int) -> Part:
+        return lambda: [loss(torch.Generator().manual_seed(seed)).scaled(1.0 / parts)]
+
+    return [part(seed) for seed in torch.randint(_SEEDS, (parts,), generator=generator).tolist()]
+
+
 def fresh_state(model: nn.Module, spec: TrainingSpec, seed: int) -> TrainingState:
     """The state of a model before its first step; the seed decides what its steps sample."""
     return TrainingState(model, make_optimiser(model, spec), torch.Generator().manual_seed(seed))
@@ -128,7 +150,7 @@ def train(
 
     Args:
         state: Is changed in place.
-        spec: Steps, learning rates and their decay, seconds between checkpoints, threads.
+        spec: Steps, learning rates and their decay, seconds between checkpoints.
         step: Gives the loss of a step.
         save: Writes a checkpoint of tensors and facts.
         say: Prints a line of progress, every few seconds.
@@ -138,7 +160,7 @@ def train(
         DivergedError: A loss term, a gradient, a parameter or Adam's statistics are not finite; names the
             step, the term and the tensor. The last checkpoint is kept, and no weight was updated.
     """
-    torch.set_num_threads(spec.threads)
+    use_threads()
     began = time.perf_counter() - state.seconds
     saved = said = time.perf_counter()
     first = state.step
@@ -150,7 +172,7 @@ def train(
         is_due = state.step > first and time.perf_counter() - saved >= spec.checkpoint_s
         before = _copied(state) if is_due else None
         try:
-            loss, terms = _descend(step(state.step, state.generator))
+            loss, terms = _descend(state.model, step(state.step, state.generator))
         except DivergedError as error:
             raise DivergedError(f"step {state.step}: {error} ({_first_broken(state)})") from error
         if not _has_finite_gradients(state.model):
@@ -191,15 +213,39 @@ def _copied(state: TrainingState) -> tuple[dict[str, Tensor], dict[str, object]]
     return tensors, state.facts() | {"curve": list(state.curve)}
 
 
-def _descend(parts: Iterable[LossBreakdown]) -> tuple[float, dict[str, float]]:
-    """Add up the gradients of a step's parts; returns the step's loss and its terms."""
+def _descend(model: nn.Module, parts: Sequence[Part]) -> tuple[float, dict[str, float]]:
+    """Add up the gradients of a step's parts, always in the same order; the step's loss and its terms."""
+    weights = [p for p in model.parameters() if p.requires_grad]
     loss, terms = 0.0, dict[str, float]()
-    for part in parts:
-        part.total.backward()  # type: ignore[no-untyped-call]
-        loss += float(part.total.detach())
-        for name, value in part.terms.items():
+    found = in_parts(lambda part: _gradients(weights, parts[part]), len(parts))
+    for gradients, part_loss, part_terms in found:
+        for weight, gradient in zip(weights, gradients, strict=True):
+            weight.grad = _sum(weight.grad, gradient)
+        loss += part_loss
+        for name, value in part_terms.items():
             terms[name] = terms.get(name, 0.0) + value
     return loss, terms
+
+
+def _gradients(
+    weights: list[nn.Parameter], part: Part
+) -> tuple[list[Tensor | None], float, dict[str, float]]:
+    """Gradients of a part's losses by all weights (None for those it does not use), its loss and terms."""
+    gradients: list[Tensor | None] = [None] * len(weights)
+    loss, terms = 0.0, dict[str, float]()
+    for one in part():
+        found = torch.autograd.grad(one.total, weights, allow_unused=True)
+        gradients = [_sum(before, more) for before, more in zip(gradients, found, strict=True)]
+        loss += float(one.total.detach())
+        for name, value in one.terms.items():
+            terms[name] = terms.get(name, 0.0) + value
+    return gradients, loss, terms
+
+
+def _sum(one: Tensor | None, other: Tensor | None) -> Tensor | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return one + other
 
 
 def _has_finite_gradients(model: nn.Module) -> bool:
@@ -214,8 +260,9 @@ def _blame(state: TrainingState, step: Step) -> str:
     """Repeat a step one loss term at a time, and name the first whose gradient is not finite."""
     named = [(name, p) for name, p in state.model.named_parameters() if p.requires_grad]
     advice = "is not finite; lower the step size or look at its input"
-    for part in step(state.step, state.generator):
-        for term, value in part.reduced.items():
+    losses = (loss for part in step(state.step, state.generator) for loss in part())
+    for loss in losses:
+        for term, value in loss.reduced.items():
             found = torch.autograd.grad(
                 value, [p for _, p in named], retain_graph=True, allow_unused=True
             )  # fmt: skip

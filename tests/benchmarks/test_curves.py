@@ -23,7 +23,7 @@ from nvsf_core.stages import RunConfig, SceneRun, run_named_stage
 
 MARKS_S = (*np.arange(0.001, 300.0, 0.001).tolist(), 3600.0)
 """A millisecond apart: every step passes some."""
-TRAINING = TrainingSpec(steps=5, rays=128, threads=1)
+TRAINING = TrainingSpec(steps=5, rays=128)
 SMOKE = replace(
     preset("smoke"), lidar_field=FieldSpec(levels=2, log2_table=8), lidar_training=TRAINING,
     depth_training=replace(TRAINING, rays=512), camera_training=replace(TRAINING, rays=512),

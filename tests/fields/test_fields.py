@@ -30,7 +30,6 @@ def scene():
         range_m.astype(np.float32),
         np.full(4000, 0.3),
         voxel_m=0.2,
-        threads=1,
     )
     return surfels, origin[:64], direction[:64].astype(np.float32)
 

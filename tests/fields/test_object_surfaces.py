@@ -63,7 +63,7 @@ def dynamic() -> DynamicEvidence:
     moving = MovingObjects((path,), np.where(on_plate, 0, -1).astype(np.int32))
     rays = (origin, direction, range_m, intensity)
     objects = prove_objects(moving, *rays, time_s, np.arange(SCANS + 1) * 6000)
-    return DynamicEvidence(build_surfels(*rays, voxel_m=0.2, threads=1, is_surface=~on_plate), objects)
+    return DynamicEvidence(build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate), objects)
 
 
 def plate_at(dynamic: DynamicEvidence, time_s: float, leave_out: int | None = None) -> tuple[ObjectSurfels]:

@@ -20,7 +20,7 @@ def sparse(request: pytest.FixtureRequest) -> Surfels:
     origin = np.zeros((6000, 3), np.float32)
     return build_surfels(
         origin, direction.astype(np.float32), range_m.astype(np.float32), np.full(6000, 0.4),
-        voxel_m=VOXEL_M, threads=1, shaped=request.param,
+        voxel_m=VOXEL_M, shaped=request.param,
     )  # fmt: skip
 
 

@@ -14,9 +14,7 @@ def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_can
     direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
     origin = generator.normal(0.0, 0.5, (20_000, 3)).astype(np.float32)
     range_m = generator.uniform(3.0, 6.0, 20_000).astype(np.float32)
-    surfels = build_surfels(
-        origin, direction, range_m, generator.uniform(0.0, 1.0, 20_000), voxel_m=0.2, threads=1
-    )
+    surfels = build_surfels(origin, direction, range_m, generator.uniform(0.0, 1.0, 20_000), voxel_m=0.2)
     rays = origin[:5000], direction[:5000].copy()
     rays[1][:100] = (0.0, 0.0, 1.0)  # nothing is up there
     hit_prior = generator.uniform(0.0, 1.0, 5000).astype(np.float32)

@@ -24,9 +24,7 @@ def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:
     """Evidence of a wall 9 m ahead, where nothing moves, and rays at it."""
     direction = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (8, 1))
     origin = np.zeros((8, 3), np.float32)
-    surfels = build_surfels(
-        origin, direction, np.full(8, 9.0, np.float32), np.ones(8), voxel_m=0.2, threads=1
-    )
+    surfels = build_surfels(origin, direction, np.full(8, 9.0, np.float32), np.ones(8), voxel_m=0.2)
     prior = build_drop_prior(
         np.zeros(2, int), np.array([0, 1]), np.zeros(2), np.array([0, 2]), np.array([4]), np.zeros(1),
         lasers=1, nominal_firings=4,

@@ -50,7 +50,7 @@ def scene() -> LidarRecording:
     fraction = np.tile((np.arange(FIRINGS, dtype=np.float32) + 0.5) / FIRINGS - 0.5, (SCANS, 1))
     path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
     place = np.array([[1.0, 0.0, 0.0]], np.float32)
-    surfels = build_surfels(0 * place, place, np.full(1, 90.0), np.ones(1), voxel_m=0.2, threads=1)
+    surfels = build_surfels(0 * place, place, np.full(1, 90.0), np.ones(1), voxel_m=0.2)
     own = np.zeros((64, 4), np.float32)
     prior = DropPrior(path.times_s, fraction, is_hit)
     evidence = SceneEvidence(surfels, prior, LASERS, np.full(SCANS, FIRINGS), own, own)

@@ -28,9 +28,9 @@ _GRID = FieldSpec(levels=2, log2_table=8)
 SMOKE = replace(
     preset("smoke"),
     lidar_field=_GRID,
-    lidar_training=TrainingSpec(steps=20, rays=128, threads=1),
-    depth_training=TrainingSpec(steps=5, rays=512, threads=1),
-    camera_training=TrainingSpec(steps=5, rays=512, threads=1),
+    lidar_training=TrainingSpec(steps=20, rays=128),
+    depth_training=TrainingSpec(steps=5, rays=512),
+    camera_training=TrainingSpec(steps=5, rays=512),
 )
 SIZE = replace(DemoSize.tiny(), lasers=tuple(range(0, 64, 2)), firings=256)
 """Dense enough that an unbroken drive passes the checks that broken ones are told by."""

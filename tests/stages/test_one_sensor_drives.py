@@ -29,9 +29,9 @@ _GRID = FieldSpec(levels=2, log2_table=8)
 SMOKE = replace(
     preset("smoke"),
     lidar_field=_GRID,
-    lidar_training=TrainingSpec(steps=20, rays=128, threads=1),
-    depth_training=TrainingSpec(steps=20, rays=512, threads=1),
-    camera_training=TrainingSpec(steps=20, rays=512, threads=1),
+    lidar_training=TrainingSpec(steps=20, rays=128),
+    depth_training=TrainingSpec(steps=20, rays=512),
+    camera_training=TrainingSpec(steps=20, rays=512),
 )
 """The recipe `smoke` with smaller tables, for speed."""
 METHODS = ("copy_nearest", "model", "reproject")

@@ -22,7 +22,7 @@ HELD_OUT = (2, 4, 6)
 RECIPE = replace(
     preset("smoke"),
     lidar_field=FieldSpec(levels=2, log2_table=8),
-    lidar_training=TrainingSpec(steps=60, rays=1024, threads=1),
+    lidar_training=TrainingSpec(steps=60, rays=1024),
 )
 PANO = LinearPano(reference_quirks=True)
 KEYS = ("points_m", "intensity", "laser")

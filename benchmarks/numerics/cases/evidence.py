@@ -32,7 +32,7 @@ def _surfels(
     origins: np.ndarray, directions: np.ndarray, ranges: np.ndarray, voxel_m: float = 0.25
 ) -> Surfels:
     brightness = np.ones(len(ranges), np.float32)
-    return build_surfels(origins, directions, ranges, brightness, voxel_m=voxel_m, threads=1)
+    return build_surfels(origins, directions, ranges, brightness, voxel_m=voxel_m)
 
 
 def _opacity() -> Reading:

@@ -32,7 +32,7 @@ _SHIFTS_M = {"3.8 km": (1_000.0, 3_700.0, 115.0), "5e6 m along each axis": (5e6,
 _SIZE = replace(DemoSize.tiny(), frames=5, lasers=tuple(range(64)), firings=1050)
 """Whole turns: with thinned ones a range image is mostly empty, and its PSNR says little."""
 _HELD_OUT = 2
-_TRAINING = TrainingSpec(steps=300, rays=1024, threads=1)
+_TRAINING = TrainingSpec(steps=300, rays=1024)
 _FIELD = FieldSpec(levels=6, log2_table=14)
 _RECIPE = replace(preset("quick"), name="shifted", lidar_field=_FIELD, lidar_training=_TRAINING)
 _METRICS = (("raw", "chamfer_m2"), ("raw", "f_score"), ("lidar4d", "range_psnr_db"))

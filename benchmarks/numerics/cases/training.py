@@ -90,7 +90,7 @@ class _SmallField(nn.Module):
 
 
 def _spec(steps: int) -> TrainingSpec:
-    return TrainingSpec(steps=steps, rays=32, final_share=0.1, checkpoint_s=1e9, threads=1)
+    return TrainingSpec(steps=steps, rays=32, final_share=0.1, checkpoint_s=1e9)
 
 
 def _state(spec: TrainingSpec) -> TrainingState:

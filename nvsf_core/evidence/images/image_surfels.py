@@ -24,14 +24,11 @@ class DepthRays:
     """(n,) float32 metres; infinite where nothing nearer than the sky was found."""
 
 
-def image_surfels(
-    views: Sequence[DepthRays], *, far_m: float, intensity: float, threads: int
-) -> Surfels | None:
+def image_surfels(views: Sequence[DepthRays], *, far_m: float, intensity: float) -> Surfels | None:
     """Surfels nearer than `far_m` (metres) on which at least three views agree; None where there are none.
 
     Like a LiDAR ray, each pixel's ray counts as passing through the voxels before its end: a place that most
     views look through hardly stops a ray. Images do not measure LiDAR intensity: all surfels get `intensity`.
-    `threads` is the number of CPU threads.
     """
     lengths = [len(view.range_m) for view in views]
     if sum(lengths) == 0:
@@ -50,7 +47,7 @@ def image_surfels(
     shine = np.full(len(range_m), intensity, np.float32)
     return build_surfels(
         origin_m, direction, np.minimum(range_m, far_m).astype(np.float32), shine,
-        voxel_m=_VOXEL_M, threads=threads, is_surface=is_surface,
+        voxel_m=_VOXEL_M, is_surface=is_surface,
     )  # fmt: skip
 
 

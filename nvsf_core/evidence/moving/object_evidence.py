@@ -18,7 +18,6 @@ OBJECT_VOXEL_M = 0.1
 """Voxel edge for 64 lasers; with fewer lasers, larger ones hold about as many returns each."""
 NEAREST_SCANS = 4
 """Scans that an object's surfels are built from: more add nothing, and blur what bends, such as legs."""
-_THREADS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +116,7 @@ class ObjectEvidence:
             return None
         return build_surfels(
             rays.origin_m, rays.direction, rays.range_m, rays.intensity,
-            voxel_m=self.voxel_m, threads=_THREADS, is_surface=rays.is_hit,
+            voxel_m=self.voxel_m, is_surface=rays.is_hit,
         )  # fmt: skip
 
     def _rows_of(self, scans: np.ndarray) -> np.ndarray:

@@ -120,7 +120,6 @@ def build_surfels(
     intensity: np.ndarray,
     *,
     voxel_m: float,
-    threads: int,
     is_surface: np.ndarray | None = None,
     shaped: bool = False,
 ) -> Surfels:
@@ -137,7 +136,6 @@ def build_surfels(
         range_m: (n,) metres to the return.
         intensity: (n,) of the return, 0..1.
         voxel_m: Edge of a voxel.
-        threads: CPU threads.
         is_surface: (n,) bool: the return is part of a surface. False for example on moving objects, whose
             rays then only pass through voxels. None = all are.
         shaped: Whether surfels get shapes (`Surfels.precision`).
@@ -159,7 +157,6 @@ def build_surfels(
         index,
         mean_m,
         precision,
-        threads,
     )
     return Surfels(
         index=index,

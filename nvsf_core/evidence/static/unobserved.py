@@ -11,7 +11,7 @@ _NO_SHAPES = np.zeros((0, 6), np.float32)
 
 
 def unobserved_beside(
-    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, *, threads: int
+    surfels: Surfels, origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray
 ) -> Surfels | None:
     """Unobserved voxels that share a face with a surfel's voxel, as surfels of opacity one half.
 
@@ -20,7 +20,6 @@ def unobserved_beside(
         origin_m: (n, 3) scene-local metres, of all rays, those that end on moving objects included.
         direction: (n, 3) unit, scene-local axes.
         range_m: (n,) metres to the returns.
-        threads: CPU threads.
 
     Returns:
         Surfels in the middle of their voxels, without hits, passes or planes, each with the intensity of one
@@ -33,7 +32,7 @@ def unobserved_beside(
     index, voxel = index_points(middle_m, voxel_m)
     passes = count_passes(
         np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
-        range_m.astype(np.float32), index, np.zeros((index.voxel_count, 3), np.float32), _NO_SHAPES, threads,
+        range_m.astype(np.float32), index, np.zeros((index.voxel_count, 3), np.float32), _NO_SHAPES,
     )  # fmt: skip
     is_unobserved = passes[voxel] == 0
     if not is_unobserved.any():

@@ -12,12 +12,10 @@ from typing import Any
 
 import numba
 import numpy as np
-import torch
 from torch import Tensor
 
 __all__ = [
     "AHEAD", "BLOCK", "axis_by_axis", "combine", "compiled", "corner_scratch", "neutral_axes", "place",
-    "use_threads_of_torch",
 ]  # fmt: skip
 
 BLOCK = 256
@@ -134,10 +132,3 @@ def compiled(function: Callable[..., Any]) -> Any:
         return numba.njit(function, cache=True, **options)
     except RuntimeError:
         return numba.njit(function, **options)
-
-
-def use_threads_of_torch() -> int:
-    """Give numba torch's thread count, so that a run sets it in one place; returns it."""
-    threads = int(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
-    numba.set_num_threads(threads)
-    return threads

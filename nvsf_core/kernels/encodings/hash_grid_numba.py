@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numba
 import numpy as np
 import torch
 from numba import prange
@@ -23,7 +24,6 @@ from nvsf_core.kernels.encodings.corners_numba import (
     corner_scratch,
     neutral_axes,
     place,
-    use_threads_of_torch,
 )
 from nvsf_core.kernels.encodings.layout import PRIMES, GridLayout
 from nvsf_core.kernels.encodings.rows_numba import copy_row, gather, scatter
@@ -141,7 +141,7 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     Arguments and result as in `nvsf_core.kernels.hash_grid_encode`.
     """
     points = positions.shape[0]
-    blocks_a_thread = -(-points // (BLOCK * use_threads_of_torch()))
+    blocks_a_thread = -(-points // (BLOCK * numba.get_num_threads()))
     out = np.empty((points, layout.outputs), dtype=np.float32)
     _forward_for(layout.features, layout.dimensions)(
         axis_by_axis(positions),
@@ -172,7 +172,7 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
         grad.detach().contiguous().view(-1).numpy(),
         *_level_arrays(layout),
         positions.shape[0],
-        min(use_threads_of_torch(), layout.levels),
+        min(numba.get_num_threads(), layout.levels),
         grad_table.reshape(-1),
     )
     return torch.from_numpy(grad_table)

@@ -25,7 +25,6 @@ from nvsf_core.kernels.encodings.corners_numba import (
     corner_scratch,
     neutral_axes,
     place,
-    use_threads_of_torch,
 )
 from nvsf_core.kernels.encodings.rows_numba import gather, scatter
 
@@ -98,7 +97,6 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
     """
     features, height, width = plane.shape
     points = coordinates.shape[0]
-    use_threads_of_torch()
     out = np.empty((points, features), dtype=np.float32)
     _forward_for(features)(
         axis_by_axis(coordinates),
@@ -122,7 +120,6 @@ def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
         (features, height, width) float32; bit-identical for every thread count.
     """
     features, height, width = shape
-    use_threads_of_torch()
     grad_plane = np.zeros((height, width, features), dtype=np.float32)
     # Two groups if the number is even: more would compute the corners more often than they gain.
     group = features // 2 if features % 2 == 0 else features

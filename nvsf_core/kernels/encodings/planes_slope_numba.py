@@ -14,7 +14,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from nvsf_core.kernels.encodings.corners_numba import compiled, use_threads_of_torch
+from nvsf_core.kernels.encodings.corners_numba import compiled
 
 __all__ = ["coordinate_adjoint"]
 
@@ -71,7 +71,6 @@ def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tens
         (n, 2) float32; bit-identical for every thread count.
     """
     features, height, width = plane.shape
-    use_threads_of_torch()
     out = np.empty(tuple(coordinates.shape), dtype=np.float32)
     _slope_for(features)(
         coordinates.detach().contiguous().numpy(),

@@ -73,10 +73,10 @@ def refine(
         raise DivergedError("refine: expected finite renders, found NaN or infinity; render them again")
     loop = TrainingSpec(
         steps=spec.steps, rays=_frames_a_step(spec, renders) * is_return[0].numel(), final_share=1.0,
-        checkpoint_s=checkpoint_s, threads=torch.get_num_threads(),
+        checkpoint_s=checkpoint_s,
     )  # fmt: skip
     state.model.train()
-    train(state, loop, lambda step, _: _step(state, spec, step, renders, is_return), save, say)
+    train(state, loop, lambda step, _: [lambda: _losses(state, spec, step, renders, is_return)], save, say)
     state.model.eval()
 
 
@@ -120,7 +120,7 @@ def _frames_a_step(spec: RefinementSpec, renders: Tensor) -> int:
     return min(len(renders), spec.frames_a_step) or len(renders)
 
 
-def _step(
+def _losses(
     state: TrainingState, spec: RefinementSpec, step: int, renders: Tensor, is_return: Tensor
 ) -> Iterator[LossBreakdown]:
     """The loss of one step, frame by frame, in nats a pixel; sets the optimiser's rates."""

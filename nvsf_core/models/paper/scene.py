@@ -148,7 +148,6 @@ def load(
         StoreError: The weights do not fit the recipe.
     """
     recipe, facts = needed(recipe, recording), weights.facts
-    torch.set_num_threads(recipe.optimiser.threads)
     bounds = Bounds(centre_m=tuple(facts["centre_m"]), half_m=facts["half_m"], bound=facts["bound"])
     field = SceneField(recipe, frame_count(recording), torch.Generator())
     weights.load_into(field, "field.")

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -11,6 +12,8 @@ from torch.nn import functional
 from nvsf_core._types import Scalar
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.threads import in_parts
+from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
 from nvsf_core.models.family import TrainedPart
@@ -36,7 +39,7 @@ from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.training.device import training_device
-from nvsf_core.training.loop import fresh_state
+from nvsf_core.training.loop import Part, fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit
 
 _METRICS = {"psnr_db": True}
@@ -58,12 +61,18 @@ def train_camera(
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     given = aligned_by(MovingWorld(recording), {})
     shown = {name: _shown(given.world, name, recipe.camera).to(device) for name in usable}
-    examples = [
-        left_out(given, name, index, shown[name], recipe.camera).to(device)
+    wanted = [
+        (name, index)
         for name in usable
         for index in range(_images(recording, name))
         if index not in validation_images(_images(recording, name), recipe.camera)
     ]
+
+    def example(number: int) -> LeftOut:
+        name, index = wanted[number]
+        return left_out(given, name, index, shown[name], recipe.camera).to(device)
+
+    examples = in_parts(example, len(wanted))
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
@@ -74,15 +83,21 @@ def train_camera(
     depths = nn.ModuleList(one.depth for one in networks)
     depth = fresh_state(depths, recipe.depth_training, session.seed * 3 + 1)
     preparation = time.perf_counter() - started
+    # First the depth networks alone, by comparing planes; then all networks, for the image.
     fit(
         session, "depth", depth, recipe.depth_training,
-        lambda _, generator: (depth_step(one.depth, examples, recipe, generator) for one in networks),
+        lambda _, generator: _of_members(
+            recipe.depth_training.parts, generator,
+            [partial(depth_step, one.depth, examples, recipe) for one in networks],
+        ),
     )  # fmt: skip
-    # First the depth networks alone, by comparing planes; then all networks, for the image.
     both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
-        lambda _, generator: (camera_step(one, examples, recipe, generator) for one in networks),
+        lambda _, generator: _of_members(
+            recipe.camera_training.parts, generator,
+            [partial(camera_step, one, examples, recipe) for one in networks],
+        ),
     )  # fmt: skip
     validating = time.perf_counter()
     verdict, learned, corrections = _verdict(networks, given, shown, recipe.camera)
@@ -92,6 +107,13 @@ def train_camera(
         metadata={"left_out_images": len(examples)} | verdict,
         facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
     )  # fmt: skip
+
+
+def _of_members(
+    parts: int, generator: torch.Generator, losses: Sequence[Callable[[torch.Generator], LossBreakdown]]
+) -> list[Part]:
+    """The parts of a step of all members, each of whose losses is in `losses`."""
+    return [part for loss in losses for part in side_by_side(parts, generator, loss)]
 
 
 def _verdict(

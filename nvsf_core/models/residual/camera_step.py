@@ -26,7 +26,7 @@ def depth_step(
     """The loss of the depth planes, weighted by their probability, in a window of a left-out image."""
     example = _sampled(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
-    window = sample_window(shape, recipe.depth_training.rays, generator)
+    window = sample_window(shape, recipe.depth_training.rays // recipe.depth_training.parts, generator)
     probability, colour = planes_of(network, example.view, recipe.camera, window)
     return total_loss(_plane_terms(example, window, probability, colour), asdict(recipe.losses))
 
@@ -38,7 +38,7 @@ def camera_step(
     example = _sampled(examples, recipe.camera, generator)
     view = example.view
     shape = (view.small.height, view.small.width)
-    around = sample_window(shape, recipe.camera_training.rays, generator)
+    around = sample_window(shape, recipe.camera_training.rays // recipe.camera_training.parts, generator)
     probability, colour = planes_of(networks.depth, view, recipe.camera, around)
     belief = depth_belief(probability, colour, plane_inverses(recipe.camera, view.device))
     window = _full_size(around, shape, view.factor)

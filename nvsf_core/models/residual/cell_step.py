@@ -45,7 +45,7 @@ def cell_step(
     losses: LossWeights,
     generator: torch.Generator,
 ) -> LossBreakdown:
-    """The loss of a strip of columns of one training scan.
+    """The loss of a part of a step: a strip of columns of one training scan.
 
     Term `hit`: weighted cross-entropy. Term `intensity`, if the network has a second output: squared error
     where a return was both expected and recorded.
@@ -53,14 +53,14 @@ def cell_step(
     Args:
         network: Adds to the logits of hit and intensity.
         examples: Of which one is sampled.
-        training: Its `rays` is the number of cells in a strip.
+        training: Its `rays` is the number of cells in all strips of a step.
         losses: Weights of the terms.
         generator: Samples the example and the strip.
     """
     example = examples[int(torch.randint(len(examples), (), generator=generator))]
     height, width = example.returned.shape
     margin = len(network.layers)
-    inner = min(width, max(1, training.rays // height))
+    inner = min(width, max(1, training.rays // training.parts // height))
     first = int(torch.randint(width, (), generator=generator))
     strip = example.columns((torch.arange(-margin, inner + margin) + first) % width)
     correction = network(strip.features[None])[0]

@@ -122,18 +122,18 @@ def lidar_step(
     field: LidarField, surfels: Surfels, rays: LidarRays, recipe: ResidualRecipe, far_m: float,
     generator: torch.Generator,
 ) -> LossBreakdown:  # fmt: skip
-    """The loss of a batch of rays, sampled from all training scans.
+    """The loss of a part of a step: a batch of rays, sampled from all training scans.
 
     Args:
         field: Is trained.
         surfels: Of the static scene; moving objects come with the rays.
         rays: Of all training scans.
-        recipe: Rays a step, surfaces a ray, loss weights.
+        recipe: Rays and parts a step, surfaces a ray, loss weights.
         far_m: How far a ray is followed.
         generator: Samples the rays.
     """
     spec, device = recipe.lidar_training, next(field.parameters()).device
-    sampled = torch.randint(len(rays), (spec.rays,), generator=generator).numpy()
+    sampled = torch.randint(len(rays), (spec.rays // spec.parts,), generator=generator).numpy()
     most = recipe.evidence.lidar_candidates
     batch = surface_batch(
         surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,

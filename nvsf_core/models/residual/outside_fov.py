@@ -16,7 +16,6 @@ from nvsf_core.simulation.view_plan import SweepPlan
 
 _MOST_VIEWS = 24
 """Most views of a camera that are used; on longer drives they are evenly spread."""
-_THREADS = 2
 
 
 def looks_above(lidar: LidarRecording, plan: SweepPlan) -> bool:
@@ -38,7 +37,7 @@ def seen_above(recording: Recording, say: Say) -> RayRenderer | None:
             views.append(_depths(recording, name, instant_s, highest))
             say(f"outside the field of view, {name} {number + 1}/{len(halves)}")
     shine = lidar.evidence.static.intensity
-    surfels = image_surfels(views, far_m=lidar.far_m, intensity=float(shine.mean()), threads=_THREADS)
+    surfels = image_surfels(views, far_m=lidar.far_m, intensity=float(shine.mean()))
     if surfels is None:
         return None
     return image_renderer(surfels, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)

@@ -12,6 +12,7 @@ from nvsf_core.errors import RecipeError
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.family import TrainedPart
@@ -39,7 +40,7 @@ from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorr
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.training.device import training_device
-from nvsf_core.training.loop import fresh_state
+from nvsf_core.training.loop import fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit
 
 _METRICS = {"psnr_db": True, "hit_accuracy": True, "intensity_psnr_db": True}
@@ -105,17 +106,19 @@ def train_pano(
         prepared_s = time.perf_counter() - started
         return TrainedPart(states={}, preparation_seconds=prepared_s, metadata=few, facts={CORRECTED: []})
     scans = np.unique(np.linspace(0, len(panos.time_s) - 1, spec.frames).round().astype(np.int64))
-    left_out = []
-    for scan in scans.tolist():
-        left_out.append(leave_out(field, recipe, lidar, panos, scan, correct))
-        session.say("pano", f"training pano {len(left_out)} of {len(scans)} estimated")
+    session.say("pano", f"estimating {len(scans)} training panos")
+    left_out = in_parts(
+        lambda place: leave_out(field, recipe, lidar, panos, int(scans[place]), correct), len(scans)
+    )
     validation = validation_numbers(len(left_out), spec.judge_every, spec.judge_every // 2)
     examples = [one.example().to(device) for number, one in enumerate(left_out) if number not in validation]
     state = fresh_state(network, training, session.seed * 5 + 3)
     preparation = time.perf_counter() - started
     fit(
         session, "pano", state, training,
-        lambda _, generator: [cell_step(network, examples, training, recipe.losses, generator)],
+        lambda _, generator: side_by_side(
+            training.parts, generator, lambda own: cell_step(network, examples, training, recipe.losses, own)
+        ),
     )  # fmt: skip
     validating = time.perf_counter()
     metadata, corrected = choose(network, [left_out[number] for number in validation])

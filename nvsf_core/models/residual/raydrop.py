@@ -12,6 +12,7 @@ from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import fire_left_out
@@ -32,7 +33,7 @@ from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scan import SweepRays
 from nvsf_core.simulation.scene_model import SweepCorrector
 from nvsf_core.training.device import training_device
-from nvsf_core.training.loop import fresh_state
+from nvsf_core.training.loop import fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit
 
 HITS_BLEND = "hits_blend"
@@ -100,21 +101,27 @@ def train_hits(
     scan_grids = recorded_sweeps(lidar)
     learned = [number for number, _ in learned_scans(lidar)]
     chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
-    examples = []
-    for index in chosen.tolist():
-        examples.append(_example(field, recipe, lidar, scan_grids, learned[index]).to(device))
-        session.say("hits", f"training scan {len(examples)} of {len(chosen)} simulated")
+    session.say("hits", f"simulating {len(chosen)} training scans")
+    examples = in_parts(
+        lambda place: _example(field, recipe, lidar, scan_grids, learned[chosen[place]]).to(device),
+        len(chosen),
+    )
     preparation = time.perf_counter() - started
     state = fresh_state(network, spec.training, session.seed * 5 + 4)
     fit(
         session, "hits", state, spec.training,
-        lambda _, generator: [cell_step(network, examples, spec.training, recipe.losses, generator)],
+        lambda _, generator: side_by_side(
+            spec.training.parts, generator,
+            lambda own: cell_step(network, examples, spec.training, recipe.losses, own),
+        ),
     )  # fmt: skip
     validating = time.perf_counter()
-    validated = [
-        _validation_sweep(field, recipe, lidar, scan_grids, network, number, left_out.static)
-        for number in left_out.validation.tolist()
-    ]
+    validated = in_parts(
+        lambda place: _validation_sweep(
+            field, recipe, lidar, scan_grids, network, int(left_out.validation[place]), left_out.static
+        ),
+        len(left_out.validation),
+    )
     blend, metadata = blend_in_rotation(validated)
     preparation += time.perf_counter() - validating
     return TrainedHits(

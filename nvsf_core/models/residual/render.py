@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import torch
-
 from nvsf_core.models.baselines.reproject import carrying_renderer, unobserved_renderer
 from nvsf_core.models.family import Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer
@@ -28,7 +26,6 @@ def load(
     Raises:
         StoreError: The weights do not fit the recipe.
     """
-    torch.set_num_threads(recipe.lidar_training.threads)
     facts = weights.facts
     fields = make_fields(recipe, recording, 0)
     model = SceneModel(lidar=None, camera=None, prior_scans=recipe.evidence.votes)

@@ -2,8 +2,6 @@
 
 import time
 
-import torch
-
 from nvsf_core._types import Scalar
 from nvsf_core.models.family import Trained, TrainedPart
 from nvsf_core.models.residual.camera import train_camera
@@ -15,14 +13,13 @@ from nvsf_core.models.residual.training_rays import training_rays
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.training.device import training_device
-from nvsf_core.training.loop import TrainingState, fresh_state
+from nvsf_core.training.loop import TrainingState, fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit
 
 
 def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession) -> Trained:
     """Train all parts of a scene's model, resuming from the session's checkpoints."""
     started = time.perf_counter()
-    torch.set_num_threads(recipe.lidar_training.threads)
     fields = make_fields(recipe, recording, session.seed)
     states: dict[str, TrainingState] = {}
     metadata: dict[str, Scalar] = {}
@@ -37,7 +34,9 @@ def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession
         state = fresh_state(field.to(training_device()), spec, session.seed * 2)
         states["lidar"] = fit(
             session, "lidar", state, spec,
-            lambda _, generator: [lidar_step(field, static, rays, recipe, far_m, generator)],
+            lambda _, generator: side_by_side(
+                spec.parts, generator, lambda own: lidar_step(field, static, rays, recipe, far_m, own)
+            ),
         )  # fmt: skip
         # Sweeps are rendered on the CPU, where the evidence is.
         field.to("cpu")

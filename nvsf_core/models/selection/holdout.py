@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from nvsf_core._types import Scalar
+from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 
 Left = TypeVar("Left")
 _SURE = 2.0
@@ -63,10 +64,13 @@ def compare(
     """
     kept_out = list(validation)
     means = {
-        name: tuple(np.mean([score(one) for one in kept_out], axis=0).tolist())
-        for name, score in candidates.items()
+        name: tuple(np.mean(_scores(score, kept_out), axis=0).tolist()) for name, score in candidates.items()
     }
     return Comparison(tuple(metrics), tuple(metrics.values()), means)
+
+
+def _scores(score: Callable[[Left], Sequence[float]], kept_out: Sequence[Left]) -> list[Sequence[float]]:
+    return in_parts(lambda number: score(kept_out[number]), len(kept_out), MOST_VIEWS)
 
 
 def validation_numbers(count: int, every: int, first: int) -> range:

@@ -38,13 +38,11 @@ class ScanRays:
     is_static: np.ndarray
     """(n,) bool: not of a moving object."""
 
-    def surfels(
-        self, voxel_m: float, threads: int, chosen: slice | np.ndarray = slice(None), *, shaped: bool
-    ) -> Surfels:
+    def surfels(self, voxel_m: float, chosen: slice | np.ndarray = slice(None), *, shaped: bool) -> Surfels:
         """Static surfels of the chosen returns; `shaped` as in `build_surfels`."""
         return build_surfels(
             self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
-            voxel_m=voxel_m, threads=threads, is_surface=self.is_static[chosen], shaped=shaped,
+            voxel_m=voxel_m, is_surface=self.is_static[chosen], shaped=shaped,
         )  # fmt: skip
 
 
@@ -68,9 +66,7 @@ class VoxelChoice:
         return min(self.errors_m, key=lambda voxel_m: self.errors_m[voxel_m])
 
 
-def choose_voxel_m(
-    rays: ScanRays, *, unidentified: np.ndarray, far_m: float, threads: int
-) -> VoxelChoice | None:
+def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) -> VoxelChoice | None:
     """Score voxel sizes on two training scans that the surfels are built without.
 
     Sizes are tried from the finest on; the first that is worse than one before it ends the search.
@@ -79,7 +75,6 @@ def choose_voxel_m(
         rays: Of the training scans.
         unidentified: (s,) numbers of scans that are never left out, because their lasers are unknown.
         far_m: How far a ray is followed.
-        threads: For building the surfels.
 
     Returns:
         The sizes that were tried; None if there are fewer than six scans or no static return to compare.
@@ -97,14 +92,14 @@ def choose_voxel_m(
     errors_m: dict[float, float] = {}
     rendered: dict[float, Surfels] = {}
     for voxel_m in CANDIDATES_M:
-        rendered[voxel_m] = rays.surfels(voxel_m, threads, ~is_validation, shaped=True)
+        rendered[voxel_m] = rays.surfels(voxel_m, ~is_validation, shaped=True)
         errors_m[voxel_m] = mean_range_error_m(
             rendered[voxel_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
             far_m=far_m, worst_m=_WORST_M,
         )  # fmt: skip
         if errors_m[voxel_m] > min(errors_m.values()):
             break
-    static = rays.surfels(FIELD_VOXEL_M, threads, ~is_validation, shaped=False)
+    static = rays.surfels(FIELD_VOXEL_M, ~is_validation, shaped=False)
     return VoxelChoice(errors_m=errors_m, validation=validation, static=static, rendered=rendered)
 
 

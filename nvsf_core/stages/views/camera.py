@@ -1,16 +1,18 @@
 """Images of a view: rendered by a model, or copied from the nearest training image."""
 
-import time
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
+from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.models.baselines.copy_nearest import nearest_earlier
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.plan import reference_poses, to_world
+from nvsf_core.stages.views.timing import render_all
 
 
 def image_arrays(
@@ -33,21 +35,20 @@ def image_arrays(
     for name, plan in plans.items():
         pinhole = recording.cameras[name].training.pinhole
         poses = _camera_poses(recording, name, plan)
-        shown, range_m, seconds = [], [], []
-        for number, instant in enumerate(plan.time_s):
-            started = time.perf_counter()
-            image = render(name, pinhole, poses[number], float(instant))
-            seconds.append(time.perf_counter() - started)
-            shown.append(image.rgb)
-            with np.errstate(over="ignore"):  # lengths beyond 65 km become infinite
-                range_m.append(image.range_m.astype(np.float16))
-            task.progress(
-                f"[{task.scene.name}] novel_views: {plan.name}, {method}, {name} "
-                f"{number + 1}/{len(plan.time_s)}, {seconds[-1]:.2f} s"
-            )
-        arrays |= _named(name, plan, np.stack(shown), to_world(recording, poses), np.array(seconds))
+        one = partial(_image, name, pinhole, poses, plan, render)
+        shown, seconds = render_all(task, one, len(poses), f"{plan.name}, {method}, {name}")
+        rgb, range_m = zip(*shown, strict=True)
+        arrays |= _named(name, plan, np.stack(rgb), to_world(recording, poses), seconds)
         arrays[f"{name}_range_m"] = np.stack(range_m)
     return arrays
+
+
+def _image(
+    name: str, pinhole: Pinhole, poses: np.ndarray, plan: ViewPlan, render: ImageRenderer, number: int
+) -> tuple[np.ndarray, np.ndarray]:
+    image = render(name, pinhole, poses[number], float(plan.time_s[number]))
+    with np.errstate(over="ignore"):  # lengths beyond 65 km become infinite
+        return image.rgb, image.range_m.astype(np.float16)
 
 
 def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneMod
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, render_along, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.views.timing import render_all
 
 
 def sweep_arrays(
@@ -31,18 +32,13 @@ def sweep_arrays(
     Returns:
         Arrays of the data contract of `novel_views`: the joined scans, panos, and grids of rays.
     """
-    sweeps: list[SimulatedSweep] = []
-    seconds = []
-    for number, instant in enumerate(plan.time_s):
-        started = time.perf_counter()
-        sweeps.append(simulate_sweep(model, lidar, plan, float(instant)))
-        seconds.append(time.perf_counter() - started)
-        task.progress(
-            f"[{task.scene.name}] novel_views: {plan.name}, {method}, sweep {number + 1}/{len(plan.time_s)}, "
-            f"{len(sweeps[-1].points_m):,} returns in {seconds[-1]:.2f} s"
-        )
+
+    def simulated(number: int) -> SimulatedSweep:
+        return simulate_sweep(model, lidar, plan, float(plan.time_s[number]))
+
+    sweeps, seconds = render_all(task, simulated, len(plan.time_s), f"{plan.name}, {method}, sweeps")
     arrays = _joined([(s.points_m, s.intensity, s.laser) for s in sweeps])
-    arrays["lidar_render_seconds"] = np.array(seconds)
+    arrays["lidar_render_seconds"] = seconds
     for name in ("pano_range_m", "pano_intensity", "pano_hit"):
         arrays[name] = np.stack([getattr(s, name) for s in sweeps])
     shapes = {s.grid["grid_hit"].shape for s in sweeps}
@@ -67,12 +63,13 @@ def own_panos(task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRender
     Returns:
         `pano_range_m`, `pano_intensity` and `pano_hit`, each (n, H, W).
     """
-    panos = []
-    for number, (pose, instant) in enumerate(zip(poses, plan.time_s, strict=True)):
-        range_m, intensity, hit = render(pose, float(instant))
+
+    def pano(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        range_m, intensity, hit = render(poses[number], float(plan.time_s[number]))
         expected = cells_return(hit)
-        panos.append((range_m * expected, intensity * expected, hit))
-        task.progress(f"[{task.scene.name}] novel_views: {plan.name}, pano {number + 1}/{len(poses)}")
+        return range_m * expected, intensity * expected, hit
+
+    panos, _ = render_all(task, pano, len(poses), f"{plan.name}, panos")
     names = ("pano_range_m", "pano_intensity", "pano_hit")
     return {name: np.stack(columns) for name, columns in zip(names, zip(*panos, strict=True), strict=True)}
 

@@ -21,7 +21,7 @@ def a_view(y_m: float, *, is_proven: bool = True) -> DepthRays:
 
 
 def surfels_of(*views: DepthRays) -> Surfels | None:
-    return image_surfels(views, far_m=FAR_M, intensity=0.3, threads=1)
+    return image_surfels(views, far_m=FAR_M, intensity=0.3)
 
 
 def answers_of(surfels: Surfels):

@@ -123,7 +123,7 @@ def test_rays_of_the_left_out_scan_meet_what_stands_within_two_centimetres(stree
     range_m = np.linalg.norm(along, axis=1)
     surfels = build_surfels(
         fired_from.astype(np.float32), (along / range_m[:, None]).astype(np.float32),
-        range_m.astype(np.float32), np.zeros(len(range_m)), voxel_m=0.2, threads=1, shaped=shaped,
+        range_m.astype(np.float32), np.zeros(len(range_m)), voxel_m=0.2, shaped=shaped,
     )  # fmt: skip
     scan = simulate_scan(world, 15, LASERS, FIRINGS)
     origin, direction, _ = compensate(

@@ -53,8 +53,8 @@ def passing() -> tuple[DynamicEvidence, Surfels]:
     moving = MovingObjects((path,), np.where(on_plate, 0, -1).astype(np.int32))
     rays = (origin, direction, range_m.astype(np.float32), intensity)
     objects = prove_objects(moving, *rays, time_s, np.arange(SCANS + 1) * count)
-    static = build_surfels(*rays, voxel_m=0.2, threads=1, is_surface=~on_plate)
-    return DynamicEvidence(static, objects), build_surfels(*rays, voxel_m=0.2, threads=1)
+    static = build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate)
+    return DynamicEvidence(static, objects), build_surfels(*rays, voxel_m=0.2)
 
 
 def votes_of(is_hit: np.ndarray) -> ObjectHitPriors:

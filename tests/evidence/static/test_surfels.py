@@ -25,7 +25,7 @@ def rays_to_wall(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 @pytest.fixture(scope="module", params=[False, True], ids=["without shapes", "with shapes"])
 def wall(request):
     rays = rays_to_wall(20_000, 0)
-    return build_surfels(*rays, np.full(20_000, 0.4), voxel_m=0.2, threads=2, shaped=request.param)
+    return build_surfels(*rays, np.full(20_000, 0.4), voxel_m=0.2, shaped=request.param)
 
 
 def test_every_point_lies_in_the_voxel_that_the_index_names() -> None:
@@ -56,7 +56,7 @@ def test_rays_beyond_a_surface_count_as_seen_through() -> None:
     origin = np.zeros((4, 3), np.float32)
     direction = np.tile(np.array([1, 0, 0], np.float32), (4, 1))
     surfels = build_surfels(
-        origin, direction, np.array([5.1, 9.9, 9.9, 9.9], np.float32), np.zeros(4), voxel_m=0.2, threads=1
+        origin, direction, np.array([5.1, 9.9, 9.9, 9.9], np.float32), np.zeros(4), voxel_m=0.2
     )
     near = int(np.argmin(np.abs(surfels.mean_m[:, 0] - 5.1)))
     far = int(np.argmin(np.abs(surfels.mean_m[:, 0] - 9.9)))
@@ -103,7 +103,7 @@ def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross() -
     range_m = np.linalg.norm(place - origin, axis=1)
     rays = (origin.astype(np.float32), ((place - origin) / range_m[:, None]).astype(np.float32))
     noisy_m = (range_m + rng.normal(0.0, 0.01, 60_000)).astype(np.float32)
-    road = build_surfels(*rays, noisy_m, np.zeros(60_000), voxel_m=0.2, threads=1, shaped=True)
+    road = build_surfels(*rays, noisy_m, np.zeros(60_000), voxel_m=0.2, shaped=True)
     index = road.index
     crossed = count_passes(
         *rays, noisy_m, index, road.mean_m,
@@ -127,7 +127,7 @@ def test_a_ray_that_passes_a_pole_by_meets_what_is_behind_it() -> None:
         np.concatenate([np.zeros((n, 3), np.float32), origin[beside]]),
         np.concatenate([(pole / along[:, None]).astype(np.float32), direction[beside]]),
         np.concatenate([along.astype(np.float32), range_m[beside]]), np.zeros(n + int(beside.sum())),
-        voxel_m=0.2, threads=1, shaped=True,
+        voxel_m=0.2, shaped=True,
     )  # fmt: skip
     asked = np.flatnonzero(beside & (off < 0.1))
     assert len(asked) > 100

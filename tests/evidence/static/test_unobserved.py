@@ -25,12 +25,12 @@ def rays() -> Rays:
 
 @pytest.fixture(scope="module")
 def proven(rays: Rays) -> Surfels:
-    return build_surfels(*rays, np.where(rays[2] > 12.0, 0.9, 0.3), voxel_m=VOXEL_M, threads=1)
+    return build_surfels(*rays, np.where(rays[2] > 12.0, 0.9, 0.3), voxel_m=VOXEL_M)
 
 
 @pytest.fixture(scope="module")
 def unknown(proven: Surfels, rays: Rays) -> Surfels:
-    found = unobserved_beside(proven, *rays, threads=1)
+    found = unobserved_beside(proven, *rays)
     assert found is not None
     return found
 
@@ -79,11 +79,11 @@ def test_where_all_around_is_seen_nothing_is_unknown() -> None:
     range_m = np.append(np.full(len(around), 6.0), 3.0)
     is_surface = np.append(np.zeros(len(around), bool), True)
     lone = build_surfels(
-        origin, direction, range_m, np.ones(len(origin)), voxel_m=VOXEL_M, threads=1, is_surface=is_surface
+        origin, direction, range_m, np.ones(len(origin)), voxel_m=VOXEL_M, is_surface=is_surface
     )
     rays = origin.astype(np.float32), direction.astype(np.float32), range_m.astype(np.float32)
-    assert unobserved_beside(lone, *rays, threads=1) is None
-    kept = unobserved_beside(lone, *(column[-1:] for column in rays), threads=1)
+    assert unobserved_beside(lone, *rays) is None
+    kept = unobserved_beside(lone, *(column[-1:] for column in rays))
     assert kept is not None and len(kept.hits) == 5, "all faces but the one that the ray came through"
 
 

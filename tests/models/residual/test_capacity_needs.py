@@ -146,5 +146,5 @@ def floor(edge_m: float, spacing_m: float) -> Surfels:
     down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (x.size, 1))
     origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 3.1)], axis=1).astype(np.float32)
     return build_surfels(
-        origin, down, np.full(x.size, 3.0, np.float32), np.zeros(x.size, np.float32), voxel_m=0.2, threads=1
+        origin, down, np.full(x.size, 3.0, np.float32), np.zeros(x.size, np.float32), voxel_m=0.2
     )

@@ -29,7 +29,7 @@ assert isinstance(SMOKE, ResidualRecipe)
 BROKEN = replace(
     SMOKE,
     lidar_field=FieldSpec(levels=2, log2_table=8),
-    lidar_training=TrainingSpec(steps=40, rays=512, threads=1),
+    lidar_training=TrainingSpec(steps=40, rays=512),
     losses=LossWeights(hit=-5.0),
     pano=PanoSpec(phases=1, parts=1),
 )
@@ -96,7 +96,7 @@ def test_a_field_wins_where_the_baseline_knows_less(broken: Judged) -> None:
     first = broken.lidar.sweeps.returns_of(0)
     one_scan = build_surfels(
         a["origin_m"][first], a["direction"][first], a["range_m"][first], a["intensity"][first],
-        voxel_m=0.3, threads=1,
+        voxel_m=0.3,
     )  # fmt: skip
     left_out = replace(evidence.left_out, rendered=one_scan)
     poor = replace(broken.lidar, evidence=replace(evidence, left_out=left_out))

@@ -39,7 +39,7 @@ LEAN = replace(
     losses=replace(RECIPE.losses, structure=0.1),
 )
 
-FEW = TrainingSpec(steps=5, rays=256, threads=1)
+FEW = TrainingSpec(steps=5, rays=256)
 CAMERA = "image_00"
 WHOLE = replace(
     LEAN,
@@ -61,7 +61,7 @@ def learned(
     ensemble = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0)).to(device)
     (networks,) = ensemble
     assert isinstance(networks, CameraNetworks)
-    given, losses, spec = [left_out.to(device)], [], replace(STEPS, steps=10, threads=1)
+    given, losses, spec = [left_out.to(device)], [], replace(STEPS, steps=10)
     for model, step in ((networks.depth, depth_step), (networks, camera_step)):
         state = fresh_state(model, spec, 1)
         train(

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.residual.pano import train_pano
@@ -31,9 +30,7 @@ assert isinstance(SMOKE, ResidualRecipe)
 SMALL = replace(
     SMOKE,
     lidar_field=FieldSpec(levels=2, log2_table=8),
-    hits=HitsSpec(
-        channels=8, layers=1, training=TrainingSpec(steps=150, rays=2000, network_rate=1e-2, threads=1)
-    ),
+    hits=HitsSpec(channels=8, layers=1, training=TrainingSpec(steps=150, rays=2000, network_rate=1e-2)),
 )
 
 
@@ -50,7 +47,6 @@ class Drive:
         work.mkdir()
         fields = make_fields(recipe, self.recording, 0)
         assert isinstance(fields.lidar, LidarField) and fields.hits is not None
-        torch.set_num_threads(1)
         return train_hits(self.session(work), fields.hits, fields.lidar, recipe, lidar)
 
     def session(self, work: Path) -> StageSession:
@@ -126,12 +122,11 @@ def test_recorded_turns_hold_every_training_return_where_the_prior_has_it(drive:
 
 
 def test_the_seconds_of_training_a_pano_are_all_that_it_took(drive: Drive, tmp_path: Path) -> None:
-    once = TrainingSpec(steps=1, rays=264, threads=1)
+    once = TrainingSpec(steps=1, rays=264)
     pano = PanoSpec(phases=1, parts=2, channels=32, layers=4, frames=3, judge_every=2, training=once)
     recipe = replace(SMALL, pano=pano)
     fields = make_fields(recipe, drive.recording, 0)
     assert fields.lidar is not None and fields.pano is not None
-    torch.set_num_threads(1)
     session, started = drive.session(tmp_path), time.perf_counter()
     trained = train_pano(session, fields.pano, fields.lidar, recipe, drive.lidar, None)
     took_s = time.perf_counter() - started

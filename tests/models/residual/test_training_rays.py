@@ -50,7 +50,7 @@ def drive() -> LidarRecording:
     )  # fmt: skip
     moving = MovingObjects((path,), np.where(on_plate, 0, -1).astype(np.int32))
     dynamic = DynamicEvidence(
-        build_surfels(*rays, voxel_m=0.2, threads=1, is_surface=~on_plate),
+        build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate),
         prove_objects(moving, *rays, time_s, offsets),
     )
     is_hit = np.ones((SCANS, 64, 400), bool)
@@ -58,7 +58,7 @@ def drive() -> LidarRecording:
     firing = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     own = np.zeros((64, 400), np.float32)
     evidence = SceneEvidence(
-        build_surfels(*rays, voxel_m=0.2, threads=1), DropPrior(instants, firing, is_hit),
+        build_surfels(*rays, voxel_m=0.2), DropPrior(instants, firing, is_hit),
         np.arange(64, dtype=np.int16), np.full(SCANS, 400, np.int32), own, own, dynamic,
     )  # fmt: skip
     arrays = {

@@ -19,7 +19,7 @@ from tests.evidence.moving.walkers import FRAME_S, Walk, rays_towards, walk_past
 
 SCANS = 14
 AHEAD = np.array([[1.0, 0.0, 0.0]], np.float32)
-ANYTHING = build_surfels(0 * AHEAD, AHEAD, np.full(1, 9.0), np.ones(1), voxel_m=0.2, threads=1)
+ANYTHING = build_surfels(0 * AHEAD, AHEAD, np.full(1, 9.0), np.ones(1), voxel_m=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ def wall_seen_from_one_place(scans: int, rays_a_scan: int, step_m: float) -> Sca
 
 
 def chosen(rays: ScanRays) -> VoxelChoice:
-    choice = choose_voxel_m(rays, unidentified=NOBODY, far_m=FAR_M, threads=1)
+    choice = choose_voxel_m(rays, unidentified=NOBODY, far_m=FAR_M)
     assert choice is not None
     return choice
 
@@ -54,13 +54,13 @@ def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() ->
     rays = wall_seen_from_one_place(8, 400, 0.1)
     assert chosen(rays).errors_m == chosen(rays).errors_m
     few = wall_seen_from_one_place(5, 400, 0.1)
-    assert choose_voxel_m(few, unidentified=NOBODY, far_m=FAR_M, threads=1) is None
+    assert choose_voxel_m(few, unidentified=NOBODY, far_m=FAR_M) is None
 
 
 def test_moving_objects_do_not_vote_on_the_size() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     rays.is_static[:] = False
-    assert choose_voxel_m(rays, unidentified=NOBODY, far_m=FAR_M, threads=1) is None
+    assert choose_voxel_m(rays, unidentified=NOBODY, far_m=FAR_M) is None
 
 
 def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
@@ -84,8 +84,8 @@ def test_what_judges_are_judged_by_is_proven_by_the_others_alone() -> None:
 def test_silent_scans_prove_but_never_judge() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     unidentified = chosen(rays).validation[:1]
-    choice = choose_voxel_m(rays, unidentified=unidentified, far_m=FAR_M, threads=1)
+    choice = choose_voxel_m(rays, unidentified=unidentified, far_m=FAR_M)
     assert choice is not None and len(np.unique(choice.validation)) == 2
     assert not np.isin(unidentified, choice.validation).any()
     assert int(choice.static.hits.sum()) == 6 * 400
-    assert choose_voxel_m(rays, unidentified=np.arange(3), far_m=FAR_M, threads=1) is None
+    assert choose_voxel_m(rays, unidentified=np.arange(3), far_m=FAR_M) is None

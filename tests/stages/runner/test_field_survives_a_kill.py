@@ -25,7 +25,7 @@ FRAMES = 7
 STEPS = 6
 """Of each phase. A checkpoint is due at every one of them."""
 KILLED_AFTER = 4
-_TRAINING = TrainingSpec(steps=STEPS, rays=512, checkpoint_s=0.0, threads=1)
+_TRAINING = TrainingSpec(steps=STEPS, rays=512, checkpoint_s=0.0)
 RESIDUAL = replace(
     preset("smoke"),
     name="often_saved",

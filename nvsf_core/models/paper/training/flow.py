@@ -1,6 +1,6 @@
 """Trains the paper's scene flow: its point clouds, its loss, and training of the flow alone."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -13,7 +13,7 @@ from nvsf_core.fields.flow import FlowField
 from nvsf_core.losses.scene_flow import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
-from nvsf_core.training.loop import TrainingState, train
+from nvsf_core.training.loop import Part, TrainingState, train
 
 
 def flow_loss(
@@ -87,13 +87,12 @@ def train_flow(
     state = TrainingState(flow, optimiser, generator)
     last = max(1, count - 1)
 
-    def step(_: int, sampler: torch.Generator) -> Iterator[LossBreakdown]:
+    def step(_: int, sampler: torch.Generator) -> list[Part]:
         row = int(torch.randint(len(clouds), (1,), generator=sampler))
-        yield flow_loss(flow, recipe, clouds, frame, row, float(frame[row]) / last, sampler)
+        return [lambda: [flow_loss(flow, recipe, clouds, frame, row, float(frame[row]) / last, sampler)]]
 
     loop = TrainingSpec(
         steps=steps, rays=recipe.flow.points, final_share=spec.final_share, checkpoint_s=1e9,
-        threads=spec.threads,
     )  # fmt: skip
     train(state, loop, step, lambda tensors, facts: None, say)
     return state

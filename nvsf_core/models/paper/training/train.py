@@ -1,7 +1,6 @@
 """Trains the paper's system: the field on rays of one frame a step, then the U-Net on whole panos."""
 
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ from torch import Tensor
 
 from nvsf_core._types import Scalar
 from nvsf_core.fields.raydrop_unet import RaydropUnet
-from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.models.family import Trained
 from nvsf_core.models.paper.refine import refine, refinement_state
 from nvsf_core.models.paper.render import PaperModel
@@ -21,7 +19,7 @@ from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.training.device import training_device
 from nvsf_core.training.ema import WeightAverage
-from nvsf_core.training.loop import Step, TrainingState
+from nvsf_core.training.loop import Part, Step, TrainingState
 from nvsf_core.training.session import TrainingSession, fit
 
 
@@ -39,7 +37,6 @@ def train_on_frames(
     recipe: PaperRecipe, recording: Recording, frames: PaperFrames, session: TrainingSession
 ) -> Trained:
     """Train on prepared frames, which several runs may share."""
-    torch.set_num_threads(recipe.optimiser.threads)
     seed = session.seed
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(training_device())
     state = _state(trainee, recipe, seed)
@@ -86,12 +83,11 @@ def _loop_spec(recipe: PaperRecipe) -> TrainingSpec:
         rays=recipe.sampling.rays * (2 if recipe.sampling.camera else 1),
         final_share=spec.final_share,
         checkpoint_s=spec.checkpoint_s,
-        threads=spec.threads,
     )
 
 
 def _step(state: TrainingState, trainee: PaperTrainee, frames: PaperFrames, seed: int) -> Step:
-    def step(number: int, generator: torch.Generator) -> Iterable[LossBreakdown]:
+    def step(number: int, generator: torch.Generator) -> list[Part]:
         # Before the first step of an epoch, so that a run resumed there updates the average once.
         if number and number % len(frames.frames) == 0 and state.average is not None:
             state.average.update()

@@ -13,7 +13,7 @@ from nvsf_core.recipe.paper import FlowSpec, GridSpec, PaperOptimiser, PaperReci
 SPEC = FlowSpec(
     grid=GridSpec(levels=2, features=4, log2_table=9, base_resolution=4, finest_resolution=8), points=400
 )
-RECIPE = PaperRecipe(name="tiny", flow=SPEC, optimiser=PaperOptimiser(head_rate=5e-3, threads=1))
+RECIPE = PaperRecipe(name="tiny", flow=SPEC, optimiser=PaperOptimiser(head_rate=5e-3))
 FRAME = np.array([0.0, 1.0, 2.0])
 MOVED = np.array([0.03, 0.0, -0.01], np.float32)
 """From frame to frame, scaled units."""

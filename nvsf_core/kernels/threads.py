@@ -1,0 +1,87 @@
+"""How many CPU threads there are, and how work is divided among them without changing a bit of its result.
+
+Torch divides an operation by the number of its threads, and with it the order of sums and the places where
+vectors end: each number gives other bits. So torch has one thread everywhere. What is worth it is divided
+into parts that never depend on the number of threads (`in_parts`); our own kernels give the same bits for
+any number. Threads of torch also spin while they wait, and take the time of whatever else runs; ours sleep.
+"""
+
+import functools
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numba
+import torch
+
+from nvsf_core.errors import RecipeError
+
+VARIABLE = "NVSF_THREADS"
+MOST_VIEWS = 8
+"""Most views that are rendered at once: an image of full size takes up to a GB."""
+_Part = TypeVar("_Part")
+
+
+def thread_count() -> int:
+    """CPU threads that this process uses: NVSF_THREADS, or all cores that it may run on.
+
+    Raises:
+        RecipeError: NVSF_THREADS is not a whole number from 1 on.
+    """
+    wanted = os.environ.get(VARIABLE, "")
+    if not wanted:
+        return len(os.sched_getaffinity(0))
+    if not wanted.isdecimal() or int(wanted) < 1:
+        raise RecipeError(
+            f"{VARIABLE}={wanted!r}: expected a whole number of threads, 1 or more; correct or unset it"
+        )
+    return int(wanted)
+
+
+def use_threads() -> None:
+    """Give our kernels `thread_count()` threads in the calling thread, and torch one.
+
+    Raises:
+        RecipeError: NVSF_THREADS is not a whole number from 1 on.
+    """
+    torch.set_num_threads(1)
+    numba.set_num_threads(min(thread_count(), numba.config.NUMBA_NUM_THREADS))
+
+
+def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = None) -> list[_Part]:
+    """The results of ``work(0)`` to ``work(parts - 1)``, in order; `thread_count()` of them at once.
+
+    A part's own parts are done one after the other.
+
+    Args:
+        work: Mostly operations that release the interpreter's lock, as those of torch, numpy and numba do.
+        parts: Decided by the work, never by the number of threads.
+        at_once: Most parts at once, where each takes much memory.
+    """
+    threads = min(thread_count(), parts, parts if at_once is None else at_once)
+    if threads <= 1 or getattr(_local, "is_part", False):
+        return [work(part) for part in range(parts)]
+    has_gradients = torch.is_grad_enabled()  # a setting of each thread
+
+    def one(part: int) -> _Part:
+        with torch.set_grad_enabled(has_gradients):
+            return work(part)
+
+    return list(_pool(threads).map(one, range(parts)))
+
+
+_local = threading.local()
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, "nvsf-part", initializer=_begin)
+
+
+def _begin() -> None:
+    """Make the calling thread one that works on parts: it has no threads of its own."""
+    _local.is_part = True
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
