@@ -31,7 +31,7 @@ def main() -> None:
     """Measure and write, or say why not."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--parts", nargs="*", choices=list(PARTS), default=list(PARTS))
-    parser.add_argument("--scenes", nargs="*", default=["demo", "k360_street"])
+    parser.add_argument("--scenes", nargs="*", default=["street", "k360_street"])
     parser.add_argument("--minutes", type=float, default=10.0, help="of training `paper` on each scene")
     parser.add_argument("--smoke", action="store_true", help="tiny, on any machine")
     parser.add_argument("--to", type=Path, help="folder of gpu.json and gpu.md, default: the checkout's")

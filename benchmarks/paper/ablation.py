@@ -54,7 +54,7 @@ from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import StoredWeights
 
 PLAN: tuple[tuple[str, tuple[PaperRecipe, ...]], ...] = (
-    ("demo", ABLATION),
+    ("street", ABLATION),
     ("kitti0005_van_cyclist", ABLATION),
     ("k360_street", ENCODINGS),
 )

@@ -55,7 +55,7 @@ def write_table() -> None:
         f"Machine: {machine()}. Table written at commit {commit()}.",
         "",
     ]
-    for scene in ("demo", "kitti0005_van_cyclist"):
+    for scene in ("street", "kitti0005_van_cyclist"):
         for region in ("foreground", "all"):
             parts += _table(rows, scene, region, _VARIANTS, _ABLATION_METRICS)
     parts += _table(rows, "k360_street", "all", _ENCODINGS, _ENCODING_METRICS)

@@ -1,6 +1,6 @@
-"""Scene flow trained alone on the demo drive, against the drive's own formulas.
+"""Scene flow trained alone on the street, against the drive's own formulas.
 
-Run ``python -m benchmarks.paper.flow``: it writes the demo drive under NVSF_HOME where it is absent, trains
+Run ``python -m benchmarks.paper.flow``: it writes the street under NVSF_HOME where it is absent, trains
 each variant below (none for more than five minutes on two cores), prints a Markdown table of median end-point
 errors in metres a frame, and writes it into ``docs/paper_fidelity.md`` and ``benchmarks/results/flow.json``.
 """
@@ -86,8 +86,8 @@ def variants() -> tuple[Variant, ...]:
 
 
 def demo_motions() -> tuple[list[TrueMotion], Bounds]:
-    """Scans of the demo drive with their true motion, and the cube they are scaled to."""
-    home, scene = home_from_environment(os.environ), find_scene("demo")
+    """Scans of the street with their true motion, and the cube they are scaled to."""
+    home, scene = home_from_environment(os.environ), find_scene("street")
     write_demo_where_absent(scene, say_on_stderr)
     run = plan_run(scene, home)
     for stage in ("frames", "sweeps"):
@@ -245,7 +245,7 @@ def main() -> None:
     motions, bounds = demo_motions()
     found = measure(motions, bounds)
     met = targets(found["rows"], variants()[0].name)
-    facts = {"scene": "demo", "half_edge_m": bounds.half_m, "targets_met": met}
+    facts = {"scene": "street", "half_edge_m": bounds.half_m, "targets_met": met}
     write_measured(RESULTS, facts | found)
     write_between(DOCUMENT, "flow", table(found["rows"]))
     print(table(found["rows"]))

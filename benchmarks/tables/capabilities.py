@@ -98,7 +98,7 @@ CAPABILITIES = (
     Capability(
         "above the recorded lasers: images",
         ("models/residual/outside_fov.py", "evidence/images"),
-        "demo's vlp16: CD 1.0 to .5 m2, where a quarter of the returns had no answer (0014)",
+        "street's vlp16: CD 1.0 to .5 m2, where a quarter of the returns had no answer (0014)",
     ),
 )  # fmt: skip
 

@@ -91,7 +91,7 @@ _SWEEP_LIMITS = ", ".join(f"`{name}` {most['render_seconds']:g} s" for name, mos
 _ABOUT_OTHERS = f"""\
 ## Drives that nobody tuned on
 
-The demo's writer's streets of other seeds, by `python -m benchmarks.tables.other_drives`: the demo's speed,
+Streets of other seeds by the demo's writer, `python -m benchmarks.tables.other_drives`: the scene `street`'s speed,
 dense traffic (12 more cars), walking pace, a sensor at rest in dense traffic, and stop-and-go. A model is to
 be never worse than `copy_nearest` in CD, F and range PSNR of the simulated scan; ✗ marks where it is, and
 a sweep that takes longer than it may: {_SWEEP_LIMITS}.
@@ -290,7 +290,7 @@ def _views(mine: dict[str, Measured]) -> list[str]:
     if not lines:
         return []
     head = ["view", "method", *(column.head for column in _COLUMNS["raw"]), "CD / `between`'s"]
-    text = "### asked views, against the demo's exact truth (`raw`)\n"
+    text = "### asked views, against the street's exact truth (`raw`)\n"
     limits = ", ".join(f"`{view}` at most {limit:g}" for view, limit in SHIFTS.items())
     return [text, markdown_table(head, lines), f"Target of the last column: {limits}.\n"]
 
