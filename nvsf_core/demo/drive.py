@@ -61,9 +61,9 @@ class DemoSize:
 
     @classmethod
     def short(cls) -> Self:
-        """Scene `demo`: 16 frames, every other laser of a HDL-64E, a camera and a fisheye, small images."""
+        """Scene `demo`: 16 frames of a HDL-64E at 20 Hz, a camera and a fisheye with small images."""
         return cls(
-            frames=16, lasers=tuple(range(0, 64, 2)), firings=2100, cameras=("image_00",),
+            frames=16, lasers=tuple(range(64)), firings=1050, cameras=("image_00",),
             width=352, height=94, fisheye_side=176,
         )  # fmt: skip
 

@@ -102,7 +102,7 @@ def masked_regions(
     rendered: RenderedRays,
     truth: Scan,
     truth_rays: RenderedRays,
-    n_lasers: int,
+    hit_shape: tuple[int, int],
     boxes_to_lidar: np.ndarray,
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background in the protocol `masked`, of one frame, 0 to 80 m on both sides.
@@ -119,7 +119,7 @@ def masked_regions(
         rendered: The prediction along the recorded rays, in the order of the recorded returns.
         truth: The recorded scan.
         truth_rays: Recorded range and intensity along the same rays.
-        n_lasers: Number of the sensor's lasers, for the hit cells.
+        hit_shape: Lasers and columns of the grid of hits, see `hit_columns`.
         boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
     """
     shell = inside_any(truth.points_m, boxes_to_lidar, GROWN_M)
@@ -132,7 +132,7 @@ def masked_regions(
 
     def cells(truth_mask: np.ndarray, *, complement: bool) -> Mapping[str, Measure]:
         sides = (near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser)
-        return hit_region_metrics(*sides, n_lasers, predicted_in, truth_mask, complement=complement)
+        return hit_region_metrics(*sides, hit_shape, predicted_in, truth_mask, complement=complement)
 
     foreground = {
         **_along_rays(rendered, truth_rays, rays & inside),

@@ -7,8 +7,7 @@ import numpy as np
 from nvsf_core.metrics.elementwise import rmse, same_shape
 from nvsf_core.metrics.measure import Measure, fault, undefined
 
-N_CELLS = 2000
-"""Azimuth cells of a sweep, 0.18 degrees each. No firing step is wider: an empty cell is a dropped ray."""
+_MOST_COLUMNS, _LEAST_COLUMNS = 2000, 125
 _NAMES = ("hit_accuracy", "hit_f_score")
 
 
@@ -34,9 +33,9 @@ def hit_cell_metrics(
     predicted_laser: np.ndarray,
     truth_m: np.ndarray,
     truth_laser: np.ndarray,
-    n_lasers: int,
+    shape: tuple[int, int],
 ) -> Mapping[str, Measure]:
-    """`hit_accuracy` and `hit_f_score` on a grid of n_lasers x 2000 cells, see `hit_cells`.
+    """`hit_accuracy` and `hit_f_score` on a grid of lasers and azimuths, see `hit_cells`.
 
     Both are undefined if a return's laser is unknown (-1) or a point is not finite.
 
@@ -45,11 +44,11 @@ def hit_cell_metrics(
         predicted_laser: (N,) their lasers.
         truth_m: (M, 3) points of the recorded scan, sensor frame.
         truth_laser: (M,) their lasers.
-        n_lasers: Number of the sensor's lasers.
+        shape: Lasers and columns of the grid, see `hit_columns`.
     """
     nowhere = (np.zeros(len(predicted_m), dtype=bool), np.zeros(len(truth_m), dtype=bool))
     sides = (predicted_m, predicted_laser, truth_m, truth_laser)
-    return hit_region_metrics(*sides, n_lasers, *nowhere, complement=True)
+    return hit_region_metrics(*sides, shape, *nowhere, complement=True)
 
 
 # Wide: the columns of two scans, and which of their rows belong to the region.
@@ -58,7 +57,7 @@ def hit_region_metrics(
     predicted_laser: np.ndarray,
     truth_m: np.ndarray,
     truth_laser: np.ndarray,
-    n_lasers: int,
+    shape: tuple[int, int],
     predicted_in: np.ndarray,
     truth_in: np.ndarray,
     *,
@@ -71,22 +70,22 @@ def hit_region_metrics(
         predicted_laser: (N,) their lasers.
         truth_m: (M, 3) points of the whole recorded scan, sensor frame.
         truth_laser: (M,) their lasers.
-        n_lasers: Number of the sensor's lasers.
+        shape: Lasers and columns of the grid, see `hit_columns`.
         predicted_in: (N,) bool, simulated returns in the region.
         truth_in: (M,) bool, recorded returns in the region.
         complement: False = cells with a return of the region on either side; True = all other cells.
     """
-    bad = _no_cells(predicted_m, predicted_laser, truth_m, truth_laser, n_lasers)
+    bad = _no_cells(predicted_m, predicted_laser, truth_m, truth_laser, shape)
     if bad is not None:
         return dict.fromkeys(_NAMES, bad)
-    filled = hit_cells(predicted_m[predicted_in], predicted_laser[predicted_in], n_lasers)
-    filled |= hit_cells(truth_m[truth_in], truth_laser[truth_in], n_lasers)
+    filled = hit_cells(predicted_m[predicted_in], predicted_laser[predicted_in], shape)
+    filled |= hit_cells(truth_m[truth_in], truth_laser[truth_in], shape)
     where = ~filled if complement else filled
     if not where.any():
         return dict.fromkeys(_NAMES, undefined("no return of either side lies in the region"))
     return _agreement(
-        hit_cells(predicted_m, predicted_laser, n_lasers)[where],
-        hit_cells(truth_m, truth_laser, n_lasers)[where],
+        hit_cells(predicted_m, predicted_laser, shape)[where],
+        hit_cells(truth_m, truth_laser, shape)[where],
     )
 
 
@@ -95,35 +94,47 @@ def _no_cells(
     predicted_laser: np.ndarray,
     truth_m: np.ndarray,
     truth_laser: np.ndarray,
-    n_lasers: int,
+    shape: tuple[int, int],
 ) -> Measure | None:
     """The undefined measure if returns cannot be assigned to cells; None if they can."""
     unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
-    if unknown or n_lasers < 1:
+    if unknown or shape[0] < 1:
         return undefined(f"the laser of {unknown} returns is unknown")
     sides = (("predicted", predicted_m, predicted_laser), ("true", truth_m, truth_laser))
     for side, points_m, laser in sides:
-        if laser.size and int(laser.max()) >= n_lasers:
-            return undefined(f"{side} laser {int(laser.max())}, but the sensor has {n_lasers}")
+        if laser.size and int(laser.max()) >= shape[0]:
+            return undefined(f"{side} laser {int(laser.max())}, but the sensor has {shape[0]}")
         broken = int(np.count_nonzero(~np.isfinite(points_m).all(axis=1)))
         if broken:
             return undefined(f"{broken} of {len(points_m)} {side} points are not finite")
     return None
 
 
-def hit_cells(points_m: np.ndarray, laser: np.ndarray, n_lasers: int) -> np.ndarray:
-    """Cells with at least one return, (n_lasers, 2000) bool.
+def hit_columns(firings: int) -> int:
+    """Columns of the grid of hits of a sensor with so many firings a rotation; 0 = unknown.
+
+    2000, or a half, a quarter, ... of it: no firing step is wider, so an empty cell is a dropped ray.
+    """
+    columns = _MOST_COLUMNS
+    while 0 < firings < columns and columns > _LEAST_COLUMNS:
+        columns //= 2
+    return columns
+
+
+def hit_cells(points_m: np.ndarray, laser: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Cells with at least one return, bool of the `shape` (lasers, columns); the columns divide a rotation.
 
     Args:
-        points_m: (N, 3) sensor frame; the column is floor(azimuth / 0.18 degrees).
+        points_m: (N, 3) sensor frame.
         laser: (N,) integer, the row.
-        n_lasers: Number of rows.
+        shape: Lasers and columns.
     """
+    columns = shape[1]
     x_m, y_m = points_m[:, 0].astype(np.float64), points_m[:, 1].astype(np.float64)
     share = np.mod(np.arctan2(y_m, x_m) / (2.0 * np.pi), 1.0)
     # A tiny negative azimuth wraps to exactly 1.0 in floating point.
-    cell = np.minimum((share * N_CELLS).astype(np.int64), N_CELLS - 1)
-    hit = np.zeros((n_lasers, N_CELLS), dtype=bool)
+    cell = np.minimum((share * columns).astype(np.int64), columns - 1)
+    hit = np.zeros(shape, dtype=bool)
     hit[laser.astype(np.int64), cell] = True
     return hit
 

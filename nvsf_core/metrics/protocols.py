@@ -103,7 +103,7 @@ def lidar4d(
 
 
 def raw(
-    predicted: Scan, rendered: RenderedRays, truth: Scan, truth_rays: RenderedRays, n_lasers: int
+    predicted: Scan, rendered: RenderedRays, truth: Scan, truth_rays: RenderedRays, hit_shape: tuple[int, int]
 ) -> Mapping[str, Measure]:
     """Metrics of the protocol `raw`, of one frame.
 
@@ -112,7 +112,7 @@ def raw(
         rendered: The prediction along the recorded rays, in the order of the recorded returns.
         truth: The recorded scan.
         truth_rays: Recorded range and intensity along the same rays.
-        n_lasers: Number of the sensor's lasers, for the hit cells.
+        hit_shape: Lasers and columns of the grid of hits, see `hit_columns`.
     """
     counted = (truth_rays.range_m > 0.0) & (truth_rays.range_m <= MAX_RANGE_M)
     returned = np.isfinite(rendered.range_m[counted])
@@ -121,7 +121,7 @@ def raw(
         **ray_range_metrics(rendered.range_m[counted], truth_rays.range_m[counted]),
         **ray_intensity_metrics(rendered.intensity[counted], truth_rays.intensity[counted], returned),
         **hit_cell_metrics(
-            near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser, n_lasers
+            near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser, hit_shape
         ),
         **point_cloud_metrics(near_predicted.points_m, near_truth.points_m),
     }

@@ -22,8 +22,8 @@ PROTOCOLS = {
     "lidar4d": "as published by LiDAR4D: the recorded scan projected to a 66×1030 range image, against the"
     " range image that the model renders",
     "lidar4d_scan": "the same, but the prediction is the exported scan, projected in the same way",
-    "raw": "the recorded scan itself, 0 to 80 m: errors along the recorded rays, hits on a grid of 64 × 2000"
-    " cells",
+    "raw": "the recorded scan itself, 0 to 80 m: errors along the recorded rays, hits on a grid of lasers ×"
+    " 2000 azimuths (a half or a quarter where the sensor fires less often)",
     "masked": "inside and outside the boxes of moving objects",
     "image": "all pixels of the recorded camera image",
 }

@@ -39,7 +39,7 @@ def _rays(scan: Scan) -> RenderedRays:
 
 def test_a_perfect_answer_is_perfect_in_both_regions_and_they_share_all_returns() -> None:
     scan = _scan()
-    found = masked_regions(scan, _rays(scan), scan, _rays(scan), 8, BOX)
+    found = masked_regions(scan, _rays(scan), scan, _rays(scan), (8, 2000), BOX)
     for region in (FOREGROUND, BACKGROUND):
         assert found[region]["chamfer_m2"].value == 0.0
         assert found[region]["range_abs_error_p90_m"].value == 0.0
@@ -52,7 +52,7 @@ def test_a_perfect_answer_is_perfect_in_both_regions_and_they_share_all_returns(
 
 def test_masked_foreground_sees_the_object_alone_and_background_the_rest() -> None:
     truth, moved = _scan(), _scan(object_shift_m=0.25)
-    found = masked_regions(moved, _rays(moved), truth, _rays(truth), 8, BOX)
+    found = masked_regions(moved, _rays(moved), truth, _rays(truth), (8, 2000), BOX)
     assert 0.2 < found[FOREGROUND]["range_abs_error_median_m"].value < 0.26
     assert found[FOREGROUND]["chamfer_m2"].value > 0.01
     assert found[BACKGROUND]["range_abs_error_p90_m"].value == 0.0
@@ -62,9 +62,9 @@ def test_masked_foreground_sees_the_object_alone_and_background_the_rest() -> No
 def test_a_return_just_beside_its_box_is_held_against_the_prediction_and_one_far_off_is_missed() -> None:
     truth = _scan()
     beside, gone = _scan(object_shift_m=-0.45), _scan(object_shift_m=-2.0)
-    near = masked_regions(beside, _rays(beside), truth, _rays(truth), 8, BOX)[FOREGROUND]
+    near = masked_regions(beside, _rays(beside), truth, _rays(truth), (8, 2000), BOX)[FOREGROUND]
     assert near["chamfer_m2"].n_valid > 900
-    lost = masked_regions(gone, _rays(gone), truth, _rays(truth), 8, BOX)[FOREGROUND]
+    lost = masked_regions(gone, _rays(gone), truth, _rays(truth), (8, 2000), BOX)[FOREGROUND]
     assert lost["chamfer_m2"].n_valid == 500
     assert math.isnan(lost["chamfer_m2"].value)
     assert lost["f_score"].value == 0.0
@@ -74,14 +74,14 @@ def test_a_return_just_beside_its_box_is_held_against_the_prediction_and_one_far
 
 def test_a_frame_without_a_moving_object_has_no_foreground_and_says_why() -> None:
     scan = _scan()
-    found = masked_regions(scan, _rays(scan), scan, _rays(scan), 8, NONE)
+    found = masked_regions(scan, _rays(scan), scan, _rays(scan), (8, 2000), NONE)
     assert {m.is_absent for m in found[FOREGROUND].values()} == {True}
     assert all(math.isnan(m.value) and m.n_valid == 0 for m in found[FOREGROUND].values())
     assert "annotated" in found[FOREGROUND]["chamfer_m2"].reason
     assert found[BACKGROUND]["range_missing"].n_valid == 1400
     empty = BOX.copy()
     empty[0, 2, 3] = 30.0
-    missed = masked_regions(scan, _rays(scan), scan, _rays(scan), 8, empty)[FOREGROUND]
+    missed = masked_regions(scan, _rays(scan), scan, _rays(scan), (8, 2000), empty)[FOREGROUND]
     assert "no recorded return" in missed["f_score"].reason
 
 

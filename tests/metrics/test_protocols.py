@@ -36,7 +36,7 @@ def test_the_recorded_scan_itself_is_a_perfect_answer() -> None:
     assert found["f_score"].value == 1.0
     assert found["range_psnr_db"].value == 80.0
     assert found["hit_accuracy"].value == 1.0
-    own = raw(scan, _rays(scan), scan, _rays(scan), 4)
+    own = raw(scan, _rays(scan), scan, _rays(scan), (4, 2000))
     assert own["range_abs_error_p90_m"].value == 0.0
     assert own["hit_accuracy"].value == 1.0
     assert own["chamfer_m2"].value == 0.0
@@ -59,7 +59,7 @@ def test_points_of_the_lidar4d_protocol_are_the_panos_and_not_the_scans() -> Non
     truth = project_scan(PANO, scan)
     n_points = 2 * int(np.count_nonzero(truth.range_m))
     assert lidar4d(truth, truth, PANO, None)["chamfer_m2"].n_valid == n_points
-    assert raw(scan, _rays(scan), scan, _rays(scan), 4)["chamfer_m2"].n_valid == 10000
+    assert raw(scan, _rays(scan), scan, _rays(scan), (4, 2000))["chamfer_m2"].n_valid == 10000
 
 
 def test_returns_beyond_80_m_count_on_neither_side() -> None:
@@ -71,7 +71,7 @@ def test_returns_beyond_80_m_count_on_neither_side() -> None:
     )
     rays, rendered = _rays(far), _rays(far)
     rendered.range_m[-1] = np.inf
-    found = raw(scan, rendered, far, rays, 4)
+    found = raw(scan, rendered, far, rays, (4, 2000))
     assert found["range_missing"].value == 0.0
     assert found["range_missing"].n_valid == 800
     assert found["chamfer_m2"].value == 0.0
@@ -82,7 +82,7 @@ def test_an_empty_prediction_is_measured_and_not_a_crash() -> None:
     scan = _scan()
     nothing = Scan(points_m=np.zeros((0, 3), np.float32), intensity=np.zeros(0), laser=np.zeros(0, np.int16))
     silent = RenderedRays(range_m=np.full(800, np.inf), intensity=np.zeros(800))
-    found = raw(nothing, silent, scan, _rays(scan), 4)
+    found = raw(nothing, silent, scan, _rays(scan), (4, 2000))
     assert found["range_missing"].value == 1.0
     assert math.isnan(found["intensity_rmse"].value)
     empty = lidar4d(project_scan(PANO, nothing), project_scan(PANO, scan), PANO, None)

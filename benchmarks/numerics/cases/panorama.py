@@ -65,7 +65,7 @@ def _inverse(pano: LinearPano, may_lose: bool) -> Reading:
 def _hit_cells() -> str:
     """The turn of a tiny negative azimuth rounds to exactly 1."""
     points = np.array([[1, 0, 0], [1, -1e-300, 0], [1, -1e-20, 0], [-1, 0.0, 0], [-1, -0.0, 0], [0, 0, 0]])
-    filled = np.flatnonzero(hit_cells(points, np.zeros(6, np.int64), 1)[0]).tolist()
+    filled = np.flatnonzero(hit_cells(points, np.zeros(6, np.int64), (1, 2000))[0]).tolist()
     assert set(filled) <= {0, 999, 1000, 1999}, f"cells {filled}"
     return f"cells {filled}"
 

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from nvsf_core._types import Scalar
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import CheckFailedError, DataError, StoreError
-from nvsf_core.kernels.threads import use_threads
 from nvsf_core.names import name_fault
 from nvsf_core.recipe import Recipe, require_seed
 from nvsf_core.stages.runner.record import RECORD_NAME, damage_of, listed_files, read_record
@@ -256,6 +255,9 @@ def run_stage(
         if damage is not None:
             raise StoreError(f"{damage} is not what was published; run the stage {place.split('/')[0]} again")
     progress(f"[{scene.name}] {stage.name}: started")
+    # Here, because it loads torch and numba: asking what is there must not wait for them.
+    from nvsf_core.kernels.threads import use_threads
+
     use_threads()
     started = time.perf_counter()
     with store.publish(location) as folder:

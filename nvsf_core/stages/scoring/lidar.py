@@ -8,6 +8,7 @@ import numpy as np
 
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.foreground import lidar4d_regions, masked_range_regions, masked_regions
+from nvsf_core.metrics.hit import hit_columns
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d, project_scan, raw
@@ -17,7 +18,7 @@ from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import read_arrays, read_attrs, read_part
 
-_RECORDED = ("frame", "offsets", "points_m", "intensity", "laser", "range_m")
+_RECORDED = ("frame", "offsets", "points_m", "intensity", "laser", "range_m", "firings")
 _PREDICTED = (
     "frame", "offsets", "points_m", "intensity", "laser", "pano_range_m", "pano_intensity", "pano_hit",
     "ray_offsets", "ray_range_m", "ray_intensity", "lidar_render_seconds",
@@ -30,7 +31,8 @@ class RecordedScans:
 
     path: Path
     arrays: dict[str, np.ndarray]
-    n_lasers: int
+    hit_shape: tuple[int, int]
+    """Lasers and columns of the grid of hits."""
 
     def scan(self, frame: int) -> tuple[Scan, RenderedRays]:
         """The recorded scan of a frame, and range and intensity along its rays.
@@ -65,8 +67,8 @@ def read_recorded_scans(path: Path) -> RecordedScans | None:
     if not path.is_dir() or read_arrays(path, "frame")["frame"].size == 0:
         return None
     arrays = read_arrays(path, *_RECORDED)
-    n_lasers = int(arrays["laser"].max()) + 1 if arrays["laser"].size else 0
-    return RecordedScans(path=path, arrays=arrays, n_lasers=n_lasers)
+    lasers = int(arrays["laser"].max()) + 1 if arrays["laser"].size else 0
+    return RecordedScans(path, arrays, (lasers, hit_columns(int(arrays["firings"].max()))))
 
 
 def measure_lidar(
@@ -103,13 +105,13 @@ def measure_lidar(
         found: dict[tuple[str, str], Mapping[str, Measure]] = {
             (protocol, "all"): lidar4d(side, true_image, pano, lpips) for protocol, side in panos.items()
         }
-        found["raw", "all"] = raw(predicted, rendered, truth, truth_rays, recording.n_lasers)
+        found["raw", "all"] = raw(predicted, rendered, truth, truth_rays, recording.hit_shape)
         if boxes is not None:
             here = boxes.in_lidar(frame)
             for protocol, side in panos.items():
                 regions = lidar4d_regions(side, true_image, pano, here, lpips)
                 found |= {(protocol, region): measures for region, measures in regions.items()}
-            masked = masked_regions(predicted, rendered, truth, truth_rays, recording.n_lasers, here)
+            masked = masked_regions(predicted, rendered, truth, truth_rays, recording.hit_shape, here)
             ranges = masked_range_regions(image, true_image, pano, here)
             found |= {("masked", region): {**masked[region], **ranges[region]} for region in masked}
         seconds = float(a["lidar_render_seconds"][i])
