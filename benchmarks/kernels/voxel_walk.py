@@ -27,7 +27,6 @@ from nvsf_core.stages.inputs import read_evidence, read_sweeps
 from nvsf_core.stores.scene_store import SceneStore
 
 _REPEATS = 5
-_THREADS = 2
 
 
 def main() -> int:
@@ -68,7 +67,7 @@ def _row(sweeps: Sweeps, surfels: Surfels, *, shaped: bool) -> dict[str, Any]:
     build = _seconds(
         lambda: build_surfels(
             a["origin_m"][proving], a["direction"][proving], a["range_m"][proving], a["intensity"][proving],
-            voxel_m=surfels.index.voxel_m, threads=_THREADS, shaped=shaped,
+            voxel_m=surfels.index.voxel_m, shaped=shaped,
         )
     )  # fmt: skip
     listing = _seconds(

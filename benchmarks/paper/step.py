@@ -55,10 +55,10 @@ def iterations(recipe: PaperRecipe, frames: PaperFrames, steps: int) -> dict[str
         started = time.perf_counter()
         optimiser.zero_grad(set_to_none=True)
         loss = 0.0
-        for part in paper_step(trainee, frames, 0, step, generator):
-            part.total.backward()
-            terms |= set(part.terms)
-            loss += float(part.total.detach())
+        for one in (one for part in paper_step(trainee, frames, 0, step, generator) for one in part()):
+            one.total.backward()
+            terms |= set(one.terms)
+            loss += float(one.total.detach())
         optimiser.step()
         if torch.cuda.is_available():
             torch.cuda.synchronize()

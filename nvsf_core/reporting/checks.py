@@ -27,12 +27,15 @@ def checks_section(scene: SceneOutputs) -> str:
     parts = [
         "<h3>Can these numbers be trusted?</h3>",
         f'<div class="note {"" if doubts else "good"}">{_in_words(doubts, len(judged))}</div>',
-        _table(judged),
+        _table([one for one in judged if not one[1]["passed"]]),
         '<p class="soft">A check with a number compares it with the most that it may be. Limits of hit rates,'
         " intensities and greys come from the training scans and images of this drive, never from held-out"
         " ones. What breaks a check that makes an output unusable (NaN, out of limits, empty) is not"
         " published at all.</p>",
     ]
+    held = [one for one in judged if one[1]["passed"]]
+    if held:
+        parts.append(f"<details><summary>{len(held)} checks that hold</summary>{_table(held)}</details>")
     if folded:
         parts.append(f"<details><summary>Checks of the older runs</summary>{_table(folded)}</details>")
     return "".join(parts)

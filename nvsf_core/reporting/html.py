@@ -19,6 +19,7 @@ h3 { font-size:16px; margin:28px 0 6px; }
 p { margin:6px 0 10px; max-width:860px; } .soft, figcaption { color:var(--soft); }
 section { background:#fff; border:1px solid var(--line); border-radius:10px; padding:22px 24px;
   margin:22px 0; }
+nav { position:sticky; top:0; z-index:1; background:var(--back); padding:6px 0; }
 nav a { margin-right:14px; }
 a { color:var(--accent); text-decoration:none; } a:hover { text-decoration:underline; }
 code { background:#eef1f5; border-radius:4px; padding:1px 5px; font-size:.92em; }

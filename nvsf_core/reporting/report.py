@@ -55,7 +55,13 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
     shown = [_shown(scene) for scene in scenes]
     scenes = [scene for scene, _ in shown]
     measured = [scene for scene in scenes if scene.runs]
-    parts = [_intro(scenes), _summary(scenes, measured, no_data), _how_to_read()]
+    parts = [
+        _title(scenes),
+        _results(measured),
+        _intro(),
+        _summary(scenes, measured, no_data),
+        _how_to_read(),
+    ]
     parts += [*(section for _, section in shown), more]
     return page("NVSF benchmark report", "\n".join(parts))
 
@@ -82,22 +88,32 @@ def write_report(
     return path
 
 
-def _intro(scenes: Sequence[SceneOutputs]) -> str:
+def _title(scenes: Sequence[SceneOutputs]) -> str:
+    links = [("all-scenes", "All scenes"), ("how-to-read", "How to read this")]
+    links += [(scene.name, scene.name) for scene in scenes]
+    shown = "".join(f'<a href="#{escape(place)}">{escape(words)}</a>' for place, words in links)
+    return f"<h1>Benchmark report</h1><nav>{shown}</nav>"
+
+
+def _results(measured: Sequence[SceneOutputs]) -> str:
+    """One line a scene: what its best model gained."""
+    return "".join(f"<b>{escape(scene.name)}</b>{_verdict(method_rows(scene))}" for scene in measured)
+
+
+def _intro() -> str:
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    links = "".join(f'<a href="#{escape(scene.name)}">{escape(scene.name)}</a>' for scene in scenes)
     return (
-        "<h1>Benchmark report</h1>"
         "<p>A car with a spinning laser scanner (LiDAR) and cameras drove through a street. From that"
         " recording a model of the scene was trained, and from the model new scans and pictures were"
         " rendered. Some recorded instants were <b>held out</b>: the model never saw them. This page"
         " compares what the model renders there with what was really recorded, beside simple methods that"
         " learn nothing, and says what each took in time.</p>"
-        f'<p class="soft">Made {made}. This page is one file and needs no network.</p><nav>{links}</nav>'
+        f'<p class="soft">Made {made}. This page is one file and needs no network.</p>'
     )
 
 
 def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], no_data: Sequence[str]) -> str:
-    parts = ["<section><h2>All scenes</h2>"]
+    parts = ['<section id="all-scenes"><h2>All scenes</h2>']
     head = ["scene", "method", "seed", "Chamfer [m²] ↓", "F-score ↑", "range PSNR [dB] ↑",
             "image PSNR [dB] ↑", "training [s]", "best in", "commit", "measured"]  # fmt: skip
     lines = []
@@ -180,7 +196,8 @@ def _how_to_read() -> str:
         f"<li><code>{name}</code>: {escape(words)}.</li>" for name, words in PROTOCOLS.items()
     )
     return (
-        "<section><h2>How to read this</h2><h3>Methods</h3><ul><li>A name in <b>blue</b>, such as"
+        '<section id="how-to-read"><h2>How to read this</h2>'
+        "<h3>Methods</h3><ul><li>A name in <b>blue</b>, such as"
         " <code>quick</code>: the trained model, called by its recipe.</li>"
         f"{methods}</ul><p>A model earns its training time only where it beats them all.</p>"
         "<details><summary>Measures and protocols</summary><ul>"

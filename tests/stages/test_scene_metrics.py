@@ -52,6 +52,7 @@ def _write_recording(store: SceneStore, frames: tuple[int, ...]) -> None:
         {
             "frame": np.array(frames, dtype=np.int64), "offsets": np.arange(len(frames) + 1) * N_RETURNS,
             "points_m": points, "range_m": np.linalg.norm(points, axis=1),
+            "firings": np.full(len(frames), 2090, np.int32),
             "intensity": np.concatenate([part[1] for part in parts] or [np.zeros(0, np.float32)]),
             "laser": np.concatenate([part[2] for part in parts] or [np.zeros(0, np.int16)]),
         },

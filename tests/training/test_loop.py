@@ -11,7 +11,7 @@ from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.training.ema import WeightAverage
-from nvsf_core.training.loop import TrainingState, make_optimiser, train
+from nvsf_core.training.loop import Part, TrainingState, make_optimiser, side_by_side, train
 
 SPEC = TrainingSpec(steps=40, rays=8, checkpoint_s=0.0)
 
@@ -26,9 +26,9 @@ def fresh_state() -> TrainingState:
 
 
 def step_of(state: TrainingState):
-    def step(_: int, generator: torch.Generator) -> list[LossBreakdown]:
+    def step(_: int, generator: torch.Generator) -> list[Part]:
         x = torch.randn(8, 4, generator=generator)
-        return [total_loss({"fit": (state.model(x)[:, 0] - x.sum(dim=1)) ** 2}, {"fit": 1.0})]
+        return [lambda: [total_loss({"fit": (state.model(x)[:, 0] - x.sum(dim=1)) ** 2}, {"fit": 1.0})]]
 
     return step
 
@@ -75,7 +75,7 @@ def test_rates_fall_evenly_in_their_logarithm_from_the_full_one(steps: int) -> N
     state = fresh_state()
     state.optimiser = make_optimiser(state.model, spec)
 
-    def step(_: int, __: torch.Generator) -> list[LossBreakdown]:
+    def step(_: int, __: torch.Generator) -> list[Part]:
         seen.append(state.optimiser.param_groups[-1]["lr"] / spec.network_rate)
         return []
 
@@ -87,8 +87,9 @@ def test_a_nan_names_step_and_term_and_saves_nothing() -> None:
     state = fresh_state()
     saved = []
 
-    def step(number: int, generator: torch.Generator) -> list[LossBreakdown]:
-        return [total_loss({"fit": state.model(torch.full((2, 4), torch.nan))[:, 0]}, {"fit": 1.0})]
+    def step(number: int, generator: torch.Generator) -> list[Part]:
+        broken = torch.full((2, 4), torch.nan)
+        return [lambda: [total_loss({"fit": state.model(broken)[:, 0]}, {"fit": 1.0})]]
 
     with pytest.raises(DivergedError, match=r"step 0: loss term 'fit'"):
         train(state, SPEC, step, lambda tensors, facts: saved.append(facts), ignore)
@@ -100,8 +101,8 @@ def test_weights_that_are_not_finite_are_never_saved() -> None:
     with torch.no_grad():
         state.model.bias.fill_(torch.inf)
 
-    def step(number: int, generator: torch.Generator) -> list[LossBreakdown]:
-        return [total_loss({"fit": state.model.weight.sum()[None]}, {"fit": 1.0})]
+    def step(number: int, generator: torch.Generator) -> list[Part]:
+        return [lambda: [total_loss({"fit": state.model.weight.sum()[None]}, {"fit": 1.0})]]
 
     with pytest.raises(DivergedError, match="bias"):
         train(state, SPEC, step, ignore, ignore)
@@ -110,16 +111,35 @@ def test_weights_that_are_not_finite_are_never_saved() -> None:
 def test_the_parts_of_a_step_add_up_to_the_whole() -> None:
     whole, parted = fresh_state(), fresh_state()
 
-    def in_parts(_: int, generator: torch.Generator) -> list[LossBreakdown]:
+    def loss(part: torch.Tensor) -> LossBreakdown:
+        return total_loss({"fit": (parted.model(part)[:, 0] - part.sum(dim=1)) ** 2}, {"fit": 1.0})
+
+    def in_parts(_: int, generator: torch.Generator) -> list[Part]:
         x = torch.randn(8, 4, generator=generator)
+        # One part of two losses, one after the other, and one that another thread may compute.
         return [
-            total_loss({"fit": (parted.model(part)[:, 0] - part.sum(dim=1)) ** 2}, {"fit": 0.5})
-            for part in (x[:4], x[4:])
+            lambda: [loss(x[:2]).scaled(0.25), loss(x[2:4]).scaled(0.25)],
+            lambda: [loss(x[4:]).scaled(0.5)],
         ]
 
     train(whole, SPEC, step_of(whole), ignore, ignore)
     train(parted, SPEC, in_parts, ignore, ignore)
     assert torch.allclose(parted.model.weight, whole.model.weight, atol=1e-5)
+
+
+def test_parts_side_by_side_are_the_mean_of_their_own_draws() -> None:
+    drawn: list[float] = []
+
+    def loss(own: torch.Generator) -> LossBreakdown:
+        drawn.append(float(torch.rand((), generator=own)))
+        return total_loss({"fit": torch.tensor([drawn[-1]])}, {"fit": 1.0})
+
+    parts = [part() for part in side_by_side(3, torch.Generator().manual_seed(0), loss)]
+    assert len(set(drawn)) == 3
+    assert sum(float(one.total) for part in parts for one in part) == pytest.approx(sum(drawn) / 3)
+    assert sum(one.terms["fit"] for part in parts for one in part) == pytest.approx(sum(drawn) / 3)
+    again = [part() for part in side_by_side(3, torch.Generator().manual_seed(0), loss)]
+    assert drawn[3:] == drawn[:3] and len(again) == 3
 
 
 def test_the_averaged_weights_survive_a_checkpoint(tmp_path) -> None:

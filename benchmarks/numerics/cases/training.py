@@ -20,7 +20,7 @@ from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.sampling.error_map import ErrorMap
 from nvsf_core.training.ema import WeightAverage
-from nvsf_core.training.loop import TrainingState, make_optimiser, train
+from nvsf_core.training.loop import Part, TrainingState, make_optimiser, train
 
 TITLE = "Sampling and training"
 _STEPS, _EPOCH, _DECAY = 100_000, 50, 0.999
@@ -123,8 +123,9 @@ def _too_large() -> None:
     """Its square freezes the weight in float32; saving that is refused."""
     state = _state(_spec(1))
 
-    def step(_: int, draws: torch.Generator) -> list[LossBreakdown]:
-        return [total_loss({"value": state.model(torch.rand(32, 2, generator=draws)) * 1e25}, {"value": 1.0})]
+    def step(_: int, draws: torch.Generator) -> list[Part]:
+        places = torch.rand(32, 2, generator=draws)
+        return [lambda: [total_loss({"value": state.model(places) * 1e25}, {"value": 1.0})]]
 
     train(state, _spec(1), step, lambda *_: None, lambda _: None)
 
@@ -133,10 +134,10 @@ def _injected(inject: Callable[[_SmallField], object]) -> str:
     """NaN at step 5: an error that names step and term, and nothing saved."""
     state, saved = _state(_spec(40)), []
 
-    def step(number: int, draws: torch.Generator) -> list[LossBreakdown]:
+    def step(number: int, draws: torch.Generator) -> list[Part]:
         if number == 5:
             inject(state.model)
-        return [_loss(state, draws)]
+        return [lambda: [_loss(state, draws)]]
 
     said = refused(DivergedError, lambda: train(state, _spec(40), step, lambda *_: saved.append(1), print))()
     assert "step 5" in said and "'value'" in said and not saved, said
@@ -160,7 +161,7 @@ def long_run(steps: int) -> Reading:
     weight = state.model.network[2].weight
     exact = weight.detach().double().clone()
 
-    def step(number: int, draws: torch.Generator) -> list[LossBreakdown]:
+    def step(number: int, draws: torch.Generator) -> list[Part]:
         epoch, within = divmod(number, _EPOCH)
         if epoch and not within:
             state.average.update()
@@ -169,7 +170,7 @@ def long_run(steps: int) -> Reading:
         if number == steps // 10:
             memory_kb.append(_resident_kb())
         losses[number] = (loss := _loss(state, draws)).terms["value"]
-        return [loss]
+        return [lambda: [loss]]
 
     train(state, spec, step, lambda *_: None, lambda _: None)
     growth, tensors = _resident_kb() / memory_kb[0] - 1.0, state.tensors()

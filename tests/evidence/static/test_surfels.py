@@ -89,7 +89,7 @@ def test_see_throughs_equal_a_walk_in_small_steps(wall) -> None:
             counted[crossed] += np.einsum("ni,ij,nj->n", near, precision[crossed], near).min() <= 6.25
     walked = count_passes(
         origin, direction, range_m + 1.0, index,
-        wall.mean_m, wall.precision, 2,
+        wall.mean_m, wall.precision,
     )  # fmt: skip
     assert counted.sum() > 200
     # The stepped walk may miss a corner that it cuts by less than its step.
@@ -107,7 +107,7 @@ def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross() -
     index = road.index
     crossed = count_passes(
         *rays, noisy_m, index, road.mean_m,
-        np.zeros((0, 6), np.float32), 1,
+        np.zeros((0, 6), np.float32),
     )  # fmt: skip
     # At 3 to 12 degrees a ray crosses up to several voxels of the road above it, before the one it ends in.
     assert crossed.sum() > 60_000

@@ -46,7 +46,7 @@ def test_it_holds_no_return_shares_a_face_with_what_is_proven_and_no_ray_crossed
     beside = np.stack([proven.index.find(place + face) for face in faces])
     assert (beside >= 0).any(axis=0).all()
     index = unknown.index
-    passes = count_passes(*rays, index, unknown.mean_m, unknown.precision, 1)
+    passes = count_passes(*rays, index, unknown.mean_m, unknown.precision)
     assert passes.sum() == 0 and unknown.passes.sum() == 0 and unknown.hits.sum() == 0
 
 

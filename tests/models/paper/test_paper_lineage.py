@@ -134,7 +134,7 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
 
 
 def losses_of(recipe: PaperRecipe, recording: Recording, store: SceneStore, steps: int) -> list[float]:
-    """Total loss of each of the first steps, with a generator that starts alike for every recipe."""
+    """All losses of the first steps (those of the flow are small), with draws alike for every recipe."""
     frames = training_frames(recipe, recording)
     # The tiny drive's lasers are too far apart for neighbouring pixels: a wavy wall takes the panos' place.
     columns = torch.arange(1030.0)
@@ -146,11 +146,12 @@ def losses_of(recipe: PaperRecipe, recording: Recording, store: SceneStore, step
     found = []
     for step in range(steps):
         draws = torch.Generator().manual_seed(step)
-        loss = torch.stack([part.total for part in paper_step(trainee, frames, 0, step, draws)]).sum()
+        parts = paper_step(trainee, frames, 0, step, draws)
+        losses = [one.total for part in parts for one in part()]
         optimiser.zero_grad()
-        loss.backward()
+        torch.stack(losses).sum().backward()
         optimiser.step()
-        found.append(loss.item())
+        found += [loss.item() for loss in losses]
     return found
 
 

@@ -17,7 +17,7 @@ from nvsf_core.rendering.warping import to_float
 from nvsf_core.training.loop import make_optimiser
 
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
-STEPS = TrainingSpec(steps=40, rays=600, network_rate=5e-3)
+STEPS = TrainingSpec(steps=40, rays=600, parts=1, network_rate=5e-3)
 RECIPE = replace(
     ResidualRecipe(name="tiny"),
     camera=CameraSpec(sources=2, planes=16, plane_px=64 * 32),

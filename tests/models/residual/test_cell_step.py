@@ -50,7 +50,7 @@ def test_hits_and_intensity_are_learned() -> None:
 
 
 def test_a_strip_may_reach_over_the_seam() -> None:
-    whole = TrainingSpec(steps=1, rays=8 * 40)
+    whole = TrainingSpec(steps=1, rays=8 * 40, parts=1)
     network = untrained()
     with torch.no_grad():
         network.layers[-1].weight.normal_(generator=torch.Generator().manual_seed(1))

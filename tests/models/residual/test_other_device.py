@@ -65,7 +65,7 @@ def learned(
     for model, step in ((networks.depth, depth_step), (networks, camera_step)):
         state = fresh_state(model, spec, 1)
         train(
-            state, spec, lambda _, drawn, of=model, by=step: [by(of, given, recipe, drawn)],
+            state, spec, lambda _, drawn, of=model, by=step: [lambda: [by(of, given, recipe, drawn)]],
             lambda *_: None, lambda _: None,
         )  # fmt: skip
         losses += [row["loss"] for row in state.curve]

@@ -23,7 +23,7 @@ STEPS, BREAKS_AT = 20, 8
 RESIDUAL = replace(
     preset("smoke"),
     lidar_field=FieldSpec(levels=2, log2_table=8),
-    lidar_training=TrainingSpec(steps=STEPS, rays=64, checkpoint_s=0.0),
+    lidar_training=TrainingSpec(steps=STEPS, rays=64, parts=1, checkpoint_s=0.0),
 )
 PAPER = preset("paper_smoke")
 
