@@ -20,6 +20,8 @@ from nvsf_core.stores.tables import read_rows, read_table
 
 METHODS = ("model", *BASELINES)
 """Methods whose rendered views are stored, in the order in which they are measured and shown."""
+TRUTH_NAME = "truth.zarr"
+"""True images of a view, stored in its folder beside the metrics."""
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 

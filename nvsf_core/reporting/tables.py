@@ -45,7 +45,7 @@ _METRIC_WORDS = {
     "intensity_rmse": "intensity RMSE", "intensity_medae": "intensity MedAE",
     "intensity_psnr_db": "intensity PSNR", "intensity_ssim": "intensity SSIM", "hit_rmse": "hit RMSE",
     "hit_accuracy": "hit accuracy", "hit_f_score": "hit F", "image_psnr_db": "PSNR", "image_ssim": "SSIM",
-    "image_depth_rmse_m": "depth RMSE",
+    "image_depth_rmse_m": "depth RMSE", "image_missing": "no answer",
 }  # fmt: skip
 
 Row = dict[str, Any]
