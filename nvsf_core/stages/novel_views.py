@@ -70,7 +70,7 @@ def _run(task: Task) -> StageOutput:
         arrays = _rendered(task, recording, view, models[MODEL], MODEL)
         by_images = _asks_images(recording, view, models[MODEL])
         _publish(task, recording, view, arrays, output, by_images=by_images)
-        if task.scene.sequence == DEMO_SEQUENCE:
+        if task.scene.sequence == DEMO_SEQUENCE and recording.lidar is not None:
             _render_beside(task, recording, view, models, arrays)
     return output
 
@@ -132,15 +132,14 @@ def _render_beside(
     task: Task, recording: Recording, view: View, models: Mapping[str, SceneModel],
     by_model: Mapping[str, np.ndarray],
 ) -> None:  # fmt: skip
-    """Render the baselines' sweeps of a view of the demo: its world is known, so the view can be scored."""
-    if recording.lidar is None or view.sweeps is None or "grid_azimuth_rad" not in by_model:
-        return
+    """Render a view by the baselines too: its truth is known, so all can be scored."""
     for method, model in models.items():
-        if method != MODEL and model.lidar is not None:
-            arrays = sweep_arrays(task, recording.lidar, view.sweeps, model, method)
-            _write(task, recording, view, arrays, method)
-    if view.sweeps.is_recorded_sensor:
-        copies = copied_sweeps(recording.lidar, view.sweeps, by_model)
+        if method != MODEL:
+            _write(task, recording, view, _rendered(task, recording, view, model, method), method)
+    copies = copied_images(recording, view.images)
+    if recording.lidar is not None and view.sweeps is not None and view.sweeps.is_recorded_sensor:
+        copies |= copied_sweeps(recording.lidar, view.sweeps, by_model)
+    if copies:
         _write(task, recording, view, copies, COPY)
 
 
@@ -191,8 +190,8 @@ STAGE = Stage(
     group="synthesis",
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
-    "view that was asked for.",
-    version="14",
+    "view that was asked for; by the baselines, too, where a view's truth is known.",
+    version="15",
     run=_run,
     per_recipe=True,
     reads_views=True,
