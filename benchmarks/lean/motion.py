@@ -1,7 +1,7 @@
 """What moves, measured: the demo's against its analytic truth, a recorded drive's against its boxes.
 
-Run ``python -m benchmarks.lean.motion [street kitti0005_van_cyclist ...]`` after the stage ``evidence`` of the
-scenes; it finds the moving objects anew, to time it. Boxes and truth measure, nothing else reads them.
+Run ``python -m benchmarks.lean.motion [street kitti0005_van_cyclist ...]`` after the stage ``evidence`` of
+the scenes; it finds the moving objects anew, to time it. Boxes and truth measure, nothing else reads them.
 """
 
 from __future__ import annotations

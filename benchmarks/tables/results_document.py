@@ -91,10 +91,10 @@ _SWEEP_LIMITS = ", ".join(f"`{name}` {most['render_seconds']:g} s" for name, mos
 _ABOUT_OTHERS = f"""\
 ## Drives that nobody tuned on
 
-Streets of other seeds by the demo's writer, `python -m benchmarks.tables.other_drives`: the scene `street`'s speed,
-dense traffic (12 more cars), walking pace, a sensor at rest in dense traffic, and stop-and-go. A model is to
-be never worse than `copy_nearest` in CD, F and range PSNR of the simulated scan; ✗ marks where it is, and
-a sweep that takes longer than it may: {_SWEEP_LIMITS}.
+Streets of other seeds by the demo's writer, `python -m benchmarks.tables.other_drives`: the scene `street`'s
+speed, dense traffic (12 more cars), walking pace, a sensor at rest in dense traffic, and stop-and-go. A model
+is to be never worse than `copy_nearest` in CD, F and range PSNR of the simulated scan; ✗ marks where it is,
+and a sweep that takes longer than it may: {_SWEEP_LIMITS}.
 """
 _INTRODUCTION = """\
 # What was measured: all errors, beside the targets
