@@ -44,7 +44,7 @@ def test_the_demo_lies_in_the_home_and_asks_for_a_shifted_view() -> None:
     assert [(view.name, view.shift_m) for view in demo.views] == [("shift_1m", (0.0, 1.0, 0.0))]
 
 
-def test_the_full_street_asks_for_four_views() -> None:
+def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_between_frames() -> None:
     street = next(
         entry
         for entry in catalogue_from_environment(
@@ -53,9 +53,16 @@ def test_the_full_street_asks_for_four_views() -> None:
         if entry.name == "street"
     )
     assert street.root == Path("/somewhere/drives/street") and street.last_frame == 31
-    near, far, vlp16, between = street.views
-    assert (near.name, near.shift_m, len(near.frames)) == ("shift_1m", (0.0, 1.0, 0.0), 2)
-    assert (far.name, far.shift_m, len(far.frames)) == ("shift_3m", (0.0, 3.0, 0.0), 2)
+    *off_path, vlp16, between = street.views
+    assert [(view.name, view.shift_m, view.yaw_deg) for view in off_path] == [
+        ("shift_1m", (0.0, 1.0, 0.0), 0.0),
+        ("shift_2m", (0.0, 2.0, 0.0), 0.0),
+        ("shift_3m", (0.0, 3.0, 0.0), 0.0),
+        ("right_1m", (0.0, -1.0, 0.0), 0.0),
+        ("up_1m", (0.0, 0.0, 1.0), 0.0),
+        ("yaw_15", (0.0, 0.0, 0.0), 15.0),
+    ]
+    assert {view.frames for view in off_path} == {(12, 28)}
     assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
     assert all(abs(time_s / 0.1 % 1.0 - 0.5) < 1e-9 for time_s in between.times_s)
