@@ -211,6 +211,8 @@ def _view_pictures(root: Path, folder: Path) -> ViewPictures:
     frame = int(frames[row])
     ranges_m, points_m = {}, {}
     for method, path in methods.items():
+        if not read_attrs(path).get("sensor"):
+            continue  # a baseline that is measured by its images alone
         stored = read_arrays(path, "pano_range_m", "points_m", "offsets")
         ranges_m[method] = stored["pano_range_m"][row]
         points_m[method] = stored["points_m"][stored["offsets"][row] : stored["offsets"][row + 1]]

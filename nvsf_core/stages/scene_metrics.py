@@ -29,6 +29,7 @@ from nvsf_core.stages.scoring.lidar import (
     recorded_range_errors,
 )
 from nvsf_core.stages.scoring.moving_boxes import NO_BOXES, read_moving_boxes
+from nvsf_core.stages.scoring.recorded_truth import recorded_truth
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
 from nvsf_core.stores.arrays import read_attrs
@@ -100,8 +101,9 @@ def _measure_views(task: Task, views: Path, ledger: Ledger, lpips: Lpips | None)
 
 
 def _true_images(task: Task, path: Path, view: ViewEntry, demo: DemoTruth | None) -> list[TrueImages]:
-    """True images of a view; none where nobody knows them."""
-    return [] if demo is None else list(demo_images(task, path, view, demo))
+    """True images of a view, if anybody knows them; what the catalogue names comes before the demo's."""
+    rendered = [] if demo is None else list(demo_images(task, path, view, demo))
+    return list({one.camera: one for one in (*rendered, *recorded_truth(task, path, view))}.values())
 
 
 def _parts_of_view(
@@ -183,6 +185,7 @@ STAGE = Stage(
     version="7",
     run=_run,
     per_recipe=True,
+    reads_truth=True,
     check=check_metrics,
     check_version="1",
     named_checks=NAMED_CHECKS,

@@ -17,6 +17,7 @@ first_frame = 3
 last_frame = 6
 test_frames = [4]
 """
+VIEW = SCENE + '[[view]]\nname = "v"\n'
 STATIC = {1538, 1728, 1908, 3353}
 DYNAMIC = {2350, 4950, 8120, 10200, 10750, 11400}
 
@@ -109,6 +110,17 @@ def test_a_views_frames_are_all_or_numbers_or_times(tmp_path: Path) -> None:
     assert [(v.frames, v.times_s) for v in entry.views] == [("all", None), ((3, 4), None), ((), (0.05,))]
 
 
+def test_a_views_truth_lies_below_the_scenes_root_or_where_its_path_says(tmp_path: Path) -> None:
+    folders = 'image_00 = "right", image_01 = "/data/right", image_02 = "$NVSF_HOME/truth"'
+    path = written(tmp_path / "c.toml", VIEW + f"truth = {{ {folders} }}\n")
+    (entry,) = load_catalogue([path], None, home=Path("/home/of/all"))
+    named = {camera: entry.root / folder for camera, folder in entry.views[0].truth}
+    assert named == {
+        "image_00": tmp_path / "drives/a/right", "image_01": Path("/data/right"),
+        "image_02": Path("/home/of/all/truth"),
+    }  # fmt: skip
+
+
 def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_path: Path) -> None:
     (entry,) = load_catalogue([written(tmp_path / "c.toml", SCENE)], None)
     layout = DriveLayout(entry.root, entry.sequence)
@@ -140,6 +152,18 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),
         (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),
         (SCENE + '[[view]]\nname = "test"\n', "splits of recorded frames"),
+        (VIEW + 'truth = "right"\n', "truth: expected cameras with their folders"),
+        (VIEW + 'truth = { image_09 = "right" }\n', "truth: expected different ones of image_00"),
+        (VIEW + "truth = { image_00 = 3 }\n", "truth: image_00: expected 1 to 1000 printable characters"),
+        (VIEW + 'frames = [0.05]\ntruth = { image_00 = "right" }\n', "named by frames"),
+        (VIEW + 'sensor = "VLP-16"\ntruth = { image_00 = "right" }\n', "leave `sensor` out"),
+        (
+            SCENE
+            + 'cameras = ["image_01"]\n'
+            + VIEW.removeprefix(SCENE)
+            + 'truth = { image_00 = "right" }\n',
+            "truth: expected cameras that scene a uses, found image_00",
+        ),
         (SCENE + '[[view]]\nname = "v"\n[[view]]\nname = "v"\n', "views: expected each name once"),
         ("[scene]\nname = 1\n", "double the brackets"),
         ("not toml", "is no TOML"),
