@@ -15,10 +15,10 @@ _OF_IMAGES = (
     " Its lasers look above those that recorded: what no return answers there is told by images, with"
     " the scene's mean intensity."
 )
-_NOT_RECORDED = "Nobody recorded this one: rendered by"
+_NOT_RECORDED = "Nobody recorded this one: rendered by {recipe} alone, nearest recorded frame {frame}."
 _KNOWN = (
     "The drive did not record this one, but what its images should show is known, from another camera or from"
-    " the exact world of a synthetic street. Rendered by"
+    " the exact world of a synthetic street. Nearest recorded frame {frame}."
 )
 
 
@@ -35,10 +35,11 @@ def view_section(view: ViewPictures, recipe: str, rows: Sequence[Row]) -> str:
         parts = [f"<h3>Held-out frame {view.frame}</h3>"]
     else:
         sensor = f", sensor {escape(view.sensor)}" if view.sensor else ""
-        about = _KNOWN if any(pair.truth is not None for pair in view.cameras) else _NOT_RECORDED
+        is_known = any(pair.truth is not None for pair in view.cameras)
+        about = (_KNOWN if is_known else _NOT_RECORDED).format(recipe=escape(recipe), frame=view.frame)
         parts = [
-            f"<h3>View <code>{escape(view.view)}</code>{sensor}</h3><p>{about}"
-            f" {escape(recipe)} alone, nearest recorded frame {view.frame}.{_OF_IMAGES * view.by_images}</p>",
+            f"<h3>View <code>{escape(view.view)}</code>{sensor}</h3>"
+            f"<p>{about}{_OF_IMAGES * view.by_images}</p>",
             view_table(rows, view.view),
         ]
     if view.rendered_range_m:
