@@ -76,6 +76,7 @@ _COLUMNS = {
         Column("image_lpips_squeeze", "LPIPS squeeze", 3),
     ),
 }  # fmt: skip
+_VIEW_IMAGES = (*_COLUMNS["image"], Column("image_missing", "no answer", 5))
 _SWEEP = ("render_seconds", "a sweep s", 2)
 _COSTS = (
     ("train_seconds", "training s", 0), ("parameters", "parameters", 0), ("model_mb", "model MB", 1),
@@ -187,7 +188,7 @@ def as_document(rows: Iterable[Row]) -> str:
             if table:
                 about = [_ABOUT_MASKED] if protocol == "masked" else []
                 parts += [f"### {words} (`{protocol}`)\n", *about, table]
-        parts += _views(mine)
+        parts += [*_views(mine), *_view_images(mine)]
     return "\n".join([*parts, *_others(others)])
 
 
@@ -278,10 +279,8 @@ def _limit(scene: str, protocol: str, column: Column, errors: dict[str, list[flo
 
 def _views(mine: dict[str, Measured]) -> list[str]:
     """Views that were asked for and whose truth is known, over what interpolation in time is off by."""
-    rows = [row for measured in mine.values() for row in measured.rows]
-    views = sorted({place.split("/")[0] for row in rows for place in row["errors"]} - {HELD_OUT})
     lines = []
-    for view in views:
+    for view in _asked(mine):
         for method, measured in mine.items():
             cells = [cell(measured.errors("raw", c.metric, view), c.digits) for c in _COLUMNS["raw"]]
             if set(cells) != {"-"}:
@@ -293,6 +292,31 @@ def _views(mine: dict[str, Measured]) -> list[str]:
     text = "### asked views, against the street's exact truth (`raw`)\n"
     limits = ", ".join(f"`{view}` at most {limit:g}" for view, limit in SHIFTS.items())
     return [text, markdown_table(head, lines), f"Target of the last column: {limits}.\n"]
+
+
+def _view_images(mine: dict[str, Measured]) -> list[str]:
+    """Images of views that were asked for and whose truth is known; the best method of each view is bold."""
+    lines = []
+    for view in _asked(mine):
+        cells: dict[str, list[str]] = {method: [] for method in mine}
+        for column in _VIEW_IMAGES:
+            errors = {method: mine[method].errors("image", column.metric, view) for method in mine}
+            is_known = any(value is not None for values in errors.values() for value in values)
+            best = _best(errors, column) if is_known and column in _COLUMNS["image"] else None
+            for method, values in errors.items():
+                text = cell(values, column.digits)
+                cells[method].append(f"**{text}**" if method == best else text)
+        lines += [[f"`{view}`", f"`{name}`", *row] for name, row in cells.items() if set(row) != {"-"}]
+    if not lines:
+        return []
+    head = ["view", "method", *(column.head for column in _VIEW_IMAGES)]
+    return ["### images of asked views, against true ones (`image`)\n", markdown_table(head, lines)]
+
+
+def _asked(mine: dict[str, Measured]) -> list[str]:
+    """Names of the views with errors, sorted."""
+    rows = [row for measured in mine.values() for row in measured.rows]
+    return sorted({place.split("/")[0] for row in rows for place in row["errors"]} - {HELD_OUT})
 
 
 def _over_interpolation(method: str, measured: Measured, view: str) -> str:

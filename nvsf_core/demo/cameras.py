@@ -23,6 +23,7 @@ _RECTIFICATIONS = {
     "image_00": exp_so3(np.array([-0.003, 0.0002, -0.007])),
     "image_01": exp_so3(np.array([0.003, 0.017, 0.012])),
 }
+_FISHEYE = "image_02"
 _SUN = np.array([0.45, 0.35, 0.82], np.float32)
 _SKY_LOW = np.array([0.83, 0.87, 0.9], np.float32)
 _SKY_HIGH = np.array([0.38, 0.56, 0.83], np.float32)
@@ -87,9 +88,25 @@ def demo_fisheye(name: str, side: int) -> DemoCamera:
     return DemoCamera(name, model, pose, pose, directions, seen)
 
 
-def render_image(world: DemoWorld, camera: DemoCamera, time_s: float) -> np.ndarray:
-    """Image (H, W, 3) uint8, red first, taken at `time_s`; black outside the lens's image."""
-    pose = world.lidar_to_street(np.array([time_s]))[0] @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
+def demo_camera(name: str, width: int, height: int) -> DemoCamera:
+    """The writer's camera of that name, with images of that size: a fisheye if it is `image_02`."""
+    return demo_fisheye(name, height) if name == _FISHEYE else demo_perspective(name, width, height)
+
+
+def render_image(
+    world: DemoWorld, camera: DemoCamera, time_s: float, mount: np.ndarray | None = None
+) -> np.ndarray:
+    """Image (H, W, 3) uint8, red first, without noise; black outside the lens's image.
+
+    Args:
+        world: The street.
+        camera: One of its cameras.
+        time_s: When it is taken, seconds since the first frame.
+        mount: (4, 4) pose of the LiDAR, with which the cameras move, in its recorded frame; None = as it was.
+    """
+    lidar = world.lidar_to_street(np.array([time_s]))[0]
+    lidar = lidar if mount is None else lidar @ mount
+    pose = lidar @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
     directions = (camera.directions @ pose[:3, :3].T).astype(np.float32)
     origins = np.broadcast_to(pose[:3, 3].astype(np.float32), directions.shape)
     height, width = camera.model.height, camera.model.width

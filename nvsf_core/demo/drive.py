@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from nvsf_core.demo.cameras import LIDAR_TO_POSE, DemoCamera, demo_fisheye, demo_perspective, render_image
+from nvsf_core.demo.cameras import LIDAR_TO_POSE, DemoCamera, demo_camera, render_image
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.demo.street import CAR_SIZE_M
@@ -135,8 +135,9 @@ def _is_taken(root: Path) -> bool:
 
 
 def _cameras(size: DemoSize) -> list[DemoCamera]:
-    cameras = [demo_perspective(name, size.width, size.height) for name in size.cameras]
-    return [*cameras, demo_fisheye("image_02", size.fisheye_side)] if size.fisheye_side else cameras
+    cameras = [demo_camera(name, size.width, size.height) for name in size.cameras]
+    side = size.fisheye_side
+    return [*cameras, demo_camera("image_02", side, side)] if side else cameras
 
 
 def _write_calibration(layout: DriveLayout, cameras: list[DemoCamera]) -> None:

@@ -88,7 +88,7 @@ def load_catalogue(
     Args:
         paths: Catalogue files; a view of one may name a scene of another.
         kitti360_root: KITTI-360 root of scenes that give none; None = `UNSET_ROOT`.
-        home: Folder for `$NVSF_HOME` in a root; None = `.nvsf` in the working directory.
+        home: Folder for `$NVSF_HOME` in a folder's path; None = `.nvsf` in the working directory.
 
     Raises:
         DataError: A file is absent or not TOML, a key is unknown, missing or of the wrong kind, a name
@@ -105,7 +105,8 @@ def load_catalogue(
                 raise DataError(f"{path}: scene {entry.name!r} is given twice; rename one")
             scenes[entry.name] = entry
         for raw in _entries(table, "view", path):
-            views.append((f"{path}: view {raw.get('name')!r:.60}", _view(raw, path)))
+            view = _view(raw, path, home or home_from_environment({}))
+            views.append((f"{path}: view {raw.get('name')!r:.60}", view))
     if not scenes:
         raise DataError(
             f"{', '.join(map(str, paths)):.300}: expected at least one `[[scene]]`, found none; add one"
@@ -205,24 +206,37 @@ def _made(kind: type[_Entry], raw: Mapping[str, Any], where: str) -> _Entry:
 def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path, where: str) -> Path:
     if "root" not in raw:
         return UNSET_ROOT if kitti360_root is None else kitti360_root.absolute()
-    text = raw["root"]
+    # joinpath keeps an absolute root as it is.
+    return path.absolute().parent.joinpath(_folder(raw["root"], home, f"{where}: root"))
+
+
+def _folder(text: Any, home: Path, what: str) -> Path:
+    """A folder as a catalogue names it, with `$NVSF_HOME` and `~` replaced; relative ones stay so."""
     if not isinstance(text, str) or not text or not text.isprintable() or len(text) > _LONGEST_TEXT:
-        raise DataError(
-            f"{where}: root: expected 1 to {_LONGEST_TEXT} printable characters, found {text!r:.60}"
-        )
+        raise DataError(f"{what}: expected 1 to {_LONGEST_TEXT} printable characters, found {text!r:.60}")
     if text.split("/")[0] == _HOME_VARIABLE:
         return home / text.removeprefix(_HOME_VARIABLE).lstrip("/")
-    # joinpath keeps an absolute root as it is.
-    return path.absolute().parent.joinpath(_expanded(text, f"{where}: root"))
+    return _expanded(text, what)
 
 
-def _view(raw: dict[str, Any], path: Path) -> ViewEntry:
+def _truth(raw: Mapping[str, Any], home: Path, where: str) -> tuple[tuple[str, Path], ...]:
+    folders = raw.get("truth", {})
+    if not isinstance(folders, dict):
+        raise DataError(
+            f'{where}: truth: expected cameras with their folders, as {{ image_00 = "folder" }}, found '
+            f"{folders!r:.60}"
+        )
+    return tuple((name, _folder(text, home, f"{where}: truth: {name:.60}")) for name, text in folders.items())
+
+
+def _view(raw: dict[str, Any], path: Path, home: Path) -> ViewEntry:
     where = f"{path}: view {raw.get('name')!r:.60}"
     _require_keys(raw, _VIEW_KEYS, frozenset({"name"}), where)
     if raw["name"] in RESERVED_VIEWS:
         raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
     frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
-    entry = _made(ViewEntry, raw | {"frames": frames, "times_s": times_s}, where)
+    truth = _truth(raw, home, where)
+    entry = _made(ViewEntry, raw | {"frames": frames, "times_s": times_s, "truth": truth}, where)
     forward_m, left_m, up_m = map(float, entry.shift_m)
     return replace(entry, shift_m=(forward_m, left_m, up_m), yaw_deg=float(entry.yaw_deg))
 

@@ -43,6 +43,11 @@ class ViewEntry:
     """Times since the drive's first frame, also between frames; None = use `frames`."""
     exports: tuple[str, ...] = ("bin", "ply")
     """File formats that the stage `dataset` writes: some of `EXPORTS`."""
+    truth: tuple[tuple[str, Path], ...] = ()
+    """Cameras, each with the folder of its true images of this view, taken for example by a second camera. In
+    a catalogue `truth = { image_00 = "right_camera" }`; a relative folder lies below the scene's root. They
+    are PNG files named, sized and distorted as that camera's recorded ones, of the view's frames; nothing but
+    measuring reads them."""
 
     def __post_init__(self) -> None:
         """Refuse values that would otherwise fail only after training."""
@@ -68,6 +73,16 @@ class ViewEntry:
         instants = self.frames if self.times_s is None else self.times_s
         if instants != "all" and len(set(instants)) != len(instants):
             raise DataError(f"frames: expected each frame or time once, found {instants!r:.200}")
+        self._require_truth()
+
+    def _require_truth(self) -> None:
+        cameras = [camera for camera, _ in self.truth]
+        if not set(cameras) <= set(CAMERAS) or len(set(cameras)) != len(cameras):
+            raise DataError(f"truth: expected different ones of {', '.join(CAMERAS)}, found {cameras!r:.200}")
+        if cameras and self.times_s is not None:
+            raise DataError("truth: expected a view of frames, found times; true images are named by frames")
+        if cameras and self.sensor is not None:
+            raise DataError(f"truth: a view by {self.sensor} has no images to compare; leave `sensor` out")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,6 +146,12 @@ class SceneEntry:
                 "again; rename one"
             )
         for view in self.views:
+            absent = [name for name, _ in view.truth if name not in (self.cameras or CAMERAS)]
+            if absent:
+                raise DataError(
+                    f"view {view.name}: truth: expected cameras that scene {self.name} uses, found "
+                    f"{absent[0]}; add it to the scene's `cameras`, or name the view's `scenes`"
+                )
             if view.times_s is not None or view.frames == "all":
                 continue
             outside = [
@@ -177,6 +198,10 @@ def _is_path(value: object) -> bool:
     return isinstance(value, Path) and "\0" not in str(value) and len(str(value)) <= _LONGEST_PATH
 
 
+def _is_folder_of_camera(value: object) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and _is_text(value[0]) and _is_path(value[1])
+
+
 def _all(
     is_one: Callable[[object], bool], fewest: int = 1, most: int = MOST_FRAMES
 ) -> Callable[[object], bool]:
@@ -199,6 +224,7 @@ _VIEW_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
     ),
     "times_s": (_or_none(_all(is_number)), "a tuple of seconds, or None"),
     "exports": (_all(_is_text), "a tuple of formats"),
+    "truth": (_all(_is_folder_of_camera, 0), "a tuple of cameras, each with a Path"),
 }
 _SCENE_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
     "root": (_is_path, f"a Path of at most {_LONGEST_PATH} characters"),

@@ -12,6 +12,8 @@ from nvsf_core.metrics.ssim import ssim
 
 NAMES = ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_lpips_alex")
 """Metrics of `image_metrics`."""
+MISSING = "image_missing"
+"""Metric of `missing_share`."""
 
 
 def image_metrics(
@@ -44,3 +46,22 @@ def image_metrics(
         "image_lpips_squeeze": lpips_measure(lpips, predicted * valid[..., None], truth * valid[..., None]),
         "image_lpips_alex": LPIPS_ALEX,
     }
+
+
+def missing_share(predicted_rgb: np.ndarray, truth_rgb: np.ndarray, valid: np.ndarray) -> Measure:
+    """Share of the pixels that the prediction does not cover: they are black, where the truth is not.
+
+    Args:
+        predicted_rgb: (H, W, 3) uint8.
+        truth_rgb: (H, W, 3) uint8.
+        valid: (H, W) bool, pixels that the truth covers.
+
+    Raises:
+        ShapeError: The shapes differ.
+    """
+    same_shape(predicted_rgb, truth_rgb)
+    seen = valid & truth_rgb.any(axis=-1)
+    n_seen = int(np.count_nonzero(seen))
+    if n_seen == 0:
+        return undefined("the true image has no valid pixel that is not black")
+    return Measure(float(np.count_nonzero(~predicted_rgb.any(axis=-1) & seen)) / n_seen, n_seen)

@@ -19,7 +19,7 @@ UNITS = {
     "intensity_lpips_squeeze": "1", "intensity_lpips_alex": "1",
     "hit_rmse": "1", "hit_accuracy": "1", "hit_f_score": "1",
     "image_psnr_db": "dB", "image_ssim": "1", "image_lpips_squeeze": "1",
-    "image_lpips_alex": "1", "image_depth_rmse_m": "m",
+    "image_lpips_alex": "1", "image_depth_rmse_m": "m", "image_missing": "1",
 }  # fmt: skip
 """Unit of each metric; 1 = dimensionless."""
 
@@ -40,7 +40,9 @@ HEADLINES = {
         "chamfer_m2", "f_score", "range_rmse_m", "range_abs_error_median_m", "range_missing",
         "intensity_rmse", "hit_accuracy", "image_psnr_db", "image_ssim",
     ),
-    "image": ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_depth_rmse_m"),
+    "image": (
+        "image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_depth_rmse_m", "image_missing",
+    ),
 }  # fmt: skip
 """Metrics of each protocol in the terminal's table; the store and the report have all."""
 
@@ -49,7 +51,7 @@ _SHORT = {
     "range_abs_error_median_m": "|range err| med m", "range_missing": "missing",
     "intensity_rmse": "intens. RMSE", "hit_accuracy": "hit acc.",
     "image_psnr_db": "PSNR dB", "image_ssim": "SSIM", "image_lpips_squeeze": "LPIPS-sq",
-    "image_depth_rmse_m": "depth RMSE m",
+    "image_depth_rmse_m": "depth RMSE m", "image_missing": "missing",
 }  # fmt: skip
 
 Row = Mapping[str, Any]
@@ -114,7 +116,8 @@ def _block(key: tuple[str, ...], rows: Sequence[dict[str, Any]]) -> str:
         lines.append([recipe, *(_cell(mine.get(metric)) for metric in metrics), *costs])
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     n_frames = max(row["n_frames"] for row in rows)
-    what = f"{n_frames} held-out frame(s)" if split == HELD_OUT else f"{n_frames} sweep(s) of view {split}"
+    kind = "sweep" if sensor == "lidar" else "image"
+    what = f"{n_frames} held-out frame(s)" if split == HELD_OUT else f"{n_frames} {kind}(s) of view {split}"
     place = "" if region == "all" else f"{region} | "
     text = [f"{scene} | protocol {protocol} | {sensor} | {place}mean of {what}"]
     for line in lines:

@@ -106,6 +106,11 @@ def plot(png: bytes, alt: str) -> str:
     return image(png, alt).replace("<img ", f'<img style="width:{width}px" ', 1)
 
 
+def figure(parts: Sequence[str], caption: str) -> str:
+    """Ready-made parts (HTML) with a caption (text) below them."""
+    return f"<figure>{''.join(parts)}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
 def methods_table(methods: Sequence[tuple[str, str, bool]], columns: Sequence[Column]) -> str:
     """HTML table with one row per method; the best value of a column is marked, ties too.
 

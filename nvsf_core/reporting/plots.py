@@ -19,6 +19,8 @@ from nvsf_core.reporting.previews import (
 )
 
 MAX_ERROR_M = 1.0
+MAX_ERROR_LEVELS = 64
+"""Of 255: a pixel's mean error that is shown as the worst."""
 MISSED_COLOUR, INVENTED_COLOUR = (64, 196, 255), (232, 62, 200)
 MODEL_COLOUR, BASELINE_COLOURS = (
     "#1f6feb",
@@ -69,8 +71,15 @@ def error_image_png(recorded_m: np.ndarray, rendered_m: np.ndarray) -> bytes:
     return palette_png(levels, _error_palette(), _ROW_REPEAT)
 
 
+def image_error_png(truth_rgb: np.ndarray, rendered_rgb: np.ndarray) -> bytes:
+    """PNG of the mean absolute error of each pixel of two images (H, W, 3) uint8: dark = 0, yellow = 64."""
+    error = np.abs(rendered_rgb.astype(np.int16) - truth_rgb.astype(np.int16)).mean(axis=-1)
+    levels = 1 + np.rint(np.clip(error / MAX_ERROR_LEVELS, 0.0, 1.0) * _LEVELS)
+    return palette_png(levels, _error_palette())
+
+
 def error_scale_png() -> bytes:
-    """PNG of the colour scale of `error_image_png`, 0 to 1 m."""
+    """PNG of the colour scale of `error_image_png`, 0 to 1 m, and of `image_error_png`, 0 to 64 levels."""
     return palette_png(np.tile(np.arange(1, _LEVELS + 2), (8, 1)), _error_palette())
 
 

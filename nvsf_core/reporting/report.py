@@ -1,6 +1,6 @@
 """The report over all scenes: one offline HTML page for readers who do not know this project."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,18 +10,9 @@ from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting import plots
 from nvsf_core.reporting.checks import checks_section
 from nvsf_core.reporting.error_cloud import error_cloud_figure
-from nvsf_core.reporting.html import escape, image, number, page, plain_table, plot
-from nvsf_core.reporting.previews import image_preview, scan_top_view
+from nvsf_core.reporting.html import escape, figure, number, page, plain_table, plot
 from nvsf_core.reporting.scene_notes import not_run, profile_table
-from nvsf_core.reporting.scene_outputs import (
-    METHODS,
-    CameraPair,
-    FieldRun,
-    SceneOutputs,
-    ViewPictures,
-    mean_of,
-    method_rows,
-)
+from nvsf_core.reporting.scene_outputs import FieldRun, SceneOutputs, mean_of, method_rows
 from nvsf_core.reporting.tables import (
     METHOD_WORDS,
     PROTOCOLS,
@@ -32,11 +23,8 @@ from nvsf_core.reporting.tables import (
     methods_of,
     wins,
 )
+from nvsf_core.reporting.view_pictures import view_section
 
-_OF_IMAGES = (
-    " Its lasers look above those that recorded: what no return answers there is told by images, with"
-    " the scene's mean intensity."
-)
 _COSTS = (
     ("lidar4d_scan", "chamfer_m2", "LiDAR: Chamfer [m²], lower is better"),
     ("raw", "range_abs_error_median_m", "LiDAR: median range error [m], lower is better"),
@@ -238,7 +226,7 @@ def _scene(scene: SceneOutputs) -> str:
         checks_section(scene),
     ]
     for view in newest.pictures:
-        parts.append(_view(view, newest.recipe))
+        parts.append(view_section(view, newest.recipe, rows))
     parts.append(error_cloud_figure(newest.error_cloud))
     curves = [run for run in scene.runs if run.curve.get("step")]
     if curves:
@@ -298,87 +286,12 @@ def _cost_plot(rows: Sequence[Row]) -> str:
     if not panels:
         return ""
     picture = plot(plots.cost_error_png(panels), "error over training time")
-    return _figure([picture], "What each method took to prepare, and how wrong it is afterwards.")
-
-
-def _view(view: ViewPictures, recipe: str) -> str:
-    is_test = view.recorded_range_m is not None or any(pair.recorded is not None for pair in view.cameras)
-    names = {"model": recipe}
-    if is_test:
-        parts = [f"<h3>Held-out frame {view.frame}</h3>"]
-    else:
-        sensor = f", sensor {escape(view.sensor)}" if view.sensor else ""
-        parts = [
-            f"<h3>View <code>{escape(view.view)}</code>{sensor}</h3><p>Nobody recorded this one: rendered by"
-            f" {escape(recipe)} alone, nearest recorded frame {view.frame}.{_OF_IMAGES * view.by_images}</p>"
-        ]
-    if view.rendered_range_m:
-        parts.append(_range_images(view, names))
-    if view.rendered_points_m:
-        parts.append(_top_views(view, names))
-    parts += [_camera_pair(pair, names) for pair in view.cameras]
-    return "".join(parts)
-
-
-def _range_images(view: ViewPictures, names: Mapping[str, str]) -> str:
-    def strip(label: str, png: bytes) -> str:
-        return f'<div class="label">{escape(label)}</div>{image(png, label, "wide")}'
-
-    recorded = view.recorded_range_m
-    folded: list[str] = []
-    pictures = [] if recorded is None else [strip("recorded range", plots.range_image_png(recorded))]
-    for method in METHODS:
-        if method not in view.rendered_range_m:
-            continue
-        name, range_m = names.get(method, method), view.rendered_range_m[method]
-        shown = strip(f"{name}: range", plots.range_image_png(range_m))
-        (pictures if method == "model" else folded).append(shown)
-        if recorded is not None:
-            pictures.append(strip(f"{name}: error", plots.error_image_png(recorded, range_m)))
-    ticks = [(plots.range_tick_percent(tick), f"{tick} m") for tick in plots.RANGE_TICKS_M]
-    legend = _scale(plots.range_scale_png(), ticks)
-    if recorded is not None:
-        legend += " " + _scale(plots.error_scale_png(), [(0, "0"), (50, "0.5 m"), (100, "1 m or more")])
-        legend += _key(plots.MISSED_COLOUR, "recorded, but missed") + _key(
-            plots.INVENTED_COLOUR, "never recorded"
-        )
-    caption = (
-        "What the laser scanner sees, unrolled: a full turn from left to right, straight ahead in the"
-        " middle, one row an elevation. Black: nothing came back."
-    )
-    more = f"<details><summary>The baselines’ range images</summary>{''.join(folded)}</details>"
-    return _figure([*pictures, f"<div>{legend}</div>"], caption) + (more if folded else "")
-
-
-def _top_views(view: ViewPictures, names: Mapping[str, str]) -> str:
-    clouds = [("recorded", view.recorded_points_m)] if view.recorded_points_m is not None else []
-    clouds += [(names.get(m, m), view.rendered_points_m[m]) for m in METHODS if m in view.rendered_points_m]
-    cells = [
-        f'<div><div class="label">{escape(name)}: {number(len(points_m), 0)} returns</div>'
-        f"{image(scan_top_view(points_m), name + ' from above')}</div>"
-        for name, points_m in clouds
-    ]
-    caption = "The same scan from above, 80 m by 80 m, driving direction up; blue is low, yellow is high."
-    return _figure([f'<div class="row above">{"".join(cells)}</div>'], caption)
-
-
-def _camera_pair(pair: CameraPair, names: Mapping[str, str]) -> str:
-    pictures = [("recorded", pair.recorded)] if pair.recorded is not None else []
-    pictures += [(names.get(m, m), pair.rendered[m]) for m in METHODS if m in pair.rendered]
-    cells = [
-        "<div><div"
-        f' class="label">{escape(name)}</div>{image(image_preview(rgb), f"{pair.camera} {name}")}</div>'
-        for name, rgb in pictures
-        if rgb is not None
-    ]
-    return _figure(
-        [f'<div class="row camera">{"".join(cells)}</div>'], f"Camera {pair.camera}, frame {pair.frame}."
-    )
+    return figure([picture], "What each method took to prepare, and how wrong it is afterwards.")
 
 
 def _loss_curve(run: FieldRun) -> str:
     caption = f"Loss of {run.recipe}, seed {run.seed}; thick: the sum that is minimised, thin: its terms."
-    return _figure([plot(plots.curve_png(run.curve), "loss curve")], caption)
+    return figure([plot(plots.curve_png(run.curve), "loss curve")], caption)
 
 
 def _stages(scene: SceneOutputs) -> str:
@@ -399,16 +312,3 @@ def _stages(scene: SceneOutputs) -> str:
     table = plain_table(["stage", "seconds", "", "checks"], rows, words=(2, 3))
     note = "Seconds of each stage when it last ran; a training that was resumed counts from there."
     return f"<h3>Where the time went</h3><p>{note}</p>{table}"
-
-
-def _scale(png: bytes, ticks: Sequence[tuple[float, str]]) -> str:
-    marks = "".join(f'<span style="left:{left:.1f}%">{escape(text)}</span>' for left, text in ticks)
-    return f'<span class="scale">{image(png, "colour scale")}{marks}</span>'
-
-
-def _key(colour: tuple[int, int, int], words: str) -> str:
-    return f'<span class="key"><i style="background:rgb{colour}"></i>{escape(words)}</span>'
-
-
-def _figure(parts: Sequence[str], caption: str) -> str:
-    return f"<figure>{''.join(parts)}<figcaption>{escape(caption)}</figcaption></figure>"

@@ -13,13 +13,15 @@ from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 from nvsf_core.stores.documents import foreign, read_picture
 from nvsf_core.stores.scene_store import SceneStore, published
 from nvsf_core.stores.tables import read_rows, read_table
 
 METHODS = ("model", *BASELINES)
 """Methods whose rendered views are stored, in the order in which they are measured and shown."""
+TRUTH_NAME = "truth.zarr"
+"""True images of a view, stored in its folder beside the metrics."""
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 
@@ -37,12 +39,14 @@ class StageRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPair:
-    """Images of one camera at one instant, (H, W, 3) uint8: recorded (or None) and by method."""
+    """Images of one camera at one instant, each (H, W, 3) uint8."""
 
     camera: str
     frame: int
-    recorded: np.ndarray | None
+    truth: np.ndarray | None
+    """The recorded image of a held-out frame, or the true image of another view; None if nobody knows it."""
     rendered: dict[str, np.ndarray]
+    """By method."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +144,7 @@ def collect_scene(
                 measured=datetime.fromtimestamp(table.stat().st_mtime, UTC),
                 means=mean_rows(rows),
                 curve=read_table(curve) if curve.is_file() else {},
-                pictures=_pictures(root, root / "novel_views" / recipe / seed) if position == 0 else [],
+                pictures=_pictures(root, recipe, seed) if position == 0 else [],
                 error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
             )
         )
@@ -185,21 +189,23 @@ def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
     return needs | (dict(own[0]) if own else {})
 
 
-def _pictures(root: Path, views: Path) -> list[ViewPictures]:
+def _pictures(root: Path, recipe: str, seed: str) -> list[ViewPictures]:
+    views, metrics = (root / stage / recipe / seed for stage in ("novel_views", "scene_metrics"))
     if not views.is_dir():
         return []
     names = sorted(path.parent.name for path in published(views, "*/model.zarr"))
     names.sort(key=lambda name: name != HELD_OUT)
-    return [_view_pictures(root, views / name) for name in names]
+    return [_view_pictures(root, views / name, metrics / name / TRUTH_NAME) for name in names]
 
 
-def _view_pictures(root: Path, folder: Path) -> ViewPictures:
-    """The middle instant of a view; for the held-out view with the recorded data of that instant."""
+def _view_pictures(root: Path, folder: Path, truth: Path) -> ViewPictures:
+    """The middle instant of a view, with the recorded data of a held-out frame or the stored true images."""
     attrs = read_attrs(folder / "model.zarr")
     frames = read_arrays(folder / "model.zarr", "frame")["frame"]
     is_test = folder.name == HELD_OUT
     methods = {m: folder / f"{m}.zarr" for m in METHODS if (folder / f"{m}.zarr").is_dir()}
-    found = [_camera(root, methods, camera, is_test) for camera in attrs.get("cameras", [])]
+    known = root / "undistorted" / "images.zarr" if is_test else truth
+    found = [_camera(known, methods, camera) for camera in attrs.get("cameras", [])]
     cameras = [pair for pair in found if pair is not None]
     sensor = str(attrs.get("sensor", ""))
     if not frames.size or not sensor:
@@ -209,6 +215,8 @@ def _view_pictures(root: Path, folder: Path) -> ViewPictures:
     frame = int(frames[row])
     ranges_m, points_m = {}, {}
     for method, path in methods.items():
+        if not read_attrs(path).get("sensor"):
+            continue  # a baseline that is measured by its images alone
         stored = read_arrays(path, "pano_range_m", "points_m", "offsets")
         ranges_m[method] = stored["pano_range_m"][row]
         points_m[method] = stored["points_m"][stored["offsets"][row] : stored["offsets"][row + 1]]
@@ -236,12 +244,14 @@ def _recorded_scan(root: Path, frame: int) -> tuple[np.ndarray | None, np.ndarra
     return range_m, points_m
 
 
-def _camera(root: Path, methods: dict[str, Path], camera: str, is_test: bool) -> CameraPair | None:
-    """The middle image of one camera; None if the view has none of it."""
+def _camera(known: Path, methods: dict[str, Path], camera: str) -> CameraPair | None:
+    """The middle image of one camera, of those whose truth is stored in `known`; None if there is none."""
     frames = read_arrays(methods["model"], f"{camera}_frame")[f"{camera}_frame"]
     if not frames.size:
         return None
-    frame = int(frames[len(frames) // 2])
+    true = _true_frames(known, camera)
+    of_known = frames[np.isin(frames, true)]
+    frame = int(of_known[len(of_known) // 2] if of_known.size else frames[len(frames) // 2])
     rendered = {}
     for method, path in methods.items():
         if camera not in read_attrs(path).get("cameras", []):
@@ -249,22 +259,28 @@ def _camera(root: Path, methods: dict[str, Path], camera: str, is_test: bool) ->
         stored = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
         for row in np.flatnonzero(stored[f"{camera}_frame"] == frame)[:1]:
             rendered[method] = stored[f"{camera}_rgb"][row]
-    recorded = None
-    images = root / "undistorted" / "images.zarr"
-    if is_test and images.is_dir():
-        stored = read_arrays(images, f"{camera}_rgb", f"{camera}_frame")
-        for row in np.flatnonzero(stored[f"{camera}_frame"] == frame)[:1]:
-            recorded = stored[f"{camera}_rgb"][row]
-    return CameraPair(camera=camera, frame=frame, recorded=recorded, rendered=rendered)
+    truth = None
+    for row in np.flatnonzero(true == frame)[:1]:
+        truth = read_arrays(known, f"{camera}_rgb")[f"{camera}_rgb"][row]
+    return CameraPair(camera=camera, frame=frame, truth=truth, rendered=rendered)
 
 
-def mean_of(rows: Sequence[dict[str, Any]], protocol: str, metric: str) -> tuple[float, int, int]:
-    """One metric at the held-out frames: its mean over sensors, frames where it is defined, frames."""
+def _true_frames(known: Path, camera: str) -> np.ndarray:
+    """(n,) frames of a camera's images in a group; none if it lacks them."""
+    name = f"{camera}_frame"
+    has_them = known.is_dir() and name in array_names(known, "i")
+    return read_arrays(known, name)[name] if has_them else np.zeros(0, np.int64)
+
+
+def mean_of(
+    rows: Sequence[dict[str, Any]], protocol: str, metric: str, split: str = HELD_OUT
+) -> tuple[float, int, int]:
+    """One metric of a split: its mean over sensors, frames where it is defined, frames."""
     mine = [
         row
         for row in rows
         if (row["protocol"], row["metric"]) == (protocol, metric)
-        and (row["split"], row["region"]) == (HELD_OUT, "all")
+        and (row["split"], row["region"]) == (split, "all")
     ]
     values = [row["value"] for row in mine if row["n_defined"]]
     value = sum(values) / len(values) if values else math.nan

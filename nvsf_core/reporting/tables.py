@@ -18,6 +18,9 @@ HEADLINES = (
 )  # fmt: skip
 """Protocol, metric and title of the main columns of every scene."""
 
+_VIEW_IMAGES = ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_missing")
+"""Columns of `view_table`."""
+
 PROTOCOLS = {
     "lidar4d": "as published by LiDAR4D: the recorded scan projected to a 66×1030 range image, against the"
     " range image that the model renders",
@@ -25,7 +28,7 @@ PROTOCOLS = {
     "raw": "the recorded scan itself, 0 to 80 m: errors along the recorded rays, hits on a grid of lasers ×"
     " 2000 azimuths (a half or a quarter where the sensor fires less often)",
     "masked": "inside and outside the boxes of moving objects",
-    "image": "all pixels of the recorded camera image",
+    "image": "all pixels of the recorded camera image, or of a view's true image",
 }
 """Description of each protocol."""
 
@@ -45,7 +48,8 @@ _METRIC_WORDS = {
     "intensity_rmse": "intensity RMSE", "intensity_medae": "intensity MedAE",
     "intensity_psnr_db": "intensity PSNR", "intensity_ssim": "intensity SSIM", "hit_rmse": "hit RMSE",
     "hit_accuracy": "hit accuracy", "hit_f_score": "hit F", "image_psnr_db": "PSNR", "image_ssim": "SSIM",
-    "image_depth_rmse_m": "depth RMSE",
+    "image_depth_rmse_m": "depth RMSE", "image_missing": "no answer",
+    "image_lpips_squeeze": "LPIPS squeeze",
 }  # fmt: skip
 
 Row = dict[str, Any]
@@ -123,6 +127,29 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
     return tables
 
 
+def image_scores(rows: Sequence[Row], view: str, camera: str) -> dict[str, float]:
+    """Recipe or baseline to the mean PSNR in dB of a view's images by one camera; of the newest run."""
+    wanted = (view, "image", "all", camera, "image_psnr_db")
+    keys = ("split", "protocol", "region", "sensor", "metric")
+    found: dict[str, float] = {}
+    for row in rows:
+        if tuple(row[key] for key in keys) == wanted and not math.isnan(row["value"]):
+            found.setdefault(row["recipe"], row["value"])
+    return found
+
+
+def view_table(rows: Sequence[Row], view: str) -> str:
+    """HTML table of the errors of a view's images, mean over its cameras; empty if none were measured."""
+    mine = [row for row in rows if (row["split"], row["protocol"]) == (view, "image")]
+    by_method = {name: [row for row in mine if row["method"] == name] for name, _, _ in methods_of(mine)}
+    columns = [
+        _column(by_method, "image", metric, _METRIC_WORDS.get(metric, metric), "images of this view", view)
+        for metric in _VIEW_IMAGES
+    ]
+    shown = [column for column in columns if not all(math.isnan(value) for value in column.values)]
+    return methods_table(methods_of(mine), shown) if shown else ""
+
+
 def wins(rows: Sequence[Row]) -> dict[str, int]:
     """Number of headline errors in which each method is best; a tie counts for each of them."""
     methods = [name for name, _, _ in methods_of(rows)]
@@ -133,8 +160,10 @@ def wins(rows: Sequence[Row]) -> dict[str, int]:
     return count
 
 
-def _column(by_method: dict[str, list[Row]], protocol: str, metric: str, title: str, group: str) -> Column:
-    found = [mean_of(rows, protocol, metric) for rows in by_method.values()]
+def _column(
+    by_method: dict[str, list[Row]], protocol: str, metric: str, title: str, group: str, split: str = HELD_OUT
+) -> Column:
+    found = [mean_of(rows, protocol, metric, split) for rows in by_method.values()]
     units = [row["unit"] for rows in by_method.values() for row in rows if row["metric"] == metric]
     unit = units[0] if units else ""
     notes = [_undefined(defined, frames) for _, defined, frames in found]

@@ -40,7 +40,7 @@ def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> 
         "recipe": task.config.recipe.identity(),
         "seed": task.config.seed,
         "draw_seed": task.config.draw_seed,
-        "view": asdict(view),
+        "view": _facts_of(view),
         "sources": dict(sources),
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
@@ -98,12 +98,17 @@ def _identity(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
     return {
         "scene": task.scene.name,
         "sequence": task.scene.sequence,
-        "view": asdict(view),
+        "view": _facts_of(view),
         "version": version,
         "recipe": {**recipe.to_json(), "identity": recipe.identity()},
         "seed": task.config.seed,
         "draw_seed": task.config.draw_seed,
     }
+
+
+def _facts_of(view: ViewEntry) -> dict[str, Any]:
+    """The view's entry without its true images, which no data set is made from."""
+    return {key: value for key, value in asdict(view).items() if key != "truth"}
 
 
 def _why_absent(rendered: Path, view: str) -> str:

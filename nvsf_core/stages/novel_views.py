@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE
+from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.models.baselines.mesh import mesh_baseline
 from nvsf_core.models.baselines.reproject import reprojection
@@ -70,9 +71,18 @@ def _run(task: Task) -> StageOutput:
         arrays = _rendered(task, recording, view, models[MODEL], MODEL)
         by_images = _asks_images(recording, view, models[MODEL])
         _publish(task, recording, view, arrays, output, by_images=by_images)
-        if task.scene.sequence == DEMO_SEQUENCE:
-            _render_beside(task, recording, view, models, arrays)
+        known = _known_part(task, recording, entry, view)
+        if known is not None:
+            _render_beside(task, recording, known, models, arrays)
     return output
+
+
+def _known_part(task: Task, recording: Recording, entry: ViewEntry, view: View) -> View | None:
+    """What there is a truth of in a view: of the demo, whose world is known, all; else images of cameras."""
+    if task.scene.sequence == DEMO_SEQUENCE and recording.lidar is not None:
+        return view
+    images = {camera: view.images[camera] for camera, _ in entry.truth if camera in view.images}
+    return replace(view, sweeps=None, images=images) if images else None
 
 
 def _with_images(
@@ -132,15 +142,14 @@ def _render_beside(
     task: Task, recording: Recording, view: View, models: Mapping[str, SceneModel],
     by_model: Mapping[str, np.ndarray],
 ) -> None:  # fmt: skip
-    """Render the baselines' sweeps of a view of the demo: its world is known, so the view can be scored."""
-    if recording.lidar is None or view.sweeps is None or "grid_azimuth_rad" not in by_model:
-        return
+    """Render by the baselines too what there is a truth of, so that all can be scored."""
     for method, model in models.items():
-        if method != MODEL and model.lidar is not None:
-            arrays = sweep_arrays(task, recording.lidar, view.sweeps, model, method)
-            _write(task, recording, view, arrays, method)
-    if view.sweeps.is_recorded_sensor:
-        copies = copied_sweeps(recording.lidar, view.sweeps, by_model)
+        if method != MODEL:
+            _write(task, recording, view, _rendered(task, recording, view, model, method), method)
+    copies = copied_images(recording, view.images)
+    if recording.lidar is not None and view.sweeps is not None and view.sweeps.is_recorded_sensor:
+        copies |= copied_sweeps(recording.lidar, view.sweeps, by_model)
+    if copies:
         _write(task, recording, view, copies, COPY)
 
 
@@ -191,8 +200,8 @@ STAGE = Stage(
     group="synthesis",
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
-    "view that was asked for.",
-    version="14",
+    "view that was asked for; by the baselines, too, where a view's truth is known.",
+    version="15",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -1,4 +1,4 @@
-"""Stage `scene_metrics`: metrics of the held-out frames, for the model and the baselines."""
+"""Stage `scene_metrics`: metrics of held-out frames, and of views whose truth is known, for all methods."""
 
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from nvsf_core._types import Scalar
+from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.metrics.lpips import load_lpips
+from nvsf_core.metrics.lpips import Lpips, load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.reporting.scene_outputs import METHODS
@@ -19,7 +20,8 @@ from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metr
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
-from nvsf_core.stages.scoring.demo_truth import measure_demo_view, read_demo_truth
+from nvsf_core.stages.scoring.demo_images import demo_images
+from nvsf_core.stages.scoring.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
 from nvsf_core.stages.scoring.lidar import (
     RecordedScans,
     measure_lidar,
@@ -27,7 +29,9 @@ from nvsf_core.stages.scoring.lidar import (
     recorded_range_errors,
 )
 from nvsf_core.stages.scoring.moving_boxes import NO_BOXES, read_moving_boxes
+from nvsf_core.stages.scoring.recorded_truth import recorded_truth
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
+from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
 
@@ -48,8 +52,9 @@ def _run(task: Task) -> StageOutput:
     views = task.store.require(f"novel_views/{config.recipe.name}/{config.seed}")
     ledger = Ledger(facts={"scene": task.scene.name, "commit": _commit()})
     recording = read_recorded_scans(task.store.require("sweeps") / "returns.zarr")
-    about = _measure_held_out(task, views / HELD_OUT, recording, ledger)
-    about |= _measure_demo_views(task, views, ledger)
+    lpips = load_lpips()
+    about = _measure_held_out(task, views / HELD_OUT, recording, ledger, lpips)
+    about |= _measure_views(task, views, ledger, lpips)
     write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
     output = ledger.output()
     output.metadata |= about | {"machine": machine()}
@@ -58,10 +63,10 @@ def _run(task: Task) -> StageOutput:
 
 
 def _measure_held_out(
-    task: Task, view: Path, recording: RecordedScans | None, ledger: Ledger
+    task: Task, view: Path, recording: RecordedScans | None, ledger: Ledger, lpips: Lpips | None
 ) -> dict[str, Scalar]:
     """Add the rows of the held-out frames; returns metadata on moving objects."""
-    lpips, boxes = load_lpips(), read_moving_boxes(task.store)
+    boxes = read_moving_boxes(task.store)
     images, parts = task.store.path("undistorted") / "images.zarr", list[_Part]()
     for name in METHODS:
         path = view / f"{name}.zarr"
@@ -79,25 +84,44 @@ def _measure_held_out(
     return {"foreground": NO_BOXES if boxes is None else f"{boxes.objects} moving objects, by their boxes"}
 
 
-def _measure_demo_views(task: Task, views: Path, ledger: Ledger) -> dict[str, Scalar]:
-    """Add the rows of the demo's views; returns metadata on its exact truth, empty for other drives."""
+def _measure_views(task: Task, views: Path, ledger: Ledger, lpips: Lpips | None) -> dict[str, Scalar]:
+    """Add the rows of the views whose truth is known, and store it; returns metadata on the demo's truth."""
     asked = [view for view in task.scene.views if (views / view.name).is_dir()]
-    truth = read_demo_truth(task) if asked else None
-    if truth is None:
-        return {}
-    about: dict[str, Scalar] = {"demo_truth_gap_m": truth.gap_m}
-    if not truth.is_of_this_drive:
-        return about | {"demo_truth": "views not measured: the drive is not of the demo writer's street"}
-    parts = []
+    demo = read_demo_truth(task) if asked else None
+    about: dict[str, Scalar] = {} if demo is None else {"demo_truth_gap_m": demo.gap_m}
+    if demo is not None and not demo.is_of_this_drive:
+        about["demo_truth"] = "views not measured: the drive is not of the demo writer's street"
+        demo = None
     for view in asked:
-        for name in METHODS:
-            path = views / view.name / f"{name}.zarr"
-            if not (path / "grid_hit").is_dir():
-                continue
-            measure = partial(measure_demo_view, path, view, truth)
-            parts.append(_Part(f"{name}, view {view.name},", _method(task, path)[0], measure))
-    _measure(task, parts, ledger)
+        truths = _true_images(task, views / view.name / "model.zarr", view, demo)
+        if truths:
+            write_truth(task.folder / view.name, truths)
+        _measure(task, list(_parts_of_view(task, views, view, demo, truths, lpips)), ledger)
     return about
+
+
+def _true_images(task: Task, path: Path, view: ViewEntry, demo: DemoTruth | None) -> list[TrueImages]:
+    """True images of a view, if anybody knows them; what the catalogue names comes before the demo's."""
+    rendered = [] if demo is None else list(demo_images(task, path, view, demo))
+    return list({one.camera: one for one in (*rendered, *recorded_truth(task, path, view))}.values())
+
+
+def _parts_of_view(
+    task: Task, views: Path, view: ViewEntry, demo: DemoTruth | None, truths: Sequence[TrueImages],
+    lpips: Lpips | None,
+) -> Iterator[_Part]:  # fmt: skip
+    """What can be measured of one view: the demo's sweeps, and images whose truth is known."""
+    for name in METHODS:
+        path = views / view.name / f"{name}.zarr"
+        if not path.is_dir():
+            continue
+        method, attrs = _method(task, path)
+        if demo is not None and (path / "grid_hit").is_dir():
+            yield _Part(f"{name}, view {view.name},", method, partial(measure_demo_view, path, view, demo))
+        for truth in truths:
+            if truth.camera in attrs.get("cameras", []):
+                images = partial(measure_view_images, path, view.name, truth, lpips=lpips)
+                yield _Part(f"{name}, view {view.name}, {truth.camera},", method, images)
 
 
 def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
@@ -156,11 +180,12 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "novel_views"),
     description=(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
-        "the trained field and for the baselines that learn nothing."
+        "the trained field and for the baselines that learn nothing; the same of views whose truth is known."
     ),
-    version="6",
+    version="7",
     run=_run,
     per_recipe=True,
+    reads_truth=True,
     check=check_metrics,
     check_version="1",
     named_checks=NAMED_CHECKS,

@@ -88,7 +88,7 @@ def _undistort(
     """
     layout = DriveLayout(task.scene.root, task.scene.sequence)
     width, height = int(calibration["width"]), int(calibration["height"])
-    undistorter, view = _camera_of(camera, calibration)
+    undistorter, view = camera_of(camera, calibration)
     images = np.zeros((len(rows), view.height, view.width, 3), np.uint8)
     brightest = np.zeros((height, width, 3), np.uint8)
     say = sparse(task.progress)
@@ -109,8 +109,16 @@ def _undistort(
     return images, valid, view, _beside(first, images[0])
 
 
-def _camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
-    """The pinhole camera of a calibration, and for a fisheye the resampling to it."""
+def camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
+    """The resampling of a fisheye's images (None for a perspective camera), and the pinhole camera.
+
+    Args:
+        camera: Its name.
+        calibration: Its entry in `drive.json`, by the stage `frames`.
+
+    Raises:
+        CalibrationError: It is of neither kind.
+    """
     if calibration["kind"] == "perspective":
         return None, pinhole_of(calibration)
     if calibration["kind"] != "fisheye":

@@ -167,8 +167,8 @@ CONTRACT: tuple[FileSpec, ...] = (
     ),
     FileSpec(
         "novel_views", "novel_views/<recipe>/<seed>/<view>/<method>.zarr", "zarr",
-        "What a method renders of a view: `model`; for the view `test` also `reproject`, `copy_nearest`,"
-        " `mesh`.",
+        "What a method renders of a view: `model`; for the view `test`, and for views whose truth is known,"
+        " also `reproject`, `copy_nearest`, `mesh`.",
         (
             Entry("frame", "i8", ("scans",), "1", "nearest recorded frame (of images, without LiDAR)"),
             Entry("time_s", "f8", ("scans",), "s", "since the first frame"),
@@ -203,11 +203,22 @@ CONTRACT: tuple[FileSpec, ...] = (
         "train_seconds, peak_memory_mb, scene_origin_m",
     ),
     FileSpec(
+        "scene_metrics", "scene_metrics/<recipe>/<seed>/<view>/truth.zarr", "zarr",
+        "True images of a view of the catalogue, where they are known; for measuring alone.",
+        (
+            Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
+            Entry(f"{CAMERA}_valid", "bool", ("height", "width"), "", "the lens sees it", optional=True),
+            Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
+            Entry(f"{CAMERA}_row", "i8", ("images",), "1", "row of the view's image", optional=True),
+        ),
+        "cameras",
+    ),
+    FileSpec(
         "scene_metrics", "scene_metrics/<recipe>/<seed>/metrics.parquet", "parquet",
         "One row a frame and metric; means are made by the reader.",
         _columns(
             ("scene", "string", "", "name"),
-            ("split", "string", "", "`test` (held out), or a view of the demo"),
+            ("split", "string", "", "`test` (held out), or a view whose truth is known"),
             ("frame", "i8", "1", "frame number"),
             ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`"),
             ("region", "string", "", "`all`, `foreground`, `background`"),

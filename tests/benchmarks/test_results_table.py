@@ -127,6 +127,24 @@ def test_a_views_error_stands_over_that_of_interpolation(tmp_path):
     assert [line.split("|")[-2].strip() for line in lines if line.startswith("| `")] == ["", "1.80 ✗", ""]
 
 
+def test_images_of_asked_views_are_a_table_of_views_and_methods_each_views_best_bold(tmp_path):
+    root, home = _root(tmp_path / "checkout"), tmp_path / "home"
+    write_street(home, "street")
+    write(home, root)
+    rows = [*_rows(root, "quick"), *_rows(root, "baselines")]
+    assert "images of asked views" not in as_document(rows)
+    for row in rows:
+        psnr_db = {"quick": 20.0, "mesh": 21.0}.get(row["method"], 15.0)
+        for view, camera in (("right_1m", "image_00"), ("right_1m", "image_01"), ("up_1m", "image_00")):
+            lost = {"image_psnr_db": psnr_db - (view == "up_1m"), "image_missing": 0.125}
+            row["errors"][f"{view}/image/all/{camera}"] = lost
+    lines = as_document(rows).split("images of asked views")[1].splitlines()
+    assert "| view | method | PSNR dB ↑ | SSIM ↑ | LPIPS squeeze ↓ | no answer ↓ |" in lines
+    found = [line for line in lines if line.startswith("| `")]
+    assert found[0] == "| `right_1m` | `quick` | 20.00 | - | - | 0.12500 |"
+    assert "| `up_1m` | `mesh` | **20.00** | - | - | 0.12500 |" in found and len(found) == 8
+
+
 def test_a_drive_nobody_tuned_on_is_no_line_of_the_readme_and_marked_where_copying_is_better(tmp_path):
     root, home = _root(tmp_path / "checkout"), tmp_path / "home"
     write_street(home, "other_street")

@@ -17,6 +17,7 @@ first_frame = 3
 last_frame = 6
 test_frames = [4]
 """
+VIEW = SCENE + '[[view]]\nname = "v"\n'
 STATIC = {1538, 1728, 1908, 3353}
 DYNAMIC = {2350, 4950, 8120, 10200, 10750, 11400}
 
@@ -44,7 +45,7 @@ def test_the_demo_lies_in_the_home_and_asks_for_a_shifted_view() -> None:
     assert [(view.name, view.shift_m) for view in demo.views] == [("shift_1m", (0.0, 1.0, 0.0))]
 
 
-def test_the_full_street_asks_for_four_views() -> None:
+def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_between_frames() -> None:
     street = next(
         entry
         for entry in catalogue_from_environment(
@@ -53,9 +54,16 @@ def test_the_full_street_asks_for_four_views() -> None:
         if entry.name == "street"
     )
     assert street.root == Path("/somewhere/drives/street") and street.last_frame == 31
-    near, far, vlp16, between = street.views
-    assert (near.name, near.shift_m, len(near.frames)) == ("shift_1m", (0.0, 1.0, 0.0), 2)
-    assert (far.name, far.shift_m, len(far.frames)) == ("shift_3m", (0.0, 3.0, 0.0), 2)
+    *off_path, vlp16, between = street.views
+    assert [(view.name, view.shift_m, view.yaw_deg) for view in off_path] == [
+        ("shift_1m", (0.0, 1.0, 0.0), 0.0),
+        ("shift_2m", (0.0, 2.0, 0.0), 0.0),
+        ("shift_3m", (0.0, 3.0, 0.0), 0.0),
+        ("right_1m", (0.0, -1.0, 0.0), 0.0),
+        ("up_1m", (0.0, 0.0, 1.0), 0.0),
+        ("yaw_15", (0.0, 0.0, 0.0), 15.0),
+    ]
+    assert {view.frames for view in off_path} == {(12, 28)}
     assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
     assert all(abs(time_s / 0.1 % 1.0 - 0.5) < 1e-9 for time_s in between.times_s)
@@ -102,6 +110,17 @@ def test_a_views_frames_are_all_or_numbers_or_times(tmp_path: Path) -> None:
     assert [(v.frames, v.times_s) for v in entry.views] == [("all", None), ((3, 4), None), ((), (0.05,))]
 
 
+def test_a_views_truth_lies_below_the_scenes_root_or_where_its_path_says(tmp_path: Path) -> None:
+    folders = 'image_00 = "right", image_01 = "/data/right", image_02 = "$NVSF_HOME/truth"'
+    path = written(tmp_path / "c.toml", VIEW + f"truth = {{ {folders} }}\n")
+    (entry,) = load_catalogue([path], None, home=Path("/home/of/all"))
+    named = {camera: entry.root / folder for camera, folder in entry.views[0].truth}
+    assert named == {
+        "image_00": tmp_path / "drives/a/right", "image_01": Path("/data/right"),
+        "image_02": Path("/home/of/all/truth"),
+    }  # fmt: skip
+
+
 def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_path: Path) -> None:
     (entry,) = load_catalogue([written(tmp_path / "c.toml", SCENE)], None)
     layout = DriveLayout(entry.root, entry.sequence)
@@ -133,6 +152,18 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),
         (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),
         (SCENE + '[[view]]\nname = "test"\n', "splits of recorded frames"),
+        (VIEW + 'truth = "right"\n', "truth: expected cameras with their folders"),
+        (VIEW + 'truth = { image_09 = "right" }\n', "truth: expected different ones of image_00"),
+        (VIEW + "truth = { image_00 = 3 }\n", "truth: image_00: expected 1 to 1000 printable characters"),
+        (VIEW + 'frames = [0.05]\ntruth = { image_00 = "right" }\n', "named by frames"),
+        (VIEW + 'sensor = "VLP-16"\ntruth = { image_00 = "right" }\n', "leave `sensor` out"),
+        (
+            SCENE
+            + 'cameras = ["image_01"]\n'
+            + VIEW.removeprefix(SCENE)
+            + 'truth = { image_00 = "right" }\n',
+            "truth: expected cameras that scene a uses, found image_00",
+        ),
         (SCENE + '[[view]]\nname = "v"\n[[view]]\nname = "v"\n', "views: expected each name once"),
         ("[scene]\nname = 1\n", "double the brackets"),
         ("not toml", "is no TOML"),

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import ShapeError, StoreError
-from nvsf_core.metrics.image import image_metrics
+from nvsf_core.metrics.image import image_metrics, missing_share
 from nvsf_core.metrics.lpips import find_weights, load_lpips, lpips_measure
 
 
@@ -75,3 +75,13 @@ def test_a_mask_of_another_size_is_refused() -> None:
     image = np.zeros((20, 20, 3), dtype=np.uint8)
     with pytest.raises(ShapeError):
         image_metrics(image, image, np.ones((10, 20), dtype=bool), None)
+
+
+def test_pixels_without_an_answer_are_black_where_the_truth_is_seen_and_is_not() -> None:
+    truth = np.full((4, 10, 3), 90, dtype=np.uint8)
+    truth[3] = 0
+    predicted, valid = truth.copy(), np.ones((4, 10), dtype=bool)
+    predicted[0], predicted[1, :, 1:], valid[2] = 0, 0, False
+    measure = missing_share(predicted, truth, valid)
+    assert (measure.value, measure.n_valid) == (0.5, 20)
+    assert math.isnan(missing_share(predicted, truth * 0, valid).value)

@@ -25,6 +25,13 @@ def test_missed_invented_and_empty_rays_have_colours_of_their_own() -> None:
     assert row[4].sum() > row[3].sum() > 0, "a larger error is brighter"
 
 
+def test_an_images_error_is_dark_where_it_is_right_and_brightest_from_a_quarter_of_the_range() -> None:
+    truth = np.full((1, 4, 3), 100, np.uint8)
+    rendered = truth + np.array([0, 16, 64, 150], np.uint8)[None, :, None]
+    row = _open(plots.image_error_png(truth, rendered))[0].astype(int).sum(axis=-1)
+    assert 0 < row[0] < row[1] < row[2] == row[3]
+
+
 def test_a_curve_with_a_sensor_column_gets_a_panel_each() -> None:
     curve = {"sensor": ["lidar"] * 3 + ["camera"] * 3, "step": [1, 2, 3] * 2, "seconds": [0.1, 0.2, 0.3] * 2,
              "loss": [3.0, 2.0, 1.0] * 2, "depth": [1.0, 0.5, 0.2, None, None, None]}  # fmt: skip

@@ -6,12 +6,15 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from nvsf_core.errors import StoreError
+from nvsf_core.metrics.table import COLUMNS, UNITS
 from nvsf_core.stages import benchmark_report
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
+from nvsf_core.stores.tables import read_rows, write_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from street_store import write_street  # tests are no package
@@ -72,6 +75,33 @@ def test_a_view_that_images_answered_in_part_says_so(tmp_path: Path) -> None:
     shutil.rmtree(view)
     write_arrays(view, arrays, attrs | {"above_lasers_by_images": True})
     assert _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1].count(told) == 1
+
+
+def test_a_view_with_known_truth_is_shown_beside_it_with_the_best_baseline_and_the_error(
+    tmp_path: Path,
+) -> None:
+    store = write_street(tmp_path, "street")
+    views, metrics = store.path("novel_views/quick/0"), store.path("scene_metrics/quick/0")
+    true = read_arrays(views / "test/reproject.zarr", "image_00_rgb", "image_00_frame")
+    for method in ("reproject", "mesh"):
+        attrs = {"sensor": "", "cameras": ["image_00"]}  # as of a real drive, where only images are measured
+        write_arrays(views / "shift_1m" / f"{method}.zarr", true, attrs)
+    valid = {"image_00_valid": np.ones(true["image_00_rgb"].shape[1:3], bool), "image_00_row": np.array([0])}
+    write_arrays(metrics / "shift_1m" / "truth.zarr", true | valid, {"cameras": ["image_00"]})
+    rows = read_rows(metrics / "metrics.parquet")
+    own = {"split": "shift_1m", "protocol": "image", "sensor": "image_00", "frame": 7}
+    psnr_db = {"quick": 24.5, "reproject": 33.25, "mesh": 21.0}
+    named = {row["recipe"]: row for row in rows if row["recipe"] in psnr_db}
+    for recipe, value in psnr_db.items():
+        for metric, number in (("image_psnr_db", value), ("image_missing", 0.125)):
+            rows.append(named[recipe] | own | {"metric": metric, "value": number, "unit": UNITS[metric]})
+    write_rows(metrics / "metrics.parquet", rows, COLUMNS)
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    view = text.split("View shift_1m")[1].split("Training")[0]
+    for words in ("what its images should show is known", "no answer", "0.125", "64 of 255 or more"):
+        assert words in view, words
+    assert "truth quick: 24.5 dB reproject: 33.2 dB quick: error" in view
+    assert "mesh:" not in view, "only the best baseline is shown, and it has no scan"
 
 
 def test_failures_and_absent_scenes_are_named_with_the_reason(tmp_path: Path) -> None:

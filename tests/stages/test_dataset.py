@@ -107,6 +107,16 @@ def test_every_view_becomes_a_data_set_that_reads_back(tmp_path: Path) -> None:
     assert all((tmp_path / "record" / name).is_file() for name in output.previews.values())
 
 
+def test_a_views_true_images_are_no_part_of_its_data_set(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    _, folders = _run(task)
+    (view,) = task.scene.views
+    known = replace(view, truth=(("image_00", tmp_path / "right"),))
+    _, again = _run(replace(task, scene=replace(task.scene, views=(known,))))
+    assert again == folders
+    assert "right" not in (again["shift_1m"] / "manifest.json").read_text()
+
+
 def test_a_view_without_a_grid_is_exported_as_rendered(tmp_path: Path) -> None:
     _, folders = _run(_task(tmp_path))
     scan = np.fromfile(folders["test"] / "velodyne_points/data/0000000002.bin", "<f4").reshape(-1, 4)

@@ -54,7 +54,7 @@ NAMED_CHECKS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY)
 _HALF = 0.5
 _NAMED = 5
 _COPY = "copy_nearest"
-_SHARES = ("f_score", "range_missing", "hit_accuracy", "hit_f_score", "hit_rmse")
+_SHARES = ("f_score", "range_missing", "hit_accuracy", "hit_f_score", "hit_rmse", "image_missing")
 _LIKENESS = ("range_ssim", "intensity_ssim", "image_ssim")
 
 

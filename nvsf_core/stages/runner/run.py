@@ -15,6 +15,7 @@ from nvsf_core.drives.catalogue import (
     home_from_environment,
     require_times_in_drive,
 )
+from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.runner.device_lock import device_lock
@@ -59,12 +60,14 @@ def plan_run(
 
     Raises:
         RecipeError: There is no preset of that name, or a seed is not valid.
-        DataError: The label cannot be part of a folder's name, or a view asks for times outside the drive.
+        DataError: The label cannot be part of a folder's name, a view asks for times outside the drive, or
+            its true images are absent or of another size.
         StoreError: The home cannot be written to.
     """
     if not isinstance(scene, SceneEntry):
         raise DataError(f"expected a SceneEntry, found {scene!r:.60}; `find_scene` gives one by its name")
     require_times_in_drive(scene)
+    require_truth(scene)
     home = require_home(home)
     _require_apart(scene, home)
     if not isinstance(recipe, Recipe):

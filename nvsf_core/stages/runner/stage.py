@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,14 +13,13 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import CheckFailedError, DataError, StoreError
 from nvsf_core.names import name_fault
 from nvsf_core.recipe import Recipe, require_seed
+from nvsf_core.stages.runner.listings import drive_listing, truth_listing
 from nvsf_core.stages.runner.record import RECORD_NAME, damage_of, listed_files, read_record
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.scene_store import SceneStore
 
 NOT_RUN = "not run"
 """First words of the detail of a check that could not be made."""
-_MOST_FILES = 500_000
-"""Most files of one sequence: KITTI-360's longest has 15,000 frames of five sensors."""
 
 
 class Progress(Protocol):
@@ -170,6 +168,8 @@ class Stage:
     """Whether the drive's files (names, sizes, times) are part of its identity."""
     reads_views: bool = False
     """Whether the catalogue's views of the scene are part of its identity."""
+    reads_truth: bool = False
+    """Whether the files of the views' true images (names, sizes, times) are part of its identity."""
     check: Callable[[Task], list[Check]] | None = None
     """Checks the output in the task's folder, just made or published earlier."""
     check_version: str = ""
@@ -363,38 +363,7 @@ def _facts(stage: Stage, scene: SceneEntry, config: RunConfig, inputs: dict[str,
     if stage.reads_views:
         facts["views"] = [str(asdict(view)) for view in scene.views]
     if stage.reads_drive:
-        facts["drive"] = _drive_listing(scene)
+        facts["drive"] = drive_listing(scene)
+    if stage.reads_truth:
+        facts["truth"] = truth_listing(scene)
     return facts
-
-
-def _drive_listing(scene: SceneEntry) -> str:
-    """Digest of names, sizes and change times of the drive's files; no file is read.
-
-    Raises:
-        DataError: There are too many files: a link leads to another place.
-    """
-    digest = hashlib.sha256()
-    folders = [scene.root / "calibration"] + [
-        scene.root / kind / scene.sequence for kind in ("data_3d_raw", "data_2d_raw", "data_poses")
-    ]
-    files = [path for folder in folders for path in _files_below(folder)]
-    files += sorted((scene.root / "data_3d_bboxes").glob(f"*/{scene.sequence}.xml"))
-    for path in files:
-        if path.is_file():
-            stat = path.stat()
-            name = path.relative_to(scene.root).as_posix()
-            digest.update(os.fsencode(f"{name} {stat.st_size} {stat.st_mtime_ns}\n"))
-    return digest.hexdigest()
-
-
-def _files_below(folder: Path) -> list[Path]:
-    """All files below a folder, in the order of their paths."""
-    found: list[Path] = []
-    for place, _, names in os.walk(folder):
-        found += [Path(place) / name for name in names]
-        if len(found) > _MOST_FILES:
-            raise DataError(
-                f"{folder}: expected the files of one drive, found more than {_MOST_FILES:,}; is it a link "
-                "to another place?"
-            )
-    return sorted(found)

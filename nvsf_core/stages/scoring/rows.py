@@ -31,8 +31,9 @@ _EXACT = (
     ("raw", "f_score"),
     ("raw", "range_abs_error_median_m"),
     ("raw", "hit_accuracy"),
+    ("image", "image_psnr_db"),
 )
-"""The same for views of the demo, which are measured against their exact truth."""
+"""The same for views of the catalogue whose truth is known."""
 
 
 @dataclass(slots=True)

@@ -1,0 +1,83 @@
+"""Files of true images of a view, which a catalogue names: found and looked at before anything is trained."""
+
+from pathlib import Path
+
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, has_data
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.errors import DataError
+
+_PNG_HEADER_BYTES = 24
+"""Signature, length and name of the first chunk, then columns and rows, four bytes each."""
+
+
+def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]]:
+    """Camera to frame number to file, of the true images of a view.
+
+    If the view asks for `all` frames, those that have an image; else each of its frames must have one.
+
+    Raises:
+        DataError: A folder or an image is absent.
+    """
+    layout = DriveLayout(scene.root, scene.sequence)
+    found: dict[str, dict[int, Path]] = {}
+    for camera, named in view.truth:
+        folder = scene.root / named
+        where = f"scene {scene.name}, view {view.name}: truth of {camera}"
+        if not folder.is_dir():
+            raise DataError(
+                f"{where}: expected a folder of images at {folder}, found none; correct `truth` in the "
+                "catalogue, or leave it out"
+            )
+        is_all = view.frames == "all"
+        frames = range(scene.first_frame, scene.last_frame + 1) if is_all else map(int, view.frames)
+        files = {frame: folder / layout.image_path(camera, frame).name for frame in frames}
+        there = {frame: file for frame, file in files.items() if file.is_file()}
+        absent = sorted(set(files) - set(there))
+        if not there or (absent and not is_all):
+            example = files[absent[0]].name
+            raise DataError(
+                f"{where}: expected images of frames {absent!s:.100} in {folder}, found none, as {example} "
+                "would be; add them, or ask for the `frames` that have one"
+            )
+        found[camera] = there
+    return found
+
+
+def require_truth(scene: SceneEntry) -> None:
+    """Refuse views whose true images are absent, or of another size than their camera's recorded ones.
+
+    Raises:
+        DataError: There is such a view; the message names it, its camera, the file and both sizes.
+    """
+    if not any(view.truth for view in scene.views) or not has_data(scene):
+        return
+    layout = DriveLayout(scene.root, scene.sequence)
+    frames = range(scene.first_frame, scene.last_frame + 1)
+    for view in scene.views:
+        for camera, files in truth_files(scene, view).items():
+            where = f"scene {scene.name}, view {view.name}: truth of {camera}"
+            paths = [layout.image_path(camera, frame) for frame in frames]
+            recorded = next((path for path in paths if path.is_file()), None)
+            if recorded is None:
+                raise DataError(
+                    f"{where}: expected recorded images of that camera in {paths[0].parent}, found none; "
+                    "nothing of it can be rendered: name another camera"
+                )
+            size = _png_size(recorded)
+            for path in files.values():
+                own = _png_size(path)
+                if size is not None and own != size:
+                    raise DataError(
+                        f"{where}: expected {size[0]} x {size[1]} pixels as in {recorded.name}, found "
+                        f"{'no PNG' if own is None else f'{own[0]} x {own[1]}'} in {path}; rectify or cut it "
+                        "as the camera's recorded images are"
+                    )
+
+
+def _png_size(path: Path) -> tuple[int, int] | None:
+    """Columns and rows that a PNG's header claims; None for other files, of which a stage says more."""
+    with path.open("rb") as file:
+        head = file.read(_PNG_HEADER_BYTES)
+    if len(head) < _PNG_HEADER_BYTES or not head.startswith(b"\x89PNG"):
+        return None
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
