@@ -57,6 +57,7 @@ INTENSITY = NamedCheck(
 NAMED_CHECKS = (WEIGHTS, LOSS, RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
 _OF_RENDERING = (RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
 _FIFTH = 5
+_FEWEST = 5
 _NORMAL_MAD, _MEDIAN_ERROR = 1.4826, 1.2533
 """For a normal distribution: standard deviation over median absolute deviation, and standard error of the
 median over that of the mean."""
@@ -85,12 +86,15 @@ def check_loss(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> Check:
 
 
 def _ends(losses: Sequence[float]) -> tuple[float, float, float]:
-    """Medians of a curve's first and last fifth, and the standard error of their difference."""
-    fifth = max(1, len(losses) // _FIFTH)
-    parts = np.array([losses[:fifth], losses[-fifth:]])
+    """Medians of a curve's first and last fifth, and the standard error of their difference.
+
+    Of a short curve its first and last five records, or halves: one record alone has no spread.
+    """
+    count = max(1, len(losses) // _FIFTH, min(_FEWEST, len(losses) // 2))
+    parts = np.array([losses[:count], losses[-count:]])
     medians = np.median(parts, axis=1)
     spread = _NORMAL_MAD * np.median(np.abs(parts - medians[:, None]), axis=1)
-    return float(medians[0]), float(medians[1]), float(_MEDIAN_ERROR * np.hypot(*spread) / math.sqrt(fifth))
+    return float(medians[0]), float(medians[1]), float(_MEDIAN_ERROR * np.hypot(*spread) / math.sqrt(count))
 
 
 def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
