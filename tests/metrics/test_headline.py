@@ -49,3 +49,18 @@ def test_a_mean_over_fewer_frames_is_starred() -> None:
     ]
     lines = headline(rows).splitlines()
     assert "0.0400*" in lines[2] and "1.0000" in lines[3] and "*" not in lines[3]
+
+
+def test_images_off_the_path_stand_beside_the_best_baselines() -> None:
+    def image(method: str, value: float, split: str) -> dict:
+        return _row(recipe=method, protocol="image", metric="image_psnr_db", value=value, split=split)
+
+    off = [
+        image("quick", 25.4, "shift_1m"),
+        image("reproject", 21.1, "shift_1m"),
+        image("mesh", 20.8, "shift_1m"),
+    ]
+    views = [image(method, 20.0, f"view_{number}") for method in ("quick", "mesh") for number in range(9)]
+    lines = headline([*rows_of("quick", 0.01, 0.95), *rows_of("mesh", 0.02, 0.90), *off, *views]).splitlines()
+    assert "  view shift_1m: images 25.4 dB, the best baseline 21.1 (reproject)" in lines
+    assert len([line for line in lines if line.startswith("  view ")]) == 4 and len(lines) <= 14
