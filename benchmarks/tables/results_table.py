@@ -9,6 +9,7 @@ again.
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,13 @@ def as_markdown(rows: Iterable[Row]) -> str:
     return markdown_table(["scene", "method", "seeds", *titles, "commit"], lines)
 
 
+def of_one_commit(rows: Iterable[Row]) -> list[Row]:
+    """The rows of the commit at which most were measured: those of several commits do not compare."""
+    found = list(rows)
+    commits = Counter(row["commit"] for row in found).most_common(1)
+    return [row for row in found if [row["commit"]] == [commit for commit, _ in commits]]
+
+
 def write(home: Path, root: Path) -> str:
     """Bring `<root>/benchmarks/results/recipes/`, README's table and docs/results.md up to date.
 
@@ -95,8 +103,9 @@ def write(home: Path, root: Path) -> str:
     everything = [row for path in sorted(results.glob("*.json")) for row in measured_rows(path)]
     sections = [as_document(everything), walk_table(root)]
     (root / "docs" / "results.md").write_text("\n".join(filter(None, sections)))
-    table = as_markdown(row for row in everything if not row["scene"].startswith(OTHER))
-    machines = "; ".join(sorted({row["machine"] for row in everything}))
+    shown = of_one_commit(row for row in everything if not row["scene"].startswith(OTHER))
+    table = as_markdown(shown)
+    machines = "; ".join(sorted({row["machine"] for row in shown}))
     about = f"{machines}; mean of the catalogue's held-out frames, protocol `{_SCAN}`.\n\n"
     write_between(root / "README.md", "results", about + table)
     return table

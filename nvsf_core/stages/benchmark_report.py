@@ -1,8 +1,10 @@
 """`benchmark_report`: one offline HTML page over all scenes. It is no `Stage`: a stage runs on one scene."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from nvsf_core import reporting
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
@@ -11,6 +13,8 @@ from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import publish_folder, published
 
+_PAGE, _SOURCE = "index.html", "made_from.sha256"
+_REPORTING = Path(reporting.__file__).parent
 _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
 """Patterns of stage records below a scene's folder: once per scene, per recipe and seed, per data set."""
 
@@ -42,20 +46,47 @@ def make_benchmark_report(
     """
     own = list(dict.fromkeys([*scene_names, *failures]))
     others = [name for name in measured_scenes(home) if name not in own]
+    target = home / "benchmark_report"
+    source = _source(home, [*own, *others], (failures, list(no_data)), curves)
+    if (target / _PAGE).is_file() and _written(target / _SOURCE) == source:
+        return target / _PAGE
     scenes = [_collected(home, name, failures.get(name)) for name in [*own, *others]]
     no_data = [name for name in no_data if name not in others]
-    target = home / "benchmark_report"
     # Curves of scenes that this home never trained would only look like its own.
     shown = {scene.name for scene in scenes}
     try:
         with publish_folder(target) as folder:
             written = write_report(folder, scenes, no_data, speed_section(curves, shown))
+            (folder / _SOURCE).write_text(source)
     except OSError as error:
         raise StoreError(
             f"the disk refused {error.filename or target} ({error.strerror or error}); free space, or mend "
             "what is in its place, and make the report again"
         ) from error
     return target / written.name
+
+
+def _source(home: Path, names: Sequence[str], said: object, curves: Path | None) -> str:
+    """A digest of all that the page is made from, its own code included.
+
+    Args:
+        home: NVSF_HOME.
+        names: Scenes of the page.
+        said: What the caller says of them.
+        curves: Folder of curves, or None.
+    """
+    read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
+    read += sorted(curves.rglob("*.json")) if curves is not None else []
+    code = [*sorted(_REPORTING.glob("*.py")), Path(__file__)]
+    state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
+    return hashlib.sha256(repr((list(names), said, sorted(state))).encode()).hexdigest()
+
+
+def _written(path: Path) -> str | None:
+    try:
+        return path.read_text()
+    except (OSError, UnicodeDecodeError):
+        return None
 
 
 def _collected(home: Path, name: str, failure: str | None) -> SceneOutputs:

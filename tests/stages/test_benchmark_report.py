@@ -74,6 +74,7 @@ def test_a_view_that_images_answered_in_part_says_so(tmp_path: Path) -> None:
     arrays, attrs = read_arrays(view), read_attrs(view)
     shutil.rmtree(view)
     write_arrays(view, arrays, attrs | {"above_lasers_by_images": True})
+    shutil.rmtree(tmp_path / "benchmark_report")  # nothing was published, so it would be kept
     assert _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1].count(told) == 1
 
 
@@ -174,9 +175,22 @@ def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(benchmark_report, "write_report", full)
     with pytest.raises(StoreError, match="No space left"):
-        make_benchmark_report(tmp_path, ["street"], {}, [])
+        make_benchmark_report(tmp_path, ["street"], {"street": "out of memory"}, [])
     assert (tmp_path / "benchmark_report" / "index.html").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_a_page_is_made_again_only_where_something_that_it_is_made_from_changed(tmp_path: Path) -> None:
+    store = write_street(tmp_path, "street")
+    page = make_benchmark_report(tmp_path, ["street"], {}, [])
+    first = page.stat().st_ino
+    assert make_benchmark_report(tmp_path, ["street"], {}, []).stat().st_ino == first
+    record = store.path("scene_metrics/quick/0") / "stage.json"
+    record.write_text(record.read_text() + "\n")
+    second = make_benchmark_report(tmp_path, ["street"], {}, []).stat().st_ino
+    assert second != first
+    (tmp_path / "benchmark_report" / "made_from.sha256").unlink()
+    assert make_benchmark_report(tmp_path, ["street"], {}, []).stat().st_ino != second
 
 
 def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_path: Path) -> None:
