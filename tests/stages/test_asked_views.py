@@ -63,7 +63,7 @@ def _missing(*_: object, **__: object) -> None:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("asked")
-    write_demo(folder / "drive", size=replace(DemoSize.tiny(), firings=512))
+    write_demo(folder / "drive", size=DemoSize.tiny())
     entry = SceneEntry(
         name="tiny", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3,
         test_frames=(2,), views=VIEWS,

@@ -122,6 +122,19 @@ def test_answers_of_other_rays_are_refused(tmp_path: Path) -> None:
         _measure(tmp_path / "model.zarr", replace(view, sensor="HDL-64E"))
 
 
+def test_a_copy_has_the_models_azimuths_and_is_measured_all_the_same(tmp_path: Path) -> None:
+    view = ViewEntry(name="up_1m", shift_m=(0.0, 0.0, 1.0))
+    _write_exact_view(tmp_path / "model.zarr", view, time_s=0.45)
+    arrays = read_arrays(tmp_path / "model.zarr")
+    # Copied ranges are a nearer scan's: with the lasers' lever arms their points lie beside the model's.
+    arrays["grid_range_m"] = np.where(arrays["grid_range_m"] > 0.0, np.float32(3.0), np.float32(0.0))
+    for name in ("model", "copy_nearest"):
+        write_arrays(tmp_path / "other" / f"{name}.zarr", arrays)
+    assert _measure(tmp_path / "other" / "copy_nearest.zarr", view)["range_missing"] == 0.0
+    with pytest.raises(StoreError, match="novel_views"):
+        _measure(tmp_path / "other" / "model.zarr", view)
+
+
 def test_exact_ranges_are_those_that_a_recorded_scan_was_made_from() -> None:
     scan = simulate_scan(DemoWorld(), 3, LASERS, 60)
     theta = np.mod(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]), 2 * np.pi)
