@@ -3,5 +3,5 @@
 import os
 
 # Before any library reads them: the cases run side by side, a process each.
-for _name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+for _name in ("NVSF_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[_name] = "1"
