@@ -66,7 +66,8 @@ def test_what_was_published_keeps_the_data_contract(trained):
     for spec in CONTRACT:
         if spec.kind == "zarr":
             path = spec.path.replace("<recipe>", "smoke").replace("<seed>", "0")
-            view = "shift_1m" if path.endswith("truth.zarr") else "test"  # held out, the recording is the truth
+            # Of the held-out view the recording is the truth.
+            view = "shift_1m" if path.endswith("truth.zarr") else "test"
             path = path.replace("<view>", view).replace("<method>", "model")
             assert violations(spec, read_arrays(trained / "tiny" / path)) == [], path
 
