@@ -36,7 +36,8 @@ _KEPT = re.compile(r"done in|up to date|written|no data|left out|dataset/|FAILED
 _SHARE = re.compile(r"(\d+)(?:/| of )(\d+)")
 _EVERY_S = 15.0
 """Where lines cannot be rewritten, one about progress every so many seconds."""
-_BAR = 20
+_BAR = 8
+"""Short enough for the time left and the loss to stand within 80 columns."""
 
 
 class ProgressHandler(logging.Handler):

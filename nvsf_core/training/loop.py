@@ -194,8 +194,8 @@ def train(
             said = now
             left_s = (spec.steps - state.step) * spec.rays / rays_per_s
             say(
-                f"step {state.step}/{spec.steps}, loss {loss:.4f}, "
-                f"{rays_per_s:,.0f} rays/s, {left_s:.0f} s left"
+                f"step {state.step}/{spec.steps}, {left_s:.0f} s left, loss {loss:.4f}, "
+                f"{rays_per_s:,.0f} rays/s"
             )
         if state.step == spec.steps:
             _require_finite(state)
