@@ -1,6 +1,6 @@
 """Inputs of the camera networks for one view: source images, LiDAR depth, and moving objects."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +13,18 @@ from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.reproject_camera import nearest_sources, view_depth, view_label
 from nvsf_core.rendering.sources import Sources
+from nvsf_core.rendering.view_depth_maps import (
+    ViewDepth,
+    covering_sources,
+    depth_in_view,
+    no_depth,
+    spread_ranks,
+)
 from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
 
 _DISTANCE_FLOOR_M = 0.05
+_DEPTH = 4
+"""Channel of the images' inverse depths, see `Sources.image`."""
 _REACH_PX = 6.0
 """Pixels within this distance of a moving object's return are labelled as the object."""
 _SHADOW_PX = 10.0
@@ -36,14 +45,30 @@ class ShownImages:
     """(j, c, h, w) float32, shrunk by `middle_factor`: depths are refined on these."""
     small: Tensor
     """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
+    has_depth: bool = False
+    """Whether the images' depths are known; else their channel is 0."""
+
+    def with_depth(self, inverse: Tensor) -> "ShownImages":
+        """The same images with the inverse depths (j, H, W), 1/m, of what they show; 0 = unknown."""
+        with_it = []
+        for images in (self.full, self.middle, self.small):
+            images = images.clone()
+            images[:, _DEPTH] = functional.avg_pool2d(inverse, inverse.shape[-1] // images.shape[-1])
+            with_it.append(images)
+        return ShownImages(*with_it, has_depth=True)
+
+    def depth_maps(self, numbers: Sequence[int]) -> np.ndarray:
+        """Inverse depths (k, H, W) float32, 1/m, of the images with these numbers; 0 = unknown."""
+        return self.full[list(numbers), _DEPTH].cpu().numpy()
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
-        return ShownImages(*(images.to(device) for images in (self.full, self.middle, self.small)))
+        moved = (images.to(device) for images in (self.full, self.middle, self.small))
+        return ShownImages(*moved, has_depth=self.has_depth)
 
     def mirrored(self) -> "ShownImages":
         """The images with left and right exchanged."""
-        return ShownImages(self.full.flip(-1), self.middle.flip(-1), self.small.flip(-1))
+        return ShownImages(*(x.flip(-1) for x in (self.full, self.middle, self.small)), has_depth=self.has_depth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +93,8 @@ class CameraView:
     """(H, W) inverse depth from the LiDAR, 1/m."""
     gap_px: Tensor
     """(H, W) distance to the nearest return in the image."""
+    surface: ViewDepth
+    """The front surface that the images' depth maps show."""
     images: ShownImages
     """All images of the camera."""
     chosen: list[int]
@@ -87,6 +114,7 @@ class CameraView:
             self,
             inverse=self.inverse.to(device),
             gap_px=self.gap_px.to(device),
+            surface=self.surface.to(device),
             images=self.images.to(device),
             motion=self.motion.to(device),
             nearness=self.nearness.to(device),
@@ -122,6 +150,7 @@ class CameraView:
             pinhole=replace(self.pinhole, cx=self.pinhole.width - 1 - self.pinhole.cx),
             inverse=self.inverse.flip(-1),
             gap_px=self.gap_px.flip(-1),
+            surface=self.surface.mirrored(),
             images=self.images.mirrored(),
             motion=flip @ self.motion @ flip,
             moved=None if self.moved is None else flip @ self.moved @ flip,
@@ -133,6 +162,13 @@ class CameraView:
         half = factor // 2
         rows, columns = self.pinhole.height // factor, self.pinhole.width // factor
         return image[half::factor, half::factor][:rows, :columns]
+
+    def surface_of(self, factor: int, window: Window) -> ViewDepth:
+        """Front surface (h, w) in a window of the view shrunk by `factor`."""
+        inverse, support = (
+            self.thinned(x, factor)[window] for x in (self.surface.inverse, self.surface.support)
+        )
+        return ViewDepth(inverse, support)
 
     def label_of(self, factor: int, window: Window) -> Tensor | None:
         """Labels (h, w) in a window of the view shrunk by `factor`; None = nothing moves."""
@@ -161,7 +197,7 @@ def shown_images(
         moving: (j, H, W) bool, pixels that show moving objects; None = nothing moves.
     """
     shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
-    parts = [to_float(images), shown]
+    parts = [to_float(images), shown, torch.zeros_like(shown)]
     if moving is not None:
         parts.append(torch.from_numpy(moving).float()[:, None])
     full = torch.cat(parts, dim=1)
@@ -195,7 +231,7 @@ def camera_view(
     poses: np.ndarray,
     spec: CameraSpec,
     *,
-    leave_out: int | None = None,
+    leave_out: Collection[int] = (),
     moving: Sequence[MovingPoints] = (),
 ) -> CameraView:
     """Choose the source images of a view and render the LiDAR's depth into it.
@@ -207,13 +243,19 @@ def camera_view(
         images: All j images of the camera, shrunk by `shrinking`.
         poses: (j, 4, 4) camera to scene-local frame of each image.
         spec: Recipe of the camera networks.
-        leave_out: Index of an image that must not be a source, as the view is compared with it.
+        leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
         moving: Moving objects that may be visible.
     """
     clouds = [points_m, *(each.points_m for each in moving)]
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
-    known = [index for index in range(len(poses)) if index != leave_out]
-    chosen = [known[index] for index in nearest_sources(pose, poses[known], spec.sources)]
+    known = [index for index in range(len(poses)) if index not in leave_out]
+    known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
+    surface, chosen = no_depth(pinhole), known[: spec.sources]
+    if images.has_depth:
+        near = [known[rank] for rank in spread_ranks(len(known))]
+        surface = depth_in_view(pose, pinhole, images.depth_maps(near), poses[near])
+        filled = torch.where(surface.inverse > 0.0, surface.inverse, torch.from_numpy(1.0 / depth_m))
+        chosen = covering_sources(pose, pinhole, filled, images.full[:, _DEPTH], poses, near, spec.sources)
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
@@ -224,6 +266,7 @@ def camera_view(
         factor=shrinking(pinhole, spec),
         inverse=torch.from_numpy(1.0 / depth_m),
         gap_px=torch.from_numpy(gap_px),
+        surface=surface,
         images=images,
         chosen=chosen,
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),

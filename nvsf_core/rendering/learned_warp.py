@@ -29,8 +29,10 @@ _JUMP = 1.0
 
 def planes_of(
     network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of a view's d depth planes, at shrunk pixels.
+
+    The third value (d, h, w) is bool: whether any source shows the plane.
 
     Args:
         network: Gives the probabilities.
@@ -44,15 +46,14 @@ def planes_of(
     rays = plane_rays(small, view.device)[window]
     volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
-    features = volume_features(volume, prior, gap_px / view.factor, inverses)
-    return network(features).softmax(dim=0), volume.mean_colour()
+    features = volume_features(volume, prior, gap_px / view.factor, view.surface_of(view.factor, window), inverses)
+    return network(features).softmax(dim=0), volume.mean_colour(), volume.seen.any(dim=0)
 
 
 @torch.no_grad()
 def believe_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> DepthBelief:
     """Likeliest depths of all shrunk pixels of a view; without gradients."""
-    probability, colour = planes_of(network, view, spec)
-    return depth_belief(probability, colour, plane_inverses(spec, view.device))
+    return depth_belief(*planes_of(network, view, spec), plane_inverses(spec, view.device))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,8 @@ class Hypotheses:
     """The three depths at which a pixel is looked up in the sources."""
 
     inverse: Tensor
-    """(3, h, w) inverse depths, 1/m: the two on which the images agree best, and the LiDAR's."""
+    """(3, h, w) inverse depths, 1/m: the one on which the images agree best; that of the front surface by the
+    images' depth maps, where there is none the second best; and the LiDAR's."""
     share: Tensor
     """(3, h, w) in 0..1: trust in each."""
 
@@ -120,9 +122,12 @@ def hypotheses(
     believed = Hypotheses(belief.inverse, belief.probability).resized(places, _JUMP * _plane_step(spec))
     inverse, gap_px = (view.thinned(x, factor)[window] for x in (view.inverse, view.gap_px))
     trust = torch.exp(-gap_px / _TRUST_PX)
+    surface = view.surface_of(factor, window)
+    second = torch.where(surface.support > 0.0, surface.inverse, believed.inverse[1])
+    share = torch.where(surface.support > 0.0, surface.support, believed.share[1] * (1.0 - trust))
     return Hypotheses(
-        torch.cat([believed.inverse, inverse[None]]),
-        torch.cat([believed.share * (1.0 - trust), trust[None]]),
+        torch.stack([believed.inverse[0], second, inverse]),
+        torch.stack([believed.share[0] * (1.0 - trust), share, trust]),
     )
 
 
@@ -196,6 +201,20 @@ def blend_sources(
 
 
 @torch.no_grad()
+def view_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> Tensor:
+    """Inverse depth (H, W), 1/m, of a view by its depth planes and LiDAR: the median of the members."""
+    depths = []
+    for member in networks:
+        depths.append(_likeliest(hypotheses(view, believe_depth(member.depth, view, spec), spec, 1, WHOLE)))
+    return torch.stack(depths).median(dim=0).values
+
+
+def _likeliest(found: Hypotheses) -> Tensor:
+    """(h, w) inverse depth of most trust, 1/m."""
+    return found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
+
+
+@torch.no_grad()
 def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> RenderedImage:
     """Render a whole view: the mean image of the ensemble, and the median of the members' depths.
 
@@ -206,8 +225,7 @@ def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) ->
     def seen_by(number: int) -> tuple[Tensor, Tensor]:
         member = members[number]
         blend = blend_sources(member, view, believe_depth(member.depth, view, spec), spec)
-        found = blend.hypotheses
-        return blend.colour, found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
+        return blend.colour, _likeliest(blend.hypotheses)
 
     colours, depths = zip(*in_parts(seen_by, len(members)), strict=True)
     image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)

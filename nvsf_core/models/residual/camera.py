@@ -1,7 +1,7 @@
 """The camera networks of the residual family: training, comparison with `reproject`, rendering."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -19,6 +19,7 @@ from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.models.residual.image_depths import image_depths
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.models.selection.holdout import compare, validation_numbers
@@ -49,6 +50,9 @@ ALIGNED = "camera_corrections"
 """Name of the fact: corrections of the images' poses, see `facts_of`."""
 _FEWEST_IMAGES = 3
 """With fewer, an image that is left out has no two others to be rendered from."""
+_BLOCKS_M = (1.0, 2.0, 4.0)
+"""Each image is also rendered without the images within one of these distances, so that the networks learn to
+look from farther away."""
 
 
 def train_camera(
@@ -68,11 +72,16 @@ def train_camera(
         if index not in validation_images(_images(recording, name), recipe.camera)
     ]
 
-    def example(number: int) -> LeftOut:
+    def alone(number: int) -> LeftOut:
         name, index = wanted[number]
-        return left_out(given, name, index, shown[name], recipe.camera).to(device)
+        return left_out(given, name, index, shown[name], recipe.camera, {index}).to(device)
 
-    examples = in_parts(example, len(wanted))
+    def in_block(number: int) -> LeftOut:
+        name, index = wanted[number]
+        around = block(given.given, name, index, _BLOCKS_M[number % len(_BLOCKS_M)])
+        return left_out(given, name, index, shown[name], recipe.camera, around).to(device)
+
+    examples = in_parts(alone, len(wanted))
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
@@ -91,6 +100,14 @@ def train_camera(
             [partial(depth_step, one.depth, examples, recipe) for one in networks],
         ),
     )  # fmt: skip
+    placing = time.perf_counter()
+    for name in usable:
+        judges = validation_images(_images(recording, name), recipe.camera)
+        maps = image_depths(networks, given, name, shown[name], recipe.camera, judges)
+        shown[name] = shown[name].with_depth(maps.to(device))
+    examples = in_parts(alone, len(wanted)) + in_parts(in_block, len(wanted))
+    preparation += time.perf_counter() - placing
+    print("placing", time.perf_counter() - placing, flush=True)
     both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
@@ -102,6 +119,8 @@ def train_camera(
     validating = time.perf_counter()
     verdict, learned, corrections = _verdict(networks, given, shown, recipe.camera)
     preparation += time.perf_counter() - validating
+    global TRIAL
+    TRIAL = shown
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
         metadata={"left_out_images": len(examples)} | verdict,
@@ -173,6 +192,7 @@ def camera_renderer(
     drive = aligned_by(MovingWorld(recording), corrections)
     world = drive.world
     shown = {name: _shown(world, name, spec).to(device) for name in learned}
+    shown = TRIAL
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
         if camera not in learned:
@@ -198,7 +218,7 @@ def _by_networks(
     """Scores a left-out image as the networks render it."""
 
     def score(index: int) -> list[float]:
-        view = _left_out_view(drive, camera, index, images_shown, spec).to(images_shown.full.device)
+        view = _left_out_view(drive, camera, index, images_shown, spec, {index}).to(images_shown.full.device)
         return _scores(drive.given, camera, index, render_view(networks, view, spec))
 
     return score
@@ -227,8 +247,21 @@ def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage)
     return [psnr(shown.rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value]
 
 
+def block(recording: Recording, camera: str, index: int, radius_m: float) -> set[int]:
+    """Numbers of a camera's training images within a distance of one of them, itself among them.
+
+    At least two images are left.
+    """
+    position_m = recording.cameras[camera].training.pose[:, :3, 3]
+    distance_m = np.linalg.norm(position_m - position_m[index], axis=1)
+    order = np.argsort(distance_m, kind="stable")
+    inside = int(np.count_nonzero(distance_m <= radius_m))
+    return {index} | set(order[: min(inside, len(order) - 2)].tolist())
+
+
 def left_out(
-    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
+    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec,
+    without: Collection[int],
 ) -> LeftOut:
     """A training image as a held-out view that the other images render.
 
@@ -238,8 +271,9 @@ def left_out(
         index: Of the image among the camera's training images.
         images_shown: All of the camera's training images.
         spec: Of the recipe.
+        without: Numbers of the images that are no sources, this one among them.
     """
-    view = _left_out_view(drive, camera, index, images_shown, spec)
+    view = _left_out_view(drive, camera, index, images_shown, spec, without)
     truth = drive.given.cameras[camera].training.rgb[index]
     middle, small = (
         functional.avg_pool2d(to_float(truth[None]), by)[0]
@@ -249,14 +283,15 @@ def left_out(
 
 
 def _left_out_view(
-    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
+    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec,
+    without: Collection[int],
 ) -> CameraView:
     world = drive.world
     one = world.recording.cameras[camera]
     images, time_s = one.training, float(one.training_time_s[index])
     return camera_view(
         drive.left_out_pose(camera, index), images.pinhole, world.static_points(time_s, leave_out=True),
-        images_shown, images.pose, spec, leave_out=index,
+        images_shown, images.pose, spec, leave_out=without,
         moving=world.moving(time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip
 

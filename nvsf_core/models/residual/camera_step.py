@@ -27,7 +27,7 @@ def depth_step(
     example = _sampled(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = sample_window(shape, recipe.depth_training.rays // recipe.depth_training.parts, generator)
-    probability, colour = planes_of(network, example.view, recipe.camera, window)
+    probability, colour, _ = planes_of(network, example.view, recipe.camera, window)
     return total_loss(_plane_terms(example, window, probability, colour), asdict(recipe.losses))
 
 
@@ -39,8 +39,8 @@ def camera_step(
     view = example.view
     shape = (view.small.height, view.small.width)
     around = sample_window(shape, recipe.camera_training.rays // recipe.camera_training.parts, generator)
-    probability, colour = planes_of(networks.depth, view, recipe.camera, around)
-    belief = depth_belief(probability, colour, plane_inverses(recipe.camera, view.device))
+    probability, colour, is_shown = planes_of(networks.depth, view, recipe.camera, around)
+    belief = depth_belief(probability, colour, is_shown, plane_inverses(recipe.camera, view.device))
     window = _full_size(around, shape, view.factor)
     placed = belief.placed(around, shape)
     blend = blend_sources(networks, view, placed, recipe.camera, window, around)

@@ -1,0 +1,135 @@
+"""Depth of a view from the depth maps of recorded images, and the images that see most of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.kernels.depth_splat import agreed_depth, splat_depth_map
+from nvsf_core.rendering.sources import hides
+from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, source_pixels
+
+_MOST_MAPS = 12
+"""Most images whose depth maps are carried into a view."""
+_SPREAD = 1.2
+"""Ranks of these images by distance grow by this factor: the nearest all, farther ones more and more thinly."""
+_LEAST_SHARE = 0.3
+"""Share of the maps, by weight, that make a surface."""
+_DISTANCE_FLOOR_M = 0.5
+_THINNED = 8
+"""Sources are chosen by one pixel in so many rows and columns."""
+_SECOND = 0.5
+"""Worth of a pixel's second best source, beside its best one's."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewDepth:
+    """What the recorded images' depth maps show in a view."""
+
+    inverse: Tensor
+    """(H, W) float32, 1/m, of the front surface; 0 where no image shows one."""
+    support: Tensor
+    """(H, W) float32, 0..1: weight of the maps that agree on it."""
+
+    def to(self, device: torch.device) -> "ViewDepth":
+        """The same depth on `device`."""
+        return ViewDepth(self.inverse.to(device), self.support.to(device))
+
+    def mirrored(self) -> "ViewDepth":
+        """The depth of the view with left and right exchanged."""
+        return ViewDepth(self.inverse.flip(-1), self.support.flip(-1))
+
+
+def no_depth(pinhole: Pinhole) -> ViewDepth:
+    """The depth of a view around which no image's depth is known."""
+    nothing = torch.zeros(pinhole.height, pinhole.width)
+    return ViewDepth(nothing, nothing)
+
+
+def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
+    """At most `most` ascending ranks below `count`, dense at first and then sparser."""
+    ranks: list[int] = []
+    rank = 0.0
+    while len(ranks) < most and round(rank) < count:
+        ranks.append(round(rank))
+        rank = max(rank + 1.0, rank * _SPREAD)
+    return ranks
+
+
+def depth_in_view(
+    pose: np.ndarray, pinhole: Pinhole, maps: np.ndarray, poses: np.ndarray, own: np.ndarray | None = None
+) -> ViewDepth:
+    """The front surface that the depth maps of images around a view agree on.
+
+    Args:
+        pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view and of all images.
+        maps: (k, H, W) float32 inverse depths, 1/m, of the images; 0 = unknown.
+        poses: (k, 4, 4) camera to scene-local frame of each image.
+        own: (H, W) a depth map of the view itself, as one more; None = it has none.
+    """
+    intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
+    to_view = invert_pose(pose)
+    carried = [splat_depth_map(one, to_view @ at, intrinsics) for one, at in zip(maps, poses, strict=True)]
+    distance_m = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1)
+    if own is not None:
+        carried.append(own)
+        distance_m = np.append(distance_m, 0.0)
+    weight = 1.0 / (distance_m + _DISTANCE_FLOOR_M)
+    inverse, support = agreed_depth(np.stack(carried), weight.astype(np.float32), _LEAST_SHARE)
+    return ViewDepth(torch.from_numpy(inverse), torch.from_numpy(support))
+
+
+def covering_sources(
+    pose: np.ndarray, pinhole: Pinhole, inverse: Tensor, maps: Tensor, poses: np.ndarray,
+    known: Sequence[int], most: int,
+) -> list[int]:
+    """Images that together see most of a view, near ones preferred; the nearest is always one of them.
+
+    Args:
+        pose: (4, 4) camera to scene-local frame, of the view.
+        pinhole: Intrinsics of the view and of all images.
+        inverse: (H, W) inverse depth of the view, 1/m, positive.
+        maps: (j, H, W) inverse depths of all images, 1/m; 0 = unknown.
+        poses: (j, 4, 4) camera to scene-local frame of all images.
+        known: Numbers of the images to choose from, the nearest first.
+        most: How many are chosen.
+
+    Returns:
+        Their numbers, the nearest first.
+    """
+    half = _THINNED // 2
+    rays = plane_rays(pinhole)[half::_THINNED, half::_THINNED]
+    wanted = inverse[half::_THINNED, half::_THINNED]
+    worth = torch.stack(
+        [
+            _seen(relative_motion(pose, poses[number]), rays, wanted, maps[number], pinhole).float()
+            / (float(np.linalg.norm(poses[number][:3, 3] - pose[:3, 3])) + _DISTANCE_FLOOR_M)
+            for number in known
+        ]
+    )
+    chosen = [0]
+    while len(chosen) < min(most, len(known)):
+        best, second = _two_best(worth[chosen])
+        # What each further image would add to the sum of the best and half of the second best of each pixel.
+        gain = torch.where(
+            worth > best, worth - best + _SECOND * (best - second), _SECOND * (worth - second).clamp_min(0.0)
+        ).sum(dim=(1, 2))
+        gain[chosen] = -1.0
+        chosen.append(int(gain.argmax()))
+    return [known[place] for place in sorted(chosen)]
+
+
+def _seen(motion: Tensor, rays: Tensor, inverse: Tensor, own: Tensor, pinhole: Pinhole) -> Tensor:
+    """(h, w) bool: the view's points that an image with the depth map `own` shows."""
+    grid, inside, there = source_pixels(motion, rays, inverse, pinhole)
+    return inside & ~hides(sample(own[None], grid, "nearest")[0], there)
+
+
+def _two_best(worth: Tensor) -> tuple[Tensor, Tensor]:
+    best = worth.topk(min(2, len(worth)), dim=0).values
+    return best[0], best[1] if len(best) > 1 else torch.zeros_like(best[0])
