@@ -14,8 +14,8 @@ from nvsf_core.recipe import CameraSpec
 _Layer = TypeVar("_Layer", nn.Conv2d, nn.Conv3d)
 
 HYPOTHESES = 3
-"""Depths a pixel at which colours are looked up, see `Hypotheses`."""
-VOLUME_FEATURES = 14
+"""Depths a pixel at which colours are looked up: the two where the images agree best, and the LiDAR's."""
+VOLUME_FEATURES = 12
 """Channels that describe a depth plane of a pixel."""
 _RESIDUAL_MOST = 0.25
 """Largest difference of a colour from the blend of recorded colours; colours are 0..1."""

@@ -51,8 +51,10 @@ def splat_depth_map(
     return view
 
 
-def agreed_depth(inverse: np.ndarray, weight: np.ndarray, least_share: float) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest surface on which enough of n depth maps of one view agree.
+def agreed_depths(
+    inverse: np.ndarray, weight: np.ndarray, least_share: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest surface on which enough of n depth maps of one view agree, and the best supported other one.
 
     A single map's errors lie at other places than another's: a depth that only one of several gives is passed
     over for the next one behind it. Where no surface has enough support, the best supported one is taken.
@@ -63,10 +65,10 @@ def agreed_depth(inverse: np.ndarray, weight: np.ndarray, least_share: float) ->
         least_share: Enough weight, as a share of the weight of all maps that know the pixel.
 
     Returns:
-        (H, W) float32, 1/m, the weighted mean of those that agree, 0 where no map knows the pixel; and
-        (H, W) float32, the weight of those that agree as a share of the weight of all n maps.
+        (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where there is none;
+        and (2, H, W) float32, the weight of those that agree as a share of the weight of all n maps.
     """
-    shape = inverse.shape[1:]
+    shape = (2, *inverse.shape[1:])
     depth, support = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     _agree(
         np.ascontiguousarray(inverse, np.float32), np.ascontiguousarray(weight, np.float32),
@@ -129,5 +131,21 @@ def _agree(inverse, weight, least_share, depth, support):  # type: ignore[no-unt
                     not enough and not is_enough and mass > best_mass
                 ):
                     best, best_sum, best_mass, is_enough = q, mean, mass, enough
-            depth[row, column] = best_sum / best_mass
-            support[row, column] = best_mass / whole
+            depth[0, row, column] = best_sum / best_mass
+            support[0, row, column] = best_mass / whole
+            other_sum, other_mass = np.float32(0.0), np.float32(0.0)
+            for i in range(maps):
+                q = inverse[i, row, column]
+                if not q > 0.0 or abs(q - best) <= _AGREE_SHARE * max(q, best) + _AGREE_PER_M:
+                    continue
+                mass, mean = np.float32(0.0), np.float32(0.0)
+                for j in range(maps):
+                    other = inverse[j, row, column]
+                    if other > 0.0 and abs(other - q) <= _AGREE_SHARE * max(q, other) + _AGREE_PER_M:
+                        mass += weight[j]
+                        mean += weight[j] * other
+                if mass > other_mass:
+                    other_sum, other_mass = mean, mass
+            if other_mass > 0.0:
+                depth[1, row, column] = other_sum / other_mass
+                support[1, row, column] = other_mass / whole

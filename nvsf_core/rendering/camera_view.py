@@ -17,7 +17,6 @@ from nvsf_core.rendering.view_depth_maps import (
     ViewDepth,
     covering_sources,
     depth_in_view,
-    no_depth,
     spread_ranks,
 )
 from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
@@ -93,8 +92,6 @@ class CameraView:
     """(H, W) inverse depth from the LiDAR, 1/m."""
     gap_px: Tensor
     """(H, W) distance to the nearest return in the image."""
-    surface: ViewDepth
-    """The front surface that the images' depth maps show."""
     images: ShownImages
     """All images of the camera."""
     chosen: list[int]
@@ -105,6 +102,8 @@ class CameraView:
     """(k,), see `Sources`."""
     moved: Tensor | None = None
     """(o, k, 4, 4), see `Sources`."""
+    surfaces: ViewDepth | None = None
+    """What the images' depth maps show; None where the images have none."""
     label: Tensor | None = None
     """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 
@@ -114,7 +113,7 @@ class CameraView:
             self,
             inverse=self.inverse.to(device),
             gap_px=self.gap_px.to(device),
-            surface=self.surface.to(device),
+            surfaces=None if self.surfaces is None else self.surfaces.to(device),
             images=self.images.to(device),
             motion=self.motion.to(device),
             nearness=self.nearness.to(device),
@@ -150,7 +149,7 @@ class CameraView:
             pinhole=replace(self.pinhole, cx=self.pinhole.width - 1 - self.pinhole.cx),
             inverse=self.inverse.flip(-1),
             gap_px=self.gap_px.flip(-1),
-            surface=self.surface.mirrored(),
+            surfaces=None if self.surfaces is None else self.surfaces.mirrored(),
             images=self.images.mirrored(),
             motion=flip @ self.motion @ flip,
             moved=None if self.moved is None else flip @ self.moved @ flip,
@@ -158,17 +157,10 @@ class CameraView:
         )
 
     def thinned(self, image: Tensor, factor: int) -> Tensor:
-        """The middle pixel of each block of factor x factor pixels of an image (H, W)."""
+        """The middle pixel of each block of factor x factor pixels of an image (..., H, W)."""
         half = factor // 2
         rows, columns = self.pinhole.height // factor, self.pinhole.width // factor
-        return image[half::factor, half::factor][:rows, :columns]
-
-    def surface_of(self, factor: int, window: Window) -> ViewDepth:
-        """Front surface (h, w) in a window of the view shrunk by `factor`."""
-        inverse, support = (
-            self.thinned(x, factor)[window] for x in (self.surface.inverse, self.surface.support)
-        )
-        return ViewDepth(inverse, support)
+        return image[..., half::factor, half::factor][..., :rows, :columns]
 
     def label_of(self, factor: int, window: Window) -> Tensor | None:
         """Labels (h, w) in a window of the view shrunk by `factor`; None = nothing moves."""
@@ -250,12 +242,12 @@ def camera_view(
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
-    surface, chosen = no_depth(pinhole), known[: spec.sources]
+    surfaces, chosen = None, known[: spec.sources]
     if images.has_depth:
         near = [known[rank] for rank in spread_ranks(len(known))]
-        surface = depth_in_view(pose, pinhole, images.depth_maps(near), poses[near])
-        filled = torch.where(surface.inverse > 0.0, surface.inverse, torch.from_numpy(1.0 / depth_m))
-        chosen = covering_sources(pose, pinhole, filled, images.full[:, _DEPTH], poses, near, spec.sources)
+        surfaces = depth_in_view(pose, pinhole, images.depth_maps(near), poses[near])
+        maps = images.full[:, _DEPTH]
+        chosen = covering_sources(pose, pinhole, surfaces.inverse[0], maps, poses, near, spec.sources)
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
@@ -266,7 +258,7 @@ def camera_view(
         factor=shrinking(pinhole, spec),
         inverse=torch.from_numpy(1.0 / depth_m),
         gap_px=torch.from_numpy(gap_px),
-        surface=surface,
+        surfaces=surfaces,
         images=images,
         chosen=chosen,
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),

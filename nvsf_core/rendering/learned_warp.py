@@ -15,6 +15,7 @@ from nvsf_core.rendering.plane_volume import (
     plane_inverses,
     plane_volume,
     volume_features,
+    without_holes,
 )
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
@@ -29,10 +30,8 @@ _JUMP = 1.0
 
 def planes_of(
     network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of a view's d depth planes, at shrunk pixels.
-
-    The third value (d, h, w) is bool: whether any source shows the plane.
 
     Args:
         network: Gives the probabilities.
@@ -46,14 +45,15 @@ def planes_of(
     rays = plane_rays(small, view.device)[window]
     volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
-    features = volume_features(volume, prior, gap_px / view.factor, view.surface_of(view.factor, window), inverses)
-    return network(features).softmax(dim=0), volume.mean_colour(), volume.seen.any(dim=0)
+    features = volume_features(volume, prior, gap_px / view.factor, inverses)
+    return network(features).softmax(dim=0), volume.mean_colour()
 
 
 @torch.no_grad()
 def believe_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> DepthBelief:
     """Likeliest depths of all shrunk pixels of a view; without gradients."""
-    return depth_belief(*planes_of(network, view, spec), plane_inverses(spec, view.device))
+    probability, colour = planes_of(network, view, spec)
+    return depth_belief(probability, colour, plane_inverses(spec, view.device))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,7 @@ class Hypotheses:
     """The three depths at which a pixel is looked up in the sources."""
 
     inverse: Tensor
-    """(3, h, w) inverse depths, 1/m: the one on which the images agree best; that of the front surface by the
-    images' depth maps, where there is none the second best; and the LiDAR's."""
+    """(3, h, w) inverse depths, 1/m: the two of `ViewDepth`, and the LiDAR's."""
     share: Tensor
     """(3, h, w) in 0..1: trust in each."""
 
@@ -106,29 +105,53 @@ class Blend:
     """None for a recipe that does not refine depths."""
 
 
-def hypotheses(
-    view: CameraView, belief: DepthBelief, spec: CameraSpec, factor: int, window: Window
-) -> Hypotheses:
-    """Depth hypotheses in a window of a view shrunk by `factor`; near returns the LiDAR's has most trust.
+def hypotheses(view: CameraView, factor: int, window: Window) -> Hypotheses:
+    """Depth hypotheses in a window of a view shrunk by `factor`.
 
     Args:
-        view: The view.
-        belief: Depths of all its shrunk pixels.
-        spec: Recipe of the camera networks.
+        view: The view; its images have depths.
         factor: By how much the image is shrunk; 1 = not at all.
         window: Part of the image shrunk by `factor`.
     """
-    places = _places(view, factor, view.factor)[window]
-    believed = Hypotheses(belief.inverse, belief.probability).resized(places, _JUMP * _plane_step(spec))
+    assert view.surfaces is not None
+    surfaces = (view.thinned(x, factor)[:, *window] for x in (view.surfaces.inverse, view.surfaces.support))
     inverse, gap_px = (view.thinned(x, factor)[window] for x in (view.inverse, view.gap_px))
-    trust = torch.exp(-gap_px / _TRUST_PX)
-    surface = view.surface_of(factor, window)
-    second = torch.where(surface.support > 0.0, surface.inverse, believed.inverse[1])
-    share = torch.where(surface.support > 0.0, surface.support, believed.share[1] * (1.0 - trust))
+    found, support = surfaces
     return Hypotheses(
-        torch.stack([believed.inverse[0], second, inverse]),
-        torch.stack([believed.share[0] * (1.0 - trust), share, trust]),
+        torch.cat([found, inverse[None]]), torch.cat([support, torch.exp(-gap_px / _TRUST_PX)[None]])
     )
+
+
+@torch.no_grad()
+def coarse_colour(view: CameraView) -> Tensor:
+    """Colours (3, h, w) of a view's shrunk pixels on the front surface, without holes."""
+    small, sources = view.small, view.sources(view.images.small)
+    surface = hypotheses(view, view.factor, WHOLE).inverse[:1]
+    label = view.label_of(view.factor, WHOLE)
+    volume = plane_volume(sources, plane_rays(small, view.device), small, surface, label)
+    return without_holes(volume.mean_colour()[0], volume.seen.any(dim=0)[0].float())
+
+
+@torch.no_grad()
+def view_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> Tensor:
+    """Inverse depth (H, W), 1/m, of a view by its depth planes, near returns the LiDAR's: median of the members."""
+    trust = torch.exp(-view.gap_px / _TRUST_PX)
+    depths = []
+    for member in networks:
+        belief = believe_depth(member.depth, view, spec)
+        places = _places(view, 1, view.factor)
+        believed = Hypotheses(belief.inverse, belief.probability).resized(places, _JUMP * _plane_step(spec))
+        both = Hypotheses(
+            torch.cat([believed.inverse, view.inverse[None]]),
+            torch.cat([believed.share * (1.0 - trust), trust[None]]),
+        )
+        depths.append(_likeliest(both))
+    return torch.stack(depths).median(dim=0).values
+
+
+def _likeliest(found: Hypotheses) -> Tensor:
+    """(h, w) inverse depth of most trust, 1/m."""
+    return found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
 
 
 def refine(
@@ -160,34 +183,27 @@ def refine(
 
 
 def blend_sources(
-    networks: CameraNetworks,
-    view: CameraView,
-    belief: DepthBelief,
-    spec: CameraSpec,
-    window: Window = WHOLE,
-    around: Window = WHOLE,
+    networks: CameraNetworks, view: CameraView, spec: CameraSpec, window: Window = WHOLE, around: Window = WHOLE
 ) -> Blend:
     """Render a window of a view.
 
     Args:
         networks: For blending and, if the recipe has it, refinement.
-        view: The view.
-        belief: Depths of all its shrunk pixels.
+        view: The view; its images have depths.
         spec: Recipe of the camera networks.
         window: Part of the view.
         around: Part of the shrunk view, around the window, where depths are refined.
     """
     refinement = None
     if networks.refine is None:
-        found = hypotheses(view, belief, spec, 1, window)
+        found = hypotheses(view, 1, window)
     else:
         middle = middle_factor(view.factor)
         part = scaled(around, view.factor // middle)
-        coarse_depths = hypotheses(view, belief, spec, middle, part)
-        refinement = refine(networks.refine, view, coarse_depths, spec, part)
+        refinement = refine(networks.refine, view, hypotheses(view, middle, part), spec, part)
         places = _places(view, 1, middle, part)[window]
         found = refinement.hypotheses.resized(places, _JUMP * _plane_step(spec))
-    coarse = sample(belief.colour, _places(view, 1, view.factor)[window])
+    coarse = sample(coarse_colour(view), _places(view, 1, view.factor)[window])
     sources, rays = view.sources(view.images.full), plane_rays(view.pinhole, view.device)[window]
     volume = plane_volume(sources, rays, view.pinhole, found.inverse, view.label_of(1, window))
     colour = networks.blend(
@@ -201,20 +217,6 @@ def blend_sources(
 
 
 @torch.no_grad()
-def view_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> Tensor:
-    """Inverse depth (H, W), 1/m, of a view by its depth planes and LiDAR: the median of the members."""
-    depths = []
-    for member in networks:
-        depths.append(_likeliest(hypotheses(view, believe_depth(member.depth, view, spec), spec, 1, WHOLE)))
-    return torch.stack(depths).median(dim=0).values
-
-
-def _likeliest(found: Hypotheses) -> Tensor:
-    """(h, w) inverse depth of most trust, 1/m."""
-    return found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
-
-
-@torch.no_grad()
 def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> RenderedImage:
     """Render a whole view: the mean image of the ensemble, and the median of the members' depths.
 
@@ -224,7 +226,7 @@ def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) ->
 
     def seen_by(number: int) -> tuple[Tensor, Tensor]:
         member = members[number]
-        blend = blend_sources(member, view, believe_depth(member.depth, view, spec), spec)
+        blend = blend_sources(member, view, spec)
         return blend.colour, _likeliest(blend.hypotheses)
 
     colours, depths = zip(*in_parts(seen_by, len(members)), strict=True)

@@ -9,7 +9,6 @@ from torch.nn import functional
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.sources import Sources, look_up
-from nvsf_core.rendering.view_depth_maps import ViewDepth
 
 _UNSEEN_DIFFERENCE = 0.25
 """Colour difference that is assumed where fewer than two sources show a plane."""
@@ -71,14 +70,7 @@ class DepthBelief:
     probability: Tensor
     """(2, h, w) of both."""
     colour: Tensor
-    """(3, h, w) 0..1, mean over all planes by probability; where no image shows them, of what is around."""
-
-    def placed(self, window: tuple[slice, slice], shape: tuple[int, int]) -> "DepthBelief":
-        """This belief, of a window, padded with zeros to the whole image of `shape` (rows, columns)."""
-        rows, columns = window
-        rim = (columns.start, shape[1] - columns.stop, rows.start, shape[0] - rows.stop)
-        padded = (functional.pad(x, rim) for x in (self.inverse, self.probability, self.colour))
-        return DepthBelief(*padded)
+    """(3, h, w) 0..1, mean over all planes by probability."""
 
 
 def plane_inverses(spec: CameraSpec, device: torch.device | None = None) -> Tensor:
@@ -103,16 +95,13 @@ def plane_volume(
     return PlaneVolume(torch.stack([colour for colour, _ in found]), torch.stack([seen for _, seen in found]))
 
 
-def volume_features(
-    volume: PlaneVolume, prior: Tensor, gap_px: Tensor, surface: ViewDepth, inverses: Tensor
-) -> Tensor:
+def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
     """Input (VOLUME_FEATURES, d, h, w) of the depth network.
 
     Args:
         volume: Colours on d planes.
         prior: (h, w) inverse depth from the LiDAR, 1/m.
         gap_px: (h, w) distance to the nearest return in shrunk pixels; inf where there is no return.
-        surface: (h, w) front surface by the depth maps of the images.
         inverses: (d,) inverse depths of the planes, 1/m.
     """
     spread, pair, share, mean = volume.agreement()
@@ -121,7 +110,6 @@ def volume_features(
     trust = torch.exp(-gap_px / _TRUST_PX)
     offset = (inverses[:, None, None] - prior) / (inverses[1] - inverses[0]) * is_known
     at_prior = torch.exp(-0.5 * offset**2) * is_known
-    from_surface = (inverses[:, None, None] - surface.inverse) / (inverses[1] - inverses[0])
     return torch.stack(
         [
             4.0 * spread,
@@ -133,22 +121,17 @@ def volume_features(
             at_prior * (1.0 - trust),
             offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,
             trust.expand_as(spread),
-            torch.exp(-0.5 * from_surface**2) * surface.support,
-            surface.support.expand_as(spread),
             *mean.unbind(dim=1),
         ]
     )
 
 
-def depth_belief(
-    probability: Tensor, mean_colour: Tensor, is_shown: Tensor, inverses: Tensor
-) -> DepthBelief:
+def depth_belief(probability: Tensor, mean_colour: Tensor, inverses: Tensor) -> DepthBelief:
     """Find the two likeliest depths of each pixel.
 
     Args:
         probability: (d, h, w) of the planes.
-        mean_colour: (d, 3, h, w) of the planes, 0..1; 0 where no image shows them.
-        is_shown: (d, h, w) bool, whether any image shows the plane.
+        mean_colour: (d, 3, h, w) of the planes, 0..1.
         inverses: (d,) inverse depths of the planes, 1/m.
     """
     first = probability.argmax(dim=0)
@@ -158,7 +141,7 @@ def depth_belief(
     return DepthBelief(
         inverse=torch.stack([inverse for inverse, _ in modes]),
         probability=torch.stack([mass for _, mass in modes]),
-        colour=_filled((probability[:, None] * mean_colour).sum(dim=0), (probability * is_shown).sum(dim=0)),
+        colour=(probability[:, None] * mean_colour).sum(dim=0),
     )
 
 
@@ -172,14 +155,18 @@ def _mode(probability: Tensor, index: Tensor, inverses: Tensor) -> tuple[Tensor,
     return (near * inverses[planes]).sum(dim=0) / mass.clamp_min(1e-9), mass
 
 
-def _filled(colour: Tensor, share: Tensor) -> Tensor:
-    """Colours (3, h, w) that are known for a `share` (h, w), 0..1, the rest from ever larger surroundings.
+def without_holes(colour: Tensor, share: Tensor) -> Tensor:
+    """Colours (3, h, w) that are known for a `share`, the rest from ever larger surroundings.
 
     Args:
-        colour: (3, h, w) in 0..1, times `share`.
-        share: (h, w).
+        colour: (3, h, w) in 0..1.
+        share: (h, w), 0..1.
     """
-    both = torch.cat([colour, share[None]])
+    return _filled(colour * share, share)
+
+
+def _filled(weighted: Tensor, share: Tensor) -> Tensor:
+    both = torch.cat([weighted, share[None]])
     if min(share.shape) < 2:
         mean = both.mean(dim=(1, 2), keepdim=True)
         around = mean[:3] / mean[3:].clamp_min(1e-6)
@@ -187,7 +174,7 @@ def _filled(colour: Tensor, share: Tensor) -> Tensor:
         smaller = functional.avg_pool2d(both[None], 2, ceil_mode=True, count_include_pad=False)[0]
         coarse = _filled(smaller[:3], smaller[3])
         around = functional.interpolate(coarse[None], share.shape, mode="bilinear", align_corners=False)[0]
-    return colour + (1.0 - share).clamp_min(0.0) * around
+    return weighted + (1.0 - share) * around
 
 
 def _window_mean(costs: Tensor) -> Tensor:

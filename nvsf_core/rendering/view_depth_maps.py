@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.kernels.depth_splat import agreed_depth, splat_depth_map
+from nvsf_core.kernels.depth_splat import agreed_depths, splat_depth_map
+from nvsf_core.rendering.reproject_camera import FAR_M
 from nvsf_core.rendering.sources import hides
 from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, source_pixels
 
@@ -31,9 +33,10 @@ class ViewDepth:
     """What the recorded images' depth maps show in a view."""
 
     inverse: Tensor
-    """(H, W) float32, 1/m, of the front surface; 0 where no image shows one."""
+    """(2, H, W) float32, 1/m, positive: the front surface and the best supported other one. Where no image shows
+    the front, that of the nearest pixel where one does; where there is no other one, the front again."""
     support: Tensor
-    """(H, W) float32, 0..1: weight of the maps that agree on it."""
+    """(2, H, W) float32, 0..1: weight of the maps that agree on each; 0 where no image shows it."""
 
     def to(self, device: torch.device) -> "ViewDepth":
         """The same depth on `device`."""
@@ -42,12 +45,6 @@ class ViewDepth:
     def mirrored(self) -> "ViewDepth":
         """The depth of the view with left and right exchanged."""
         return ViewDepth(self.inverse.flip(-1), self.support.flip(-1))
-
-
-def no_depth(pinhole: Pinhole) -> ViewDepth:
-    """The depth of a view around which no image's depth is known."""
-    nothing = torch.zeros(pinhole.height, pinhole.width)
-    return ViewDepth(nothing, nothing)
 
 
 def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
@@ -61,26 +58,29 @@ def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
 
 
 def depth_in_view(
-    pose: np.ndarray, pinhole: Pinhole, maps: np.ndarray, poses: np.ndarray, own: np.ndarray | None = None
+    pose: np.ndarray, pinhole: Pinhole, maps: np.ndarray, poses: np.ndarray
 ) -> ViewDepth:
-    """The front surface that the depth maps of images around a view agree on.
+    """The surfaces that the depth maps of images around a view agree on.
 
     Args:
         pose: (4, 4) camera to scene-local frame, of the view.
         pinhole: Intrinsics of the view and of all images.
         maps: (k, H, W) float32 inverse depths, 1/m, of the images; 0 = unknown.
         poses: (k, 4, 4) camera to scene-local frame of each image.
-        own: (H, W) a depth map of the view itself, as one more; None = it has none.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
     to_view = invert_pose(pose)
     carried = [splat_depth_map(one, to_view @ at, intrinsics) for one, at in zip(maps, poses, strict=True)]
     distance_m = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1)
-    if own is not None:
-        carried.append(own)
-        distance_m = np.append(distance_m, 0.0)
     weight = 1.0 / (distance_m + _DISTANCE_FLOOR_M)
-    inverse, support = agreed_depth(np.stack(carried), weight.astype(np.float32), _LEAST_SHARE)
+    inverse, support = agreed_depths(np.stack(carried), weight.astype(np.float32), _LEAST_SHARE)
+    known = support[0] > 0.0
+    if not known.any():
+        inverse[0] = 1.0 / FAR_M
+    elif not known.all():
+        where = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        inverse[0] = inverse[0][where[0], where[1]]
+    inverse[1] = np.where(support[1] > 0.0, inverse[1], inverse[0])
     return ViewDepth(torch.from_numpy(inverse), torch.from_numpy(support))
 
 

@@ -108,7 +108,8 @@ def train_camera(
     examples = in_parts(alone, len(wanted)) + in_parts(in_block, len(wanted))
     preparation += time.perf_counter() - placing
     print("placing", time.perf_counter() - placing, flush=True)
-    both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
+    drawing = nn.ModuleList(part for one in networks for part in (one.blend, one.refine) if part is not None)
+    both = fresh_state(drawing, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
         lambda _, generator: _of_members(
