@@ -15,6 +15,7 @@ from nvsf_core.rendering.reproject_camera import nearest_sources, view_depth, vi
 from nvsf_core.rendering.sources import Sources
 from nvsf_core.rendering.view_depth_maps import (
     ViewDepth,
+    baseline_sources,
     covering_sources,
     depth_in_view,
     spread_ranks,
@@ -224,6 +225,7 @@ def camera_view(
     spec: CameraSpec,
     *,
     leave_out: Collection[int] = (),
+    own: int | None = None,
     moving: Sequence[MovingPoints] = (),
 ) -> CameraView:
     """Choose the source images of a view and render the LiDAR's depth into it.
@@ -236,23 +238,29 @@ def camera_view(
         poses: (j, 4, 4) camera to scene-local frame of each image.
         spec: Recipe of the camera networks.
         leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
+        own: Number of the image that the view is of, whose depth is wanted: the first source, others being chosen
+            at several distances from it.
         moving: Moving objects that may be visible.
     """
     clouds = [points_m, *(each.points_m for each in moving)]
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
+    label = torch.from_numpy(view_label(pose, pinhole, clouds, _REACH_PX)) if moving else None
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
     surfaces, chosen = None, known[: spec.sources]
-    if images.has_depth:
+    if own is not None:
+        chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
+    elif images.has_depth:
         near = [known[rank] for rank in spread_ranks(len(known))]
         surfaces = depth_in_view(pose, pinhole, images.depth_maps(near), poses[near])
         maps = images.full[:, _DEPTH]
         chosen = covering_sources(pose, pinhole, surfaces.inverse[0], maps, poses, near, spec.sources)
+    if surfaces is not None and label is not None:
+        surfaces = surfaces.replaced(label > 0, torch.from_numpy(1.0 / depth_m))
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
     chosen += [chosen[-1]] * (spec.sources - len(chosen))
-    label = view_label(pose, pinhole, clouds, _REACH_PX) if moving else None
     return CameraView(
         pinhole=pinhole,
         factor=shrinking(pinhole, spec),
@@ -264,7 +272,7 @@ def camera_view(
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
         nearness=nearness,
         moved=_moved(pose, poses[chosen], [each.moved[chosen] for each in moving]) if moving else None,
-        label=None if label is None else torch.from_numpy(label),
+        label=label,
     )
 
 

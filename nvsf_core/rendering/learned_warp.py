@@ -40,13 +40,14 @@ def planes_of(
         window: Part of the shrunk image.
     """
     inverses, small = plane_inverses(spec, view.device), view.small
+    # The first source is the image itself, which tells nothing of a depth but by the others.
     label = view.label_of(view.factor, window)
     sources = view.sources(view.images.small)
     rays = plane_rays(small, view.device)[window]
     volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
     features = volume_features(volume, prior, gap_px / view.factor, inverses)
-    return network(features).softmax(dim=0), volume.mean_colour()
+    return network(features).softmax(dim=0), volume.without_first().mean_colour()
 
 
 @torch.no_grad()

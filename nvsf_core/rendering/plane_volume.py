@@ -52,6 +52,10 @@ class PlaneVolume:
             pair = torch.where(self.seen[0] & self.seen[1], difference, _UNSEEN_DIFFERENCE)
         return spread, pair, count / len(shown), mean.transpose(0, 1)
 
+    def without_first(self) -> "PlaneVolume":
+        """The volume of all sources but the first."""
+        return PlaneVolume(self.colour[1:], self.seen[1:])
+
     def mean_colour(self) -> Tensor:
         """Mean colour (d, 3, h, w), mostly of the two nearest sources; 0 where none shows the plane."""
         weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT, device=self.seen.device)

@@ -22,6 +22,8 @@ _SPREAD = 1.2
 _LEAST_SHARE = 0.3
 """Share of the maps, by weight, that make a surface."""
 _DISTANCE_FLOOR_M = 0.5
+_NEAREST_BASELINE_M = 0.75
+"""Distance of the nearest image that a depth map is found by; each further one's is twice as large."""
 _THINNED = 8
 """Sources are chosen by one pixel in so many rows and columns."""
 _SECOND = 0.5
@@ -41,6 +43,10 @@ class ViewDepth:
     def to(self, device: torch.device) -> "ViewDepth":
         """The same depth on `device`."""
         return ViewDepth(self.inverse.to(device), self.support.to(device))
+
+    def replaced(self, where: Tensor, inverse: Tensor) -> "ViewDepth":
+        """The same depth, with `inverse` (H, W), 1/m, and no support at the pixels `where` (H, W) bool."""
+        return ViewDepth(torch.where(where, inverse, self.inverse), torch.where(where, 0.0, self.support))
 
     def mirrored(self) -> "ViewDepth":
         """The depth of the view with left and right exchanged."""
@@ -82,6 +88,23 @@ def depth_in_view(
         inverse[0] = inverse[0][where[0], where[1]]
     inverse[1] = np.where(support[1] > 0.0, inverse[1], inverse[0])
     return ViewDepth(torch.from_numpy(inverse), torch.from_numpy(support))
+
+
+def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:
+    """Images at several distances from an image, to compare it with: near ones show the same, far ones tell depths.
+
+    Args:
+        poses: (j, 4, 4) camera to scene-local frame of all images.
+        own: Number of the image.
+        known: Numbers of the images to choose from.
+        most: How many are chosen.
+    """
+    left = [number for number in known if number != own]
+    chosen: list[int] = []
+    for step in range(min(most, len(left))):
+        away_m = np.linalg.norm(poses[left][:, :3, 3] - poses[own][:3, 3], axis=1)
+        chosen.append(left.pop(int(np.argmin(np.abs(away_m - _NEAREST_BASELINE_M * 2.0**step)))))
+    return chosen
 
 
 def covering_sources(

@@ -81,7 +81,12 @@ def train_camera(
         around = block(given.given, name, index, _BLOCKS_M[number % len(_BLOCKS_M)])
         return left_out(given, name, index, shown[name], recipe.camera, around).to(device)
 
-    examples = in_parts(alone, len(wanted))
+    def itself(number: int) -> LeftOut:
+        name, index = wanted[number]
+        judges = set(validation_images(_images(recording, name), recipe.camera))
+        return left_out(given, name, index, shown[name], recipe.camera, judges, own=index).to(device)
+
+    examples = in_parts(itself, len(wanted))
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
@@ -262,7 +267,7 @@ def block(recording: Recording, camera: str, index: int, radius_m: float) -> set
 
 def left_out(
     drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec,
-    without: Collection[int],
+    without: Collection[int], own: int | None = None,
 ) -> LeftOut:
     """A training image as a held-out view that the other images render.
 
@@ -274,7 +279,7 @@ def left_out(
         spec: Of the recipe.
         without: Numbers of the images that are no sources, this one among them.
     """
-    view = _left_out_view(drive, camera, index, images_shown, spec, without)
+    view = _left_out_view(drive, camera, index, images_shown, spec, without, own)
     truth = drive.given.cameras[camera].training.rgb[index]
     middle, small = (
         functional.avg_pool2d(to_float(truth[None]), by)[0]
@@ -285,14 +290,14 @@ def left_out(
 
 def _left_out_view(
     drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec,
-    without: Collection[int],
+    without: Collection[int], own: int | None = None,
 ) -> CameraView:
     world = drive.world
     one = world.recording.cameras[camera]
     images, time_s = one.training, float(one.training_time_s[index])
     return camera_view(
         drive.left_out_pose(camera, index), images.pinhole, world.static_points(time_s, leave_out=True),
-        images_shown, images.pose, spec, leave_out=without,
+        images_shown, images.pose, spec, leave_out=without, own=own,
         moving=world.moving(time_s, one.training_time_s, leave_out=True),
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ def image_depths(
         instant_s = float(time_s[number])
         view = camera_view(
             shown.pose[number], shown.pinhole, world.static_points(instant_s), images, shown.pose, spec,
-            leave_out=set(validation) - {number}, moving=world.moving(instant_s, time_s),
+            leave_out=set(validation) - {number}, own=number, moving=world.moving(instant_s, time_s),
         )  # fmt: skip
         inverse = without_edges(view_inverse_depth(networks, view.to(images.full.device), spec).cpu().numpy())
         known = shown.valid if hidden is None else shown.valid & ~hidden[number]
