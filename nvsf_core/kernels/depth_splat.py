@@ -32,28 +32,31 @@ def without_edges(inverse: np.ndarray) -> np.ndarray:
 
 
 def splat_depth_map(
-    inverse: np.ndarray, motion: np.ndarray, intrinsics: tuple[float, float, float, float]
-) -> np.ndarray:
+    inverse: np.ndarray, label: np.ndarray, motion: np.ndarray, intrinsics: tuple[float, float, float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """The front surface of one image's depth map, as a view with the same intrinsics sees it.
 
     Args:
         inverse: (H, W) float32, 1/m, of the image.
-        motion: (4, 4) from the image's camera frame to the view's.
+        label: (H, W) uint8: what each pixel shows, an index of `motion`.
+        motion: (o, 4, 4) from the image's camera frame to the view's: of what is static, and of each moving
+            object. With zeros the pixels of that label are left out.
         intrinsics: fx, fy, cx, cy in pixels; pixel centres at integers.
 
     Returns:
-        (H, W) float32, 1/m, of the view; 0 where the image shows nothing.
+        (H, W) float32, 1/m, of the view, 0 where the image shows nothing; and its labels (H, W) uint8.
     """
-    view = np.zeros_like(inverse, np.float32)
+    view, labels = np.zeros_like(inverse, np.float32), np.zeros_like(label, np.uint8)
     _splat(
-        np.ascontiguousarray(inverse, np.float32), np.ascontiguousarray(motion[:3], np.float64), *intrinsics, view
+        np.ascontiguousarray(inverse, np.float32), label, np.ascontiguousarray(motion[:, :3], np.float64),
+        *intrinsics, view, labels,
     )  # fmt: skip
-    return view
+    return view, labels
 
 
 def agreed_depths(
-    inverse: np.ndarray, weight: np.ndarray, least_share: float
-) -> tuple[np.ndarray, np.ndarray]:
+    inverse: np.ndarray, label: np.ndarray, weight: np.ndarray, least_share: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The nearest surface on which enough of n depth maps of one view agree, and the best supported other one.
 
     A single map's errors lie at other places than another's: a depth that only one of several gives is passed
@@ -61,28 +64,33 @@ def agreed_depths(
 
     Args:
         inverse: (n, H, W) float32, 1/m, each in the view's own pixels.
+        label: (n, H, W) uint8: what each pixel of each map shows; unlike ones never agree.
         weight: (n,) float32, of the maps.
         least_share: Enough weight, as a share of the weight of all maps that know the pixel.
 
     Returns:
         (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where there is none;
-        and (2, H, W) float32, the weight of those that agree as a share of the weight of all n maps.
+        (2, H, W) float32, the weight of those that agree as a share of the weight of all n maps; and the labels
+        (2, H, W) uint8.
     """
     shape = (2, *inverse.shape[1:])
     depth, support = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    labels = np.zeros(shape, np.uint8)
     _agree(
-        np.ascontiguousarray(inverse, np.float32), np.ascontiguousarray(weight, np.float32),
-        np.float32(least_share), depth, support,
+        np.ascontiguousarray(inverse, np.float32), label, np.ascontiguousarray(weight, np.float32),
+        np.float32(least_share), depth, support, labels,
     )  # fmt: skip
-    return depth, support
+    return depth, support, labels
 
 
 @njit(cache=True, nogil=True)
-def _splat(inverse, motion, fx, fy, cx, cy, view):  # type: ignore[no-untyped-def]
+def _splat(inverse, label, motions, fx, fy, cx, cy, view, labels):  # type: ignore[no-untyped-def]
     rows, columns = inverse.shape
     for row in range(rows):
         for column in range(columns):
             q = inverse[row, column]
+            motion = motions[label[row, column]]
+            # A motion of zeros puts every point at depth 0.
             if not q > 0.0:
                 continue
             x, y, z = (column - cx) / fx / q, (row - cy) / fy / q, 1.0 / q
@@ -99,53 +107,62 @@ def _splat(inverse, motion, fx, fy, cx, cy, view):  # type: ignore[no-untyped-de
             for r in range(first_row, last_row + 1):
                 for c in range(first_column, last_column + 1):
                     if found > view[r, c]:
-                        view[r, c] = found
+                        view[r, c], labels[r, c] = found, label[row, column]
 
 
 @njit(cache=True, nogil=True)
-def _agree(inverse, weight, least_share, depth, support):  # type: ignore[no-untyped-def]
+def _agree(inverse, label, weight, least_share, depth, support, labels):  # type: ignore[no-untyped-def]
     maps, rows, columns = inverse.shape
     whole = weight.sum()
+    mass, mean = np.empty(maps, np.float32), np.empty(maps, np.float32)
     for row in range(rows):
         for column in range(columns):
             total = np.float32(0.0)
             for i in range(maps):
+                mass[i], mean[i] = _agreeing(inverse, label, weight, i, row, column)
                 if inverse[i, row, column] > 0.0:
                     total += weight[i]
-            if total == 0.0:
-                continue
-            best, best_sum, best_mass, is_enough = np.float32(0.0), np.float32(0.0), np.float32(0.0), False
+            first = -1
             for i in range(maps):
-                q = inverse[i, row, column]
-                if not q > 0.0 or (is_enough and q <= best):
+                if mass[i] == 0.0:
                     continue
-                mass, mean = np.float32(0.0), np.float32(0.0)
-                for j in range(maps):
-                    other = inverse[j, row, column]
-                    if other > 0.0 and abs(other - q) <= _AGREE_SHARE * max(q, other) + _AGREE_PER_M:
-                        mass += weight[j]
-                        mean += weight[j] * other
-                enough = mass >= least_share * total
+                if first < 0:
+                    first = i
+                    continue
+                enough, had_enough = mass[i] >= least_share * total, mass[first] >= least_share * total
                 # An agreed surface wins over none; among agreed ones the nearest, else the best supported.
-                if (enough and (not is_enough or q > best)) or (
-                    not enough and not is_enough and mass > best_mass
-                ):
-                    best, best_sum, best_mass, is_enough = q, mean, mass, enough
-            depth[0, row, column] = best_sum / best_mass
-            support[0, row, column] = best_mass / whole
-            other_sum, other_mass = np.float32(0.0), np.float32(0.0)
+                if enough and (not had_enough or inverse[i, row, column] > inverse[first, row, column]):
+                    first = i
+                elif not enough and not had_enough and mass[i] > mass[first]:
+                    first = i
+            if first < 0:
+                continue
+            second = -1
             for i in range(maps):
-                q = inverse[i, row, column]
-                if not q > 0.0 or abs(q - best) <= _AGREE_SHARE * max(q, best) + _AGREE_PER_M:
-                    continue
-                mass, mean = np.float32(0.0), np.float32(0.0)
-                for j in range(maps):
-                    other = inverse[j, row, column]
-                    if other > 0.0 and abs(other - q) <= _AGREE_SHARE * max(q, other) + _AGREE_PER_M:
-                        mass += weight[j]
-                        mean += weight[j] * other
-                if mass > other_mass:
-                    other_sum, other_mass = mean, mass
-            if other_mass > 0.0:
-                depth[1, row, column] = other_sum / other_mass
-                support[1, row, column] = other_mass / whole
+                if mass[i] > 0.0 and not _agrees(inverse, label, i, first, row, column):
+                    if second < 0 or mass[i] > mass[second]:
+                        second = i
+            for place, i in ((0, first), (1, second)):
+                if i >= 0:
+                    depth[place, row, column] = mean[i] / mass[i]
+                    support[place, row, column] = mass[i] / whole
+                    labels[place, row, column] = label[i, row, column]
+
+
+@njit(cache=True, nogil=True)
+def _agreeing(inverse, label, weight, i, row, column):  # type: ignore[no-untyped-def]
+    """Weight of all maps that agree with map i at a pixel, and the weighted sum of their inverse depths."""
+    mass, mean = np.float32(0.0), np.float32(0.0)
+    if inverse[i, row, column] > 0.0:
+        for j in range(inverse.shape[0]):
+            if _agrees(inverse, label, i, j, row, column):
+                mass += weight[j]
+                mean += weight[j] * inverse[j, row, column]
+    return mass, mean
+
+
+@njit(cache=True, nogil=True)
+def _agrees(inverse, label, i, j, row, column):  # type: ignore[no-untyped-def]
+    q, other = inverse[i, row, column], inverse[j, row, column]
+    near = abs(other - q) <= _AGREE_SHARE * max(q, other) + _AGREE_PER_M
+    return other > 0.0 and near and label[i, row, column] == label[j, row, column]

@@ -14,6 +14,7 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.reproject_camera import nearest_sources, view_depth, view_label
 from nvsf_core.rendering.sources import Sources
 from nvsf_core.rendering.view_depth_maps import (
+    DepthMaps,
     ViewDepth,
     baseline_sources,
     covering_sources,
@@ -45,35 +46,36 @@ class ShownImages:
     """(j, c, h, w) float32, shrunk by `middle_factor`: depths are refined on these."""
     small: Tensor
     """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
-    has_depth: bool = False
-    """Whether the images' depths are known; else their channel is 0."""
+    depths: DepthMaps | None = None
+    """What the images' channel of inverse depths is made from; None = not known yet, the channel is 0."""
 
-    def with_depth(self, inverse: Tensor) -> "ShownImages":
-        """The same images with the inverse depths (j, H, W), 1/m, of what they show; 0 = unknown."""
-        with_it = []
-        for images in (self.full, self.middle, self.small):
+    def with_depths(self, maps: DepthMaps) -> "ShownImages":
+        """The same images with their depth maps."""
+        static = torch.where(maps.mover == 0, maps.inverse, 0.0)
+
+        def with_it(images: Tensor) -> Tensor:
             images = images.clone()
-            images[:, _DEPTH] = functional.avg_pool2d(inverse, inverse.shape[-1] // images.shape[-1])
-            with_it.append(images)
-        return ShownImages(*with_it, has_depth=True)
+            images[:, _DEPTH] = functional.avg_pool2d(static, static.shape[-1] // images.shape[-1])
+            return images
 
-    def depth_maps(self, numbers: Sequence[int]) -> np.ndarray:
-        """Inverse depths (k, H, W) float32, 1/m, of the images with these numbers; 0 = unknown."""
-        return self.full[list(numbers), _DEPTH].cpu().numpy()
+        return ShownImages(with_it(self.full), with_it(self.middle), with_it(self.small), maps)
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
-        moved = (images.to(device) for images in (self.full, self.middle, self.small))
-        return ShownImages(*moved, has_depth=self.has_depth)
+        depths = None if self.depths is None else self.depths.to(device)
+        return ShownImages(self.full.to(device), self.middle.to(device), self.small.to(device), depths)
 
     def mirrored(self) -> "ShownImages":
         """The images with left and right exchanged."""
-        return ShownImages(*(x.flip(-1) for x in (self.full, self.middle, self.small)), has_depth=self.has_depth)
+        return ShownImages(self.full.flip(-1), self.middle.flip(-1), self.small.flip(-1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingPoints:
     """Points of a moving object at a view's instant, and its motion to each image's instant."""
+
+    number: int
+    """Of the object, from 1, the same in all views and in `DepthMaps.mover`."""
 
     points_m: np.ndarray
     """(m, 3) float32, scene-local, metres, at the view's instant."""
@@ -250,13 +252,14 @@ def camera_view(
     surfaces, chosen = None, known[: spec.sources]
     if own is not None:
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
-    elif images.has_depth:
+    elif images.depths is not None:
         near = [known[rank] for rank in spread_ranks(len(known))]
-        surfaces = depth_in_view(pose, pinhole, images.depth_maps(near), poses[near])
+        surfaces = _surfaces(pose, pinhole, images.depths, poses, near, moving)
+        if label is not None:
+            surfaces = surfaces.completed(label, torch.from_numpy(1.0 / depth_m))
+            label = surfaces.label
         maps = images.full[:, _DEPTH]
         chosen = covering_sources(pose, pinhole, surfaces.inverse[0], maps, poses, near, spec.sources)
-    if surfaces is not None and label is not None:
-        surfaces = surfaces.replaced(label > 0, torch.from_numpy(1.0 / depth_m))
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
@@ -274,6 +277,27 @@ def camera_view(
         moved=_moved(pose, poses[chosen], [each.moved[chosen] for each in moving]) if moving else None,
         label=label,
     )
+
+
+# Wide: the view (pose, pinhole), the maps with their poses and numbers, and what moves are independent inputs.
+def _surfaces(
+    pose: np.ndarray, pinhole: Pinhole, maps: DepthMaps, poses: np.ndarray, near: Sequence[int],
+    moving: Sequence[MovingPoints],
+) -> ViewDepth:
+    """What the depth maps of the images `near` show in a view; labels are places in `moving`, from 1."""
+    still, absent = np.eye(4), np.zeros((4, 4))
+    moved = np.stack(
+        [np.tile(one, (len(near), 1, 1)) for one in (still,)]
+        + [each.moved[near] for each in moving]
+        + [np.tile(absent, (len(near), 1, 1))]
+    )
+    # An object that is not in the view has the last motion, of zeros.
+    place = np.full(256, len(moving) + 1, np.uint8)
+    place[0] = 0
+    for number, each in enumerate(moving, start=1):
+        place[each.number] = number
+    inverse, mover = (x[near].cpu().numpy() for x in (maps.inverse, maps.mover))
+    return depth_in_view(pose, pinhole, inverse, place[mover], poses[near], moved)
 
 
 def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:

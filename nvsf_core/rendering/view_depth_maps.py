@@ -31,6 +31,20 @@ _SECOND = 0.5
 
 
 @dataclass(frozen=True, slots=True)
+class DepthMaps:
+    """Depth maps of the j images of a camera."""
+
+    inverse: Tensor
+    """(j, H, W) float32 inverse depths along z, 1/m; 0 = unknown."""
+    mover: Tensor
+    """(j, H, W) uint8: number of the moving object that a pixel shows, 0 = static."""
+
+    def to(self, device: torch.device) -> "DepthMaps":
+        """The same maps on `device`."""
+        return DepthMaps(self.inverse.to(device), self.mover.to(device))
+
+
+@dataclass(frozen=True, slots=True)
 class ViewDepth:
     """What the recorded images' depth maps show in a view."""
 
@@ -39,18 +53,28 @@ class ViewDepth:
     the front, that of the nearest pixel where one does; where there is no other one, the front again."""
     support: Tensor
     """(2, H, W) float32, 0..1: weight of the maps that agree on each; 0 where no image shows it."""
+    label: Tensor
+    """(H, W) uint8: the moving object that the front shows, as an index of the motions that were given."""
 
     def to(self, device: torch.device) -> "ViewDepth":
         """The same depth on `device`."""
-        return ViewDepth(self.inverse.to(device), self.support.to(device))
-
-    def replaced(self, where: Tensor, inverse: Tensor) -> "ViewDepth":
-        """The same depth, with `inverse` (H, W), 1/m, and no support at the pixels `where` (H, W) bool."""
-        return ViewDepth(torch.where(where, inverse, self.inverse), torch.where(where, 0.0, self.support))
+        return ViewDepth(self.inverse.to(device), self.support.to(device), self.label.to(device))
 
     def mirrored(self) -> "ViewDepth":
         """The depth of the view with left and right exchanged."""
-        return ViewDepth(self.inverse.flip(-1), self.support.flip(-1))
+        return ViewDepth(self.inverse.flip(-1), self.support.flip(-1), self.label.flip(-1))
+
+    def completed(self, label: Tensor, inverse: Tensor) -> "ViewDepth":
+        """The same depth; where no image shows a surface but a LiDAR return a moving object, the return's.
+
+        Args:
+            label: (H, W) uint8, of the moving object, 0 = none.
+            inverse: (H, W) of the return, 1/m.
+        """
+        where = (self.support[0] == 0.0) & (label > 0)
+        return ViewDepth(
+            torch.where(where, inverse, self.inverse), self.support, torch.where(where, label, self.label)
+        )
 
 
 def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
@@ -64,30 +88,48 @@ def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
 
 
 def depth_in_view(
-    pose: np.ndarray, pinhole: Pinhole, maps: np.ndarray, poses: np.ndarray
+    pose: np.ndarray, pinhole: Pinhole, inverse: np.ndarray, label: np.ndarray, poses: np.ndarray,
+    moved: np.ndarray,
 ) -> ViewDepth:
     """The surfaces that the depth maps of images around a view agree on.
 
     Args:
         pose: (4, 4) camera to scene-local frame, of the view.
         pinhole: Intrinsics of the view and of all images.
-        maps: (k, H, W) float32 inverse depths, 1/m, of the images; 0 = unknown.
+        inverse: (k, H, W) float32 inverse depths of the images, 1/m; 0 = unknown.
+        label: (k, H, W) uint8: what each pixel shows, an index of `moved`.
         poses: (k, 4, 4) camera to scene-local frame of each image.
+        moved: (o, k, 4, 4) motion in the scene from the view's instant to each image's: the identity for what is
+            static, then of each moving object; zeros where it is unknown.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-    to_view = invert_pose(pose)
-    carried = [splat_depth_map(one, to_view @ at, intrinsics) for one, at in zip(maps, poses, strict=True)]
-    distance_m = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1)
-    weight = 1.0 / (distance_m + _DISTANCE_FLOOR_M)
-    inverse, support = agreed_depths(np.stack(carried), weight.astype(np.float32), _LEAST_SHARE)
+    carried = [
+        splat_depth_map(inverse[k], label[k], _to_view(pose, poses[k], moved[:, k]), intrinsics)
+        for k in range(len(poses))
+    ]
+    weight = 1.0 / (np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M)
+    depths, support, labels = agreed_depths(
+        np.stack([one for one, _ in carried]), np.stack([one for _, one in carried]),
+        weight.astype(np.float32), _LEAST_SHARE,
+    )  # fmt: skip
     known = support[0] > 0.0
     if not known.any():
-        inverse[0] = 1.0 / FAR_M
+        depths[0] = 1.0 / FAR_M
     elif not known.all():
         where = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        inverse[0] = inverse[0][where[0], where[1]]
-    inverse[1] = np.where(support[1] > 0.0, inverse[1], inverse[0])
-    return ViewDepth(torch.from_numpy(inverse), torch.from_numpy(support))
+        depths[0], labels[0] = depths[0][where[0], where[1]], labels[0][where[0], where[1]]
+    # A pixel is looked up as one thing: another one behind a moving object is left out.
+    is_other = (support[1] > 0.0) & (labels[0] == labels[1])
+    depths[1], support[1] = np.where(is_other, depths[1], depths[0]), np.where(is_other, support[1], 0.0)
+    return ViewDepth(torch.from_numpy(depths), torch.from_numpy(support), torch.from_numpy(labels[0]))
+
+
+def _to_view(pose: np.ndarray, source: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """(o, 4, 4) from an image's camera frame to the view's, for each motion (o, 4, 4) between their instants."""
+    motions = np.zeros_like(moved)
+    known = moved[:, 3, 3] > 0.0
+    motions[known] = invert_pose(pose) @ np.linalg.inv(moved[known]) @ source
+    return motions
 
 
 def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:

@@ -109,7 +109,7 @@ def train_camera(
     for name in usable:
         judges = validation_images(_images(recording, name), recipe.camera)
         maps = image_depths(networks, given, name, shown[name], recipe.camera, judges)
-        shown[name] = shown[name].with_depth(maps.to(device))
+        shown[name] = shown[name].with_depths(maps.to(device))
     examples = in_parts(alone, len(wanted)) + in_parts(in_block, len(wanted))
     preparation += time.perf_counter() - placing
     print("placing", time.perf_counter() - placing, flush=True)

@@ -2,24 +2,28 @@
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.depth_splat import without_edges
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import ShownImages, camera_view
+from nvsf_core.rendering.camera_view import MovingPoints, ShownImages, camera_view
 from nvsf_core.rendering.learned_warp import view_inverse_depth
+from nvsf_core.rendering.view_depth_maps import DepthMaps
+
+_MARGIN_M = 0.3
+"""Pixels of a moving object are nearer or farther than all its returns by at most so much."""
 
 
 def image_depths(
     networks: CameraEnsemble, drive: AlignedDrive, camera: str, images: ShownImages, spec: CameraSpec,
     validation: range,
-) -> Tensor:
-    """Inverse depths (j, H, W) float32, 1/m, of a camera's training images; 0 = unknown.
+) -> DepthMaps:
+    """Depth maps of a camera's training images.
 
-    Unknown are depth edges, pixels of moving objects and pixels that show nothing. No image's depth depends on
+    Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth depends on
     an image for validation but its own, so a rendered validation image knows nothing of its own pixels.
 
     Args:
@@ -33,16 +37,28 @@ def image_depths(
     world = drive.world
     one = world.recording.cameras[camera]
     shown, time_s = one.training, one.training_time_s
-    hidden = world.shadows(one)
+    around_movers = world.shadows(one)
 
-    def depth(number: int) -> Tensor:
+    def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
         instant_s = float(time_s[number])
+        moving = world.moving(instant_s, time_s)
         view = camera_view(
             shown.pose[number], shown.pinhole, world.static_points(instant_s), images, shown.pose, spec,
-            leave_out=set(validation) - {number}, own=number, moving=world.moving(instant_s, time_s),
+            leave_out=set(validation) - {number}, own=number, moving=moving,
         )  # fmt: skip
-        inverse = without_edges(view_inverse_depth(networks, view.to(images.full.device), spec).cpu().numpy())
-        known = shown.valid if hidden is None else shown.valid & ~hidden[number]
-        return torch.from_numpy(np.where(known, inverse, np.float32(0.0)))
+        inverse = view_inverse_depth(networks, view.to(images.full.device), spec).cpu().numpy()
+        mover = np.zeros(inverse.shape, np.uint8)
+        for place, each in enumerate(moving, start=1):
+            assert view.label is not None
+            mover[(view.label.numpy() == place) & _is_at(inverse, each, shown.pose[number])] = each.number
+        known = shown.valid if around_movers is None else shown.valid & ((mover > 0) | ~around_movers[number])
+        return np.where(known, without_edges(inverse), np.float32(0.0)), mover
 
-    return torch.stack(in_parts(depth, len(time_s)))
+    inverse, mover = zip(*in_parts(depth, len(time_s)), strict=True)
+    return DepthMaps(torch.from_numpy(np.stack(inverse)), torch.from_numpy(np.stack(mover)))
+
+
+def _is_at(inverse: np.ndarray, mover: MovingPoints, pose: np.ndarray) -> np.ndarray:
+    """(H, W) bool: depths at which an object's points lie, as the camera sees them."""
+    z_m = transform_points(invert_pose(pose), mover.points_m)[:, 2]
+    return (inverse * (z_m.max() + _MARGIN_M) >= 1.0) & (inverse * max(z_m.min() - _MARGIN_M, 1e-3) <= 1.0)
