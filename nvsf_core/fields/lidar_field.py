@@ -9,7 +9,7 @@ from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.fields.layers import network
 from nvsf_core.fields.surface_batch import SurfaceBatch, object_places
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kernels.encodings.layout import GridLayout
+from nvsf_core.kernels.encodings.hash_grid import GridLayout
 from nvsf_core.kernels.surface_list import N_FACTS
 from nvsf_core.recipe import FieldSpec
 
