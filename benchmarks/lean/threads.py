@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.common.places import DOCS
 from nvsf_core.kernels.threads import VARIABLE, use_threads
 from nvsf_core.models.family import family_of
-from nvsf_core.models.residual import train as residual
+from nvsf_core.models.residual import lidar as residual_lidar
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.stages.inputs import read_recording
@@ -123,7 +123,7 @@ def _measured(recipe: ResidualRecipe, recording: Recording, threads: int) -> _Ti
     use_threads()
     session = _Timed()
     # After a few steps the field is worse than the evidence; then the networks behind it are not trained.
-    with mock.patch.object(residual, "choose", lambda *_: (True, {"lidar_shows": "field"})):
+    with mock.patch.object(residual_lidar, "choose", lambda *_: (True, {"lidar_shows": "field"})):
         family_of(recipe).train(recipe, recording, session)
     print(f"{threads} threads: done", flush=True)
     return session

@@ -9,7 +9,7 @@ from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.fields.layers import network
 from nvsf_core.fields.surface_batch import SurfaceBatch, object_places
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kernels.encodings.layout import GridLayout
+from nvsf_core.kernels.encodings.hash_grid import GridLayout
 from nvsf_core.kernels.surface_list import N_FACTS
 from nvsf_core.recipe import FieldSpec
 
@@ -40,6 +40,12 @@ class LidarField(nn.Module):
         )
         self.hit_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, zero_outputs=1)
         self.intensity_head = network((spec.decoded + 8, spec.decoder_hidden, 1), generator, zero_outputs=1)
+
+    @classmethod
+    def around(cls, points_m: np.ndarray, spec: FieldSpec, generator: torch.Generator) -> "LidarField":
+        """An untrained field in the smallest cube around points (n, 3), scene-local metres, with a margin."""
+        low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
+        return cls(spec, Bounds.around(tuple(low_m.tolist()), tuple(high_m.tolist())), generator)
 
     def places(self, objects: tuple[ObjectEvidence, ...]) -> np.ndarray:
         """`object_places` (n, 3) in this field's cube, metres, of a scene's moving objects."""

@@ -73,9 +73,6 @@ class Weights(Protocol):
 class Family(Protocol):
     """How the recipes of one family are trained and rendered. A module with these functions is a family."""
 
-    def needs(self, recipe: Any, recording: Recording, /) -> dict[str, Scalar]:
-        """The sizes a recipe allocates for a scene; empty if they do not depend on the scene."""
-
     def train(self, recipe: Any, recording: Recording, session: TrainingSession, /) -> Trained:
         """Train, resuming from the session's checkpoints.
 

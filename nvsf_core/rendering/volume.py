@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
+from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.rendering.scaled_rays import ScaledRays
-from nvsf_core.rendering.weights import weights_from_optical_depth
 from nvsf_core.sampling.along_ray import uniform_samples
 
 ATTRIBUTE_WEIGHT = 1e-4
@@ -34,6 +35,39 @@ class VolumeRender:
     """(r, c) sum of w_i a_i."""
     passed: Tensor
     """(r,) transmittance behind the last sample."""
+
+
+def weights_from_optical_depth(optical_depth: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights of the samples of each ray from their optical depths tau = density * length.
+
+    ``w_i = exp(-sum of tau_j over j < i) * (1 - exp(-tau_i))``, and the transmittance behind all samples,
+    ``exp(-sum of all tau_j)``; together they sum to 1. Logarithms are summed instead of a product of numbers
+    near 1, and 1 - exp is expm1, so thin samples keep their weight and their gradient.
+
+    Args:
+        optical_depth: (rays, samples) floating, at least 0, front to back; infinity = opaque, 0 = no
+            sample. NaN gives NaN.
+
+    Returns:
+        weights (rays, samples) in [0, 1], transmittance_after (rays,) in [0, 1].
+
+    Raises:
+        ShapeError: not two axes.
+        DivergedError: a depth is negative.
+    """
+    if optical_depth.ndim != 2:
+        raise ShapeError(
+            f"weights_from_optical_depth: expected (rays, samples), found {tuple(optical_depth.shape)}"
+        )
+    if bool((optical_depth < 0.0).any()):
+        raise DivergedError(
+            f"weights_from_optical_depth: expected depths of at least 0, found {optical_depth.min().item()}; "
+            "densities and lengths of samples are never negative: look at what makes them"
+        )
+    # The exclusive sum is shifted rather than subtracted, which would cancel.
+    depth_before = torch.cumsum(functional.pad(optical_depth, (1, 0)), dim=-1)[:, :-1]
+    weights = torch.exp(-depth_before) * -torch.expm1(-optical_depth)
+    return weights, torch.exp(-optical_depth.sum(dim=-1))
 
 
 def render_volume(

@@ -7,6 +7,8 @@ from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import object_surfaces, surface_batch
+from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
@@ -67,6 +69,21 @@ def evidence_renderer(
         )
 
     return render
+
+
+def reprojecting_renderer(lidar: LidarRecording) -> RayRenderer:
+    """Renderer by all LiDAR evidence of a drive: what `reproject` shows, which a field must beat."""
+    return evidence_renderer(
+        lidar.evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
+    )
+
+
+def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
+    """Renderer by unobserved voxels; None if the scene has none."""
+    unobserved = lidar.evidence.unobserved
+    if unobserved is None:
+        return None
+    return evidence_renderer(unobserved, None, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
 
 
 def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:

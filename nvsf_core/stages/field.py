@@ -51,9 +51,6 @@ def _run(task: Task) -> StageOutput:
     location = STAGE.location(task.config)
     recipe = task.config.recipe
     family = family_of(recipe)
-    needs = family.needs(recipe, recording)
-    if needs:
-        task.progress(f"[{task.scene.name}] field: {needs['needs']}")
     work = task.store.work_dir(location)
     went_on = go_on(task, work)
     trained = family.train(recipe, recording, StageSession(task, work))
@@ -61,7 +58,6 @@ def _run(task: Task) -> StageOutput:
     task.store.drop_work_dir(location)
     output = StageOutput(
         metadata={
-            **needs,
             "train_seconds": trained.seconds,
             "parameters": sum(value.numel() for value in trained.tensors.values()),
             "model_mb": sum(value.nbytes for value in trained.tensors.values()) / 1e6,

@@ -18,9 +18,9 @@ class _Unknown(Recipe):
 
 
 @pytest.mark.parametrize("recipe", [*map(preset, NAMES), *ABLATION, *ENCODINGS], ids=lambda one: one.name)
-def test_a_recipe_s_family_trains_loads_and_says_what_it_needs(recipe):
+def test_a_recipe_s_family_trains_and_loads(recipe):
     family = family_of(recipe)
-    assert all(callable(getattr(family, name)) for name in ("train", "load", "needs"))
+    assert all(callable(getattr(family, name)) for name in ("train", "load"))
 
 
 def test_a_family_that_nobody_wrote_is_refused():

@@ -1,11 +1,14 @@
 """Answers by evidence alone are those of the surfaces that it lists."""
 
+import math
+
 import numpy as np
+import pytest
 import torch
 
+from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.evidence.static.surfels import build_surfels, candidates_of
-from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
-from nvsf_core.rendering.weights import weighted_median_index
+from nvsf_core.rendering.reproject import NEAR_M, reproject_rays, weighted_median_index
 
 
 def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_candidates() -> None:
@@ -29,3 +32,20 @@ def test_a_ray_answers_with_the_median_surface_and_the_mean_intensity_of_its_can
     assert np.abs(rendered.intensity[there] - mean).max() < 1e-6
     assert np.array_equal(rendered.hit, np.where(there, hit_prior, 0.0))
     assert np.isinf(rendered.range_m[~there]).all() and (rendered.intensity[~there] == 0.0).all()
+
+
+def test_the_median_is_the_first_sample_to_reach_half_of_the_weight():
+    weights = torch.tensor([[0.1, 0.3, 0.1, 0.1], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.2], [0.0] * 4])
+    index = weighted_median_index(weights)
+    assert index.tolist() == [1, 0, 3, 0]
+
+
+def test_the_median_of_a_bimodal_ray_lies_on_a_surface():
+    assert weighted_median_index(torch.tensor([[0.45, 0.0, 0.0, 0.55]])).tolist() == [3]
+
+
+def test_the_median_refuses_nan_and_empty_rays():
+    with pytest.raises(DivergedError, match="weights"):
+        weighted_median_index(torch.tensor([[0.1, math.nan]]))
+    with pytest.raises(ShapeError):
+        weighted_median_index(torch.zeros(2, 0))

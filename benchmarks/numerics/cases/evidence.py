@@ -14,7 +14,7 @@ from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
 from nvsf_core.evidence.static.voxels import index_points
 from nvsf_core.fields.surface_batch import surface_batch
-from nvsf_core.rendering.weights import weighted_median_index
+from nvsf_core.rendering.reproject import weighted_median_index
 
 TITLE = "Evidence"
 

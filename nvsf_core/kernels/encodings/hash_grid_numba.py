@@ -16,6 +16,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
+from nvsf_core.kernels.encodings import hash_grid_torch
 from nvsf_core.kernels.encodings.corners_numba import (
     BLOCK,
     axis_by_axis,
@@ -25,10 +26,10 @@ from nvsf_core.kernels.encodings.corners_numba import (
     neutral_axes,
     place,
 )
-from nvsf_core.kernels.encodings.layout import PRIMES, GridLayout
+from nvsf_core.kernels.encodings.hash_grid import PRIMES, GridLayout
 from nvsf_core.kernels.encodings.rows_numba import copy_row, gather, scatter
 
-__all__ = ["adjoint", "encode"]
+__all__ = ["adjoint", "encode", "position_adjoint"]
 
 # Points that one level is computed for before the next, so that the level's part of the table stays cached;
 # few enough for their rows of all levels to stay in the second-level cache until they are reordered.
@@ -176,3 +177,18 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
         grad_table.reshape(-1),
     )
     return torch.from_numpy(grad_table)
+
+
+def position_adjoint(positions: Tensor, table: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
+    """Gradient (n, dimensions) of the positions, by the torch oracle.
+
+    Args:
+        positions: (n, dimensions) on the CPU.
+        table: (layout.entries, layout.features).
+        grad: (n, levels * features).
+        layout: Sizes of the grid.
+    """
+    with torch.enable_grad():
+        moved = positions.detach().requires_grad_()
+        encoded = hash_grid_torch.encode(moved, table.detach(), layout)
+        return torch.autograd.grad(encoded, moved, grad)[0]

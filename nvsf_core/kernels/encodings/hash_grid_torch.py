@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from nvsf_core.kernels.encodings.layout import PRIMES, GridLayout
+from nvsf_core.kernels.encodings.hash_grid import PRIMES, GridLayout
 
 __all__ = ["encode"]
 

@@ -23,7 +23,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from nvsf_core.kernels.encodings.layout import PRIMES, GridLayout
+from nvsf_core.kernels.encodings.hash_grid import PRIMES, GridLayout
 
 __all__ = ["add", "adjoint", "encode", "is_interpreted", "position_adjoint", "store_unclamped"]
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.util import find_spec
-from typing import Any, Literal, cast
-
-import torch
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.kernels.encodings import planes_torch
+from nvsf_core.kernels.encodings.backend import (
+    Backend,
+    Kernels,
+    choose_backend,
+    interpolate,
+    require_backend,
+)
 
-__all__ = ["PlanesBackend", "planes_sample"]
-
-PlanesBackend = Literal["torch", "numba", "triton"]
+__all__ = ["planes_sample"]
 
 
-def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | None = None) -> Tensor:
+def planes_sample(coordinates: Tensor, plane: Tensor, backend: Backend | None = None) -> Tensor:
     """Features of points in the unit square, interpolated bilinearly; the plane's border is the square's.
 
     ``out[i] = sum over the 4 grid points c around x_i of w_c(x_i) * plane[:, row_c, column_c]``, with x_i
@@ -38,85 +37,22 @@ def planes_sample(coordinates: Tensor, plane: Tensor, backend: PlanesBackend | N
         ShapeError: A shape, type or device does not fit.
     """
     _require_shapes(coordinates, plane)
-    backend = backend or _backend_for(coordinates, plane)
+    backend = backend or choose_backend(coordinates, plane)
     if backend == "torch":
+        from nvsf_core.kernels.encodings import planes_torch
+
         return planes_torch.sample(coordinates, plane)
-    _require_backend(backend, coordinates, plane)
-    kernel = _NumbaSample if backend == "numba" else _TritonSample
-    return cast(Tensor, kernel.apply(coordinates, plane))  # type: ignore[no-untyped-call]
-
-
-class _NumbaSample(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
-        # Importing numba takes 0.3 s, and only this path needs it.
-        from nvsf_core.kernels.encodings import planes_numba
-
-        ctx.save_for_backward(coordinates, plane)
-        return planes_numba.sample(coordinates, plane)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        from nvsf_core.kernels.encodings import planes_numba, planes_slope_numba
-
-        coordinates, plane = ctx.saved_tensors
-        grad_coordinates = grad_plane = None
-        if ctx.needs_input_grad[0]:
-            grad_coordinates = planes_slope_numba.coordinate_adjoint(coordinates, plane, grads[0])
-        if ctx.needs_input_grad[1]:
-            grad_plane = planes_numba.adjoint(coordinates, grads[0], plane.shape)
-        return grad_coordinates, grad_plane
-
-
-class _TritonSample(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, coordinates: Tensor, plane: Tensor) -> Tensor:
-        # Not every machine has Triton.
-        from nvsf_core.kernels.encodings import planes_triton
-
-        ctx.save_for_backward(coordinates, plane)
-        return planes_triton.sample(coordinates, plane)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        from nvsf_core.kernels.encodings import planes_triton
-
-        coordinates, plane = ctx.saved_tensors
-        grad_coordinates = grad_plane = None
-        if ctx.needs_input_grad[0]:
-            grad_coordinates = planes_triton.coordinate_adjoint(coordinates, plane, grads[0])
-        if ctx.needs_input_grad[1]:
-            grad_plane = planes_triton.adjoint(coordinates, grads[0], plane.shape)
-        return grad_coordinates, grad_plane
-
-
-@cache
-def _has_triton() -> bool:
-    return find_spec("triton") is not None
-
-
-def _backend_for(coordinates: Tensor, plane: Tensor) -> PlanesBackend:
-    if coordinates.dtype != torch.float32 or plane.dtype != torch.float32:
-        return "torch"
-    if coordinates.is_cpu:
-        return "numba"
-    return "triton" if coordinates.is_cuda and _has_triton() else "torch"
-
-
-def _require_backend(backend: PlanesBackend, coordinates: Tensor, plane: Tensor) -> None:
+    require_backend(backend, coordinates, plane, what=("planes_sample", "coordinates", "a plane"))
+    # Importing numba takes 0.3 s, not every machine has Triton: each is imported where it is used.
     if backend == "numba":
-        expected, fits = "on the CPU", coordinates.is_cpu
+        from nvsf_core.kernels.encodings import planes_numba as chosen
     else:
-        from nvsf_core.kernels.encodings import planes_triton
-
-        expected = "on the CPU, interpreted" if planes_triton.is_interpreted() else "on CUDA"
-        fits = coordinates.is_cuda or planes_triton.is_interpreted()
-    if not fits or coordinates.dtype != torch.float32 or plane.dtype != torch.float32:
-        raise ShapeError(
-            f"planes_sample: the {backend} backend expects float32 tensors {expected}, found coordinates "
-            f"{coordinates.dtype} on {coordinates.device} and a plane {plane.dtype} on {plane.device}; "
-            "leave the backend out"
-        )
+        from nvsf_core.kernels.encodings import planes_triton as chosen  # type: ignore[no-redef]
+    shape = plane.shape
+    kernels = Kernels(
+        backend, chosen.sample, chosen.coordinate_adjoint, lambda x, grad: chosen.adjoint(x, grad, shape)
+    )
+    return interpolate(coordinates, plane, kernels)
 
 
 def _require_shapes(coordinates: Tensor, plane: Tensor) -> None:

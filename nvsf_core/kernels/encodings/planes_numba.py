@@ -26,9 +26,10 @@ from nvsf_core.kernels.encodings.corners_numba import (
     neutral_axes,
     place,
 )
+from nvsf_core.kernels.encodings.planes_slope_numba import coordinate_adjoint
 from nvsf_core.kernels.encodings.rows_numba import gather, scatter
 
-__all__ = ["adjoint", "sample"]
+__all__ = ["adjoint", "coordinate_adjoint", "sample"]
 
 _CORNERS = 4
 _NO_SHIFT = np.float32(0.0)

@@ -4,12 +4,12 @@ import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
-from nvsf_core.simulation.ray_renderers import evidence_renderer
-from nvsf_core.simulation.scene_model import ImageRenderer, RayRenderer, SceneModel
+from nvsf_core.simulation.ray_renderers import reprojecting_renderer, unobserved_renderer
+from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 
 _DEPTH_SCANS = 10
 """Training scans nearest to a view in time, whose returns give the warped images their depth."""
@@ -19,25 +19,10 @@ SAME_INSTANT_S = 0.03
 
 def reprojection(recording: Recording) -> SceneModel:
     """The baseline of a scene, the same for every recipe."""
-    lidar = None if recording.lidar is None else carrying_renderer(recording.lidar)
+    lidar = None if recording.lidar is None else reprojecting_renderer(recording.lidar)
     camera = warping_renderer(recording) if recording.cameras else None
     unobserved = None if recording.lidar is None else unobserved_renderer(recording.lidar)
     return SceneModel(lidar=lidar, camera=camera, unobserved=unobserved, prior_scans=EvidenceSpec().votes)
-
-
-def carrying_renderer(lidar: LidarRecording) -> RayRenderer:
-    """Renders LiDAR rays by evidence alone: static surfaces, and moving objects at each ray's time."""
-    return evidence_renderer(
-        lidar.evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
-    )
-
-
-def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
-    """Renders LiDAR rays by unobserved voxels; None if the scene has none."""
-    unobserved = lidar.evidence.unobserved
-    if unobserved is None:
-        return None
-    return evidence_renderer(unobserved, None, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
 
 
 def warping_renderer(recording: Recording) -> ImageRenderer:

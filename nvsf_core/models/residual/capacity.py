@@ -13,10 +13,10 @@ from nvsf_core.evidence.static.surfels import Surfels, candidates_of
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.models.residual.pano_neighbours import pano_network
-from nvsf_core.models.residual.raydrop_grid import hits_network
-from nvsf_core.recipe import FieldSpec, ResidualRecipe
+from nvsf_core.models.residual.pano_neighbours import FEATURES as PANO_FEATURES
+from nvsf_core.models.residual.pano_neighbours import PARTS
+from nvsf_core.models.residual.raydrop_grid import FEATURES as HITS_FEATURES
+from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.reproject import NEAR_M
 
@@ -82,26 +82,33 @@ class ResidualFields:
 
 
 def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
-    """Untrained parts of the size that the scene needs."""
+    """Untrained parts of the size that the scene needs, each with weights from its own seed."""
     lidar = camera = hits = pano = None
     if recording.lidar is not None:
-        surfels = recording.lidar.evidence.surfels
-        mean = surfels.mean_m
-        bounds = Bounds.around(tuple(mean.min(axis=0).tolist()), tuple(mean.max(axis=0).tolist()))
-        spec = needed_field(recipe.lidar_field, surfels)
-        lidar = LidarField(spec, bounds, torch.Generator().manual_seed(seed))
         if recipe.hits is not None:
             hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
         if recipe.pano is not None and recipe.pano.training is not None:
             pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
+        surfels = recording.lidar.evidence.surfels
+        spec = needed_field(recipe.lidar_field, surfels)
+        lidar = LidarField.around(surfels.mean_m, spec, torch.Generator().manual_seed(seed))
     if recording.cameras:
         camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
     return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
 
 
-def needs(recipe: ResidualRecipe, recording: Recording) -> dict[str, Scalar]:
+def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
+    """The untrained raydrop network, with weights from `generator`."""
+    return CellNetwork(HITS_FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
+
+
+def pano_network(spec: PanoSpec, generator: torch.Generator) -> CellNetwork:
+    """The untrained network that corrects panos, with weights from `generator`."""
+    return CellNetwork(PANO_FEATURES, len(PARTS), generator, channels=spec.channels, layers=spec.layers)
+
+
+def needs(fields: ResidualFields, recipe: ResidualRecipe, recording: Recording) -> dict[str, Scalar]:
     """The sizes of a scene's model as numbers, and in words under `needs`."""
-    fields = make_fields(recipe, recording, 0)
     parameters = {
         part: sum(value.numel() for value in model.state_dict().values())
         for part, model in fields.models().items()

@@ -1,7 +1,117 @@
-"""The family `residual` (recipes `lean`, `quick`, `smoke`); implements `Family`."""
+"""The family `residual` (recipes `lean`, `quick`, `smoke`): trains and loads its parts; see `Family`."""
 
-from nvsf_core.models.residual.capacity import needs
-from nvsf_core.models.residual.render import load
-from nvsf_core.models.residual.train import train
+import time
+from dataclasses import replace
 
-__all__ = ["load", "needs", "train"]
+from nvsf_core.models.family import Trained, TrainedPart, Weights
+from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, train_camera
+from nvsf_core.models.residual.capacity import ResidualFields, make_fields, needs
+from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
+from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
+from nvsf_core.models.residual.pose_refinement import corrections_from
+from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction, train_hits
+from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer, unobserved_renderer
+from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.training.session import TrainingSession
+
+
+def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession) -> Trained:
+    """Train all parts of a scene's model, resuming from the session's checkpoints."""
+    started = time.perf_counter()
+    fields = make_fields(recipe, recording, session.seed)
+    metadata = needs(fields, recipe, recording)
+    session.say("model", str(metadata["needs"]))
+    seconds = time.perf_counter() - started
+    parts: list[TrainedPart] = []
+    if recording.lidar is not None:
+        parts += _train_lidar_parts(session, fields, recipe, recording.lidar)
+    if fields.camera is not None:
+        parts.append(train_camera(session, fields.camera, recipe, recording))
+    states = {sensor: state for part in parts for sensor, state in part.states.items()}
+    facts: dict[str, object] = {}
+    for part in parts:
+        seconds += part.preparation_seconds
+        metadata |= part.metadata
+        facts |= part.facts
+    for sensor, state in states.items():
+        metadata[f"{sensor}_seconds"] = state.seconds
+    return Trained(
+        tensors=fields.tensors(),
+        curves={sensor: state.curve for sensor, state in states.items()},
+        seconds=seconds + sum(state.seconds for state in states.values()),
+        metadata=metadata,
+        facts=facts,
+    )
+
+
+def _train_lidar_parts(
+    session: TrainingSession, fields: ResidualFields, recipe: ResidualRecipe, lidar: LidarRecording
+) -> list[TrainedPart]:
+    """The field, and if it is used the networks of hits and panos, which correct it."""
+    assert fields.lidar is not None
+    parts = [train_lidar(session, fields.lidar, recipe, lidar)]
+    if not parts[0].facts[SHOWS_FIELD]:
+        return parts
+    correct = None
+    if fields.hits is not None:
+        hits = train_hits(session, fields.hits, fields.lidar, recipe, lidar)
+        parts.append(hits)
+        correct = hits.correct
+        session.say("hits", f"shows {hits.metadata['hits_shown']}")
+    if fields.pano is not None:
+        parts.append(train_pano(session, fields.pano, fields.lidar, recipe, lidar, correct))
+    return parts
+
+
+def load(
+    recipe: ResidualRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
+) -> SceneModel:
+    """A trained model, ready to render; without cameras no image is prepared.
+
+    A part that did not beat `reproject` on the validation data is rendered by `reproject`.
+
+    Raises:
+        StoreError: The weights do not fit the recipe.
+    """
+    facts = weights.facts
+    fields = make_fields(recipe, recording, 0)
+    model = SceneModel(lidar=None, camera=None, prior_scans=recipe.evidence.votes)
+    if recording.lidar is not None:
+        model = replace(model, unobserved=unobserved_renderer(recording.lidar))
+        if not facts.get(SHOWS_FIELD, True):
+            # Without a pano renderer its pano is the projection of its scan, as for the baseline.
+            model = replace(model, lidar=reprojecting_renderer(recording.lidar))
+        elif fields.lidar is not None:
+            model = _with_lidar(model, recipe, fields, weights, recording.lidar)
+    if fields.camera is not None and with_camera:
+        weights.load_into(fields.camera, "camera.")
+        corrections = corrections_from(facts.get(ALIGNED, {}))
+        camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
+        model = replace(model, camera=camera)
+    return model
+
+
+def _with_lidar(
+    model: SceneModel, recipe: ResidualRecipe, fields: ResidualFields, weights: Weights, lidar: LidarRecording
+) -> SceneModel:
+    """The model with the trained field, its raydrop network and its pano."""
+    assert fields.lidar is not None
+    facts = weights.facts
+    weights.load_into(fields.lidar, "lidar.")
+    render = field_renderer(
+        fields.lidar, lidar.evidence.static, lidar.moving(), most=recipe.evidence.lidar_candidates,
+        far_m=lidar.far_m,
+    )  # fmt: skip
+    correct = None
+    if fields.hits is not None and facts.get(HITS_BLEND):
+        weights.load_into(fields.hits, "hits.")
+        correct = raydrop_correction(fields.hits, lidar, facts[HITS_BLEND])
+    model = replace(model, lidar=render, correct=correct)
+    if recipe.pano is None:
+        return model
+    if fields.pano is not None:
+        weights.load_into(fields.pano, "pano.")
+    pano = pano_renderer(model, lidar, recipe.pano, fields.pano, facts.get(CORRECTED, ()))
+    return replace(model, pano=pano)

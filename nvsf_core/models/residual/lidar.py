@@ -1,5 +1,6 @@
-"""The LiDAR field of the residual family: its training step, and its comparison with `reproject`."""
+"""The LiDAR field of the residual family: its training, and its comparison with `reproject`."""
 
+import time
 from dataclasses import asdict
 
 import numpy as np
@@ -14,7 +15,8 @@ from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, sur
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
-from nvsf_core.models.residual.training_rays import LidarRays
+from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.residual.training_rays import LidarRays, training_rays
 from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
@@ -28,6 +30,9 @@ from nvsf_core.simulation.scan import RenderedSweep, SweepRays
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.training.device import training_device
+from nvsf_core.training.loop import fresh_state, side_by_side
+from nvsf_core.training.session import TrainingSession, fit
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
@@ -38,6 +43,39 @@ _METRICS = {
 """As in the protocol `lidar4d_scan`, and whether higher is better. But hit accuracy is that of the firings:
 in a pano's cells false returns are hidden behind nearer ones."""
 _PANO = LinearPano(reference_quirks=True)
+
+
+def train_lidar(
+    session: TrainingSession, field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording
+) -> TrainedPart:
+    """Train the field on rays of the training scans; then choose whether it or `reproject` is used.
+
+    Args:
+        session: Of the scene.
+        field: Is trained; on the CPU afterwards, where the evidence is.
+        recipe: Of the scene.
+        lidar: The recording.
+    """
+    started, spec = time.perf_counter(), recipe.lidar_training
+    rays = training_rays(lidar, recipe, field)
+    state = fresh_state(field.to(training_device()), spec, session.seed * 2)
+    preparation = time.perf_counter() - started
+    static = lidar.evidence.static
+    fit(
+        session, "lidar", state, spec,
+        lambda _, generator: side_by_side(
+            spec.parts, generator, lambda own: lidar_step(field, static, rays, recipe, lidar.far_m, own)
+        ),
+    )  # fmt: skip
+    field.to("cpu")
+    validating = time.perf_counter()
+    shows_field, verdict = choose(field, recipe, lidar)
+    preparation += time.perf_counter() - validating
+    session.say("lidar", f"shows {verdict['lidar_shows']}")
+    return TrainedPart(
+        states={"lidar": state}, preparation_seconds=preparation,
+        metadata={"training_rays": len(rays), **verdict}, facts={SHOWS_FIELD: shows_field},
+    )  # fmt: skip
 
 
 def choose(

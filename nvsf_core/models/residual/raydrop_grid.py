@@ -27,7 +27,6 @@ from nvsf_core.kernels.scan_lookup import (
     look_up_scans,
 )
 from nvsf_core.numerics import probability_logit
-from nvsf_core.recipe import HitsSpec
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
@@ -82,11 +81,6 @@ class RecordedSweeps:
             sweep = SweepGrid(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
             look_up_scans(points_m, lasers, sweep, found)
         return nearest, found
-
-
-def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
-    """The untrained network, with weights from `generator`."""
-    return CellNetwork(FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
 
 
 @dataclass(frozen=True, slots=True)

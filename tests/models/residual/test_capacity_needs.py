@@ -14,9 +14,8 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.profile import point_spacing_m
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
-from nvsf_core.models.residual.capacity import needed_field, needs
-from nvsf_core.models.residual.render import make_fields
-from nvsf_core.models.selection.voxel_size import FIELD_VOXEL_M
+from nvsf_core.models.proof import FIELD_VOXEL_M
+from nvsf_core.models.residual.capacity import make_fields, needed_field, needs
 from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.ray_renderers import field_renderer
@@ -67,9 +66,10 @@ def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Rec
     # Of what moves a drive stores each object's rays and path, and surfels without it.
     stored = recording.lidar.evidence.to_arrays()
     assert stored and not [name for name in stored if name.startswith(("object_", "background_"))]
-    names = make_fields(recipe, recording, 0).tensors()
+    fields = make_fields(recipe, recording, 0)
+    names = fields.tensors()
     assert names and not [name for name in names if any(w in name for w in ("time", "flow", "dynamic"))]
-    said = needs(recipe, recording)
+    said = needs(fields, recipe, recording)
     total = sum(value.numel() for value in names.values())
     assert total == sum(int(said[f"{part}_parameters"]) for part in ("lidar", "camera", "hits"))
     assert str(said["needs"]).startswith(f"static street: no time branch; {total / 1e6:.1f} M parameters in ")

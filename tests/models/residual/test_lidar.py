@@ -9,8 +9,8 @@ import pytest
 
 from nvsf_core.evidence.static.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
+from nvsf_core.models.residual.capacity import make_fields
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose
-from nvsf_core.models.residual.render import make_fields
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.rendered import RenderedRays

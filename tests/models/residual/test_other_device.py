@@ -14,10 +14,10 @@ from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
 from nvsf_core.models.residual.camera import LEARNED
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.capacity import make_fields
+from nvsf_core.models.residual.family import train as train_scene
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pano import train_pano
 from nvsf_core.models.residual.raydrop import train_hits
-from nvsf_core.models.residual.train import train as train_scene
 from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.learned_warp import render_view
 from nvsf_core.stages import plan_run, run_named_stage

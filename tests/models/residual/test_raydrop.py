@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.fields.lidar_field import LidarField
+from nvsf_core.models.residual.capacity import make_fields
 from nvsf_core.models.residual.pano import train_pano
 from nvsf_core.models.residual.raydrop import (
     TrainedHits,
@@ -16,7 +17,6 @@ from nvsf_core.models.residual.raydrop import (
     recorded_sweeps,
     train_hits,
 )
-from nvsf_core.models.residual.render import make_fields
 from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.stages.inputs import read_recording

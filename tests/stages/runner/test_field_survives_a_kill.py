@@ -13,7 +13,7 @@ import torch
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.models.residual import train as residual_training
+from nvsf_core.models.residual import lidar as residual_training
 from nvsf_core.recipe import CameraSpec, FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.runner import checkpoints

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.models.selection.voxel_size import (
+from nvsf_core.models.proof import (
     CANDIDATES_M,
     FIELD_VOXEL_M,
     ScanRays,

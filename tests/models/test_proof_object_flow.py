@@ -11,7 +11,7 @@ from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import build_surfels
-from nvsf_core.models.selection.object_flow import choose_flow
+from nvsf_core.models.proof import choose_flow
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

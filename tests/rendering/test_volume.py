@@ -1,12 +1,12 @@
-"""Laws of alpha compositing and of the sample that its weights point at."""
+"""Laws of alpha compositing."""
 
 import math
 
 import pytest
 import torch
 
-from nvsf_core.errors import DivergedError, ShapeError
-from nvsf_core.rendering.weights import weighted_median_index, weights_from_optical_depth
+from nvsf_core.errors import ShapeError
+from nvsf_core.rendering.volume import weights_from_optical_depth
 
 
 def _depths(rays=50, samples=70, scale=0.1):
@@ -65,20 +65,3 @@ def test_a_ray_without_samples_passes_whole():
     assert after.tolist() == [1.0] * 3
     with pytest.raises(ShapeError):
         weights_from_optical_depth(torch.zeros(3))
-
-
-def test_the_median_is_the_first_sample_to_reach_half_of_the_weight():
-    weights = torch.tensor([[0.1, 0.3, 0.1, 0.1], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.2], [0.0] * 4])
-    index = weighted_median_index(weights)
-    assert index.tolist() == [1, 0, 3, 0]
-
-
-def test_the_median_of_a_bimodal_ray_lies_on_a_surface():
-    assert weighted_median_index(torch.tensor([[0.45, 0.0, 0.0, 0.55]])).tolist() == [3]
-
-
-def test_the_median_refuses_nan_and_empty_rays():
-    with pytest.raises(DivergedError, match="weights"):
-        weighted_median_index(torch.tensor([[0.1, math.nan]]))
-    with pytest.raises(ShapeError):
-        weighted_median_index(torch.zeros(2, 0))
