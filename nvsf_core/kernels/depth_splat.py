@@ -47,17 +47,15 @@ def splat_depth_map(
         (H, W) float32, 1/m, of the view, 0 where the image shows nothing; and its labels (H, W) uint8.
     """
     view, labels = np.zeros_like(inverse, np.float32), np.zeros_like(label, np.uint8)
-    _splat(
-        np.ascontiguousarray(inverse, np.float32), label, np.ascontiguousarray(motion[:, :3], np.float64),
-        *intrinsics, view, labels,
-    )  # fmt: skip
+    motions = np.ascontiguousarray(motion[:, :3], np.float64)
+    _splat(np.ascontiguousarray(inverse, np.float32), label, motions, *intrinsics, view, labels)
     return view, labels
 
 
 def agreed_depths(
     inverse: np.ndarray, label: np.ndarray, weight: np.ndarray, least_share: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearest surface on which enough of n depth maps of one view agree, and the best supported other one.
+    """The nearest surface on which enough of n depth maps of a view agree, and the best supported other one.
 
     A single map's errors lie at other places than another's: a depth that only one of several gives is passed
     over for the next one behind it. Where no surface has enough support, the best supported one is taken.
@@ -69,8 +67,7 @@ def agreed_depths(
         least_share: Enough weight, as a share of the weight of all maps that know the pixel.
 
     Returns:
-        (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where there is none;
-        (2, H, W) float32, the weight of those that agree as a share of the weight of all n maps; and the labels
+        (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where none is; (2, H, W) float32, the weight of those that agree as a share of that of all n maps; and the labels
         (2, H, W) uint8.
     """
     shape = (2, *inverse.shape[1:])
@@ -122,31 +119,34 @@ def _agree(inverse, label, weight, least_share, depth, support, labels):  # type
                 mass[i], mean[i] = _agreeing(inverse, label, weight, i, row, column)
                 if inverse[i, row, column] > 0.0:
                     total += weight[i]
-            first = -1
-            for i in range(maps):
-                if mass[i] == 0.0:
-                    continue
-                if first < 0:
-                    first = i
-                    continue
-                enough, had_enough = mass[i] >= least_share * total, mass[first] >= least_share * total
-                # An agreed surface wins over none; among agreed ones the nearest, else the best supported.
-                if enough and (not had_enough or inverse[i, row, column] > inverse[first, row, column]):
-                    first = i
-                elif not enough and not had_enough and mass[i] > mass[first]:
-                    first = i
+            first = _front(inverse[:, row, column], mass, least_share * total)
             if first < 0:
                 continue
             second = -1
             for i in range(maps):
                 if mass[i] > 0.0 and not _agrees(inverse, label, i, first, row, column):
-                    if second < 0 or mass[i] > mass[second]:
-                        second = i
+                    second = i if second < 0 or mass[i] > mass[second] else second
             for place, i in ((0, first), (1, second)):
                 if i >= 0:
                     depth[place, row, column] = mean[i] / mass[i]
                     support[place, row, column] = mass[i] / whole
                     labels[place, row, column] = label[i, row, column]
+
+
+@njit(cache=True, nogil=True)
+def _front(inverse, mass, enough):  # type: ignore[no-untyped-def]
+    """Index of the nearest depth with enough support, else of the best supported one; -1 = there is none."""
+    first = -1
+    for i in range(len(mass)):
+        if mass[i] == 0.0:
+            continue
+        if first < 0 or (mass[i] >= enough and mass[first] < enough):
+            first = i
+        elif mass[first] >= enough:
+            first = i if mass[i] >= enough and inverse[i] > inverse[first] else first
+        elif mass[i] > mass[first]:
+            first = i
+    return first
 
 
 @njit(cache=True, nogil=True)

@@ -240,8 +240,8 @@ def camera_view(
         poses: (j, 4, 4) camera to scene-local frame of each image.
         spec: Recipe of the camera networks.
         leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
-        own: Number of the image that the view is of, whose depth is wanted: the first source, others being chosen
-            at several distances from it.
+        own: Number of the image that the view is of, whose depth is wanted: it is the first source; others
+            are chosen at several distances from it.
         moving: Moving objects that may be visible.
     """
     clouds = [points_m, *(each.points_m for each in moving)]
@@ -279,19 +279,15 @@ def camera_view(
     )
 
 
-# Wide: the view (pose, pinhole), the maps with their poses and numbers, and what moves are independent inputs.
+# Wide: the view (pose, pinhole), the maps with their poses and numbers, and what moves are independent.
 def _surfaces(
     pose: np.ndarray, pinhole: Pinhole, maps: DepthMaps, poses: np.ndarray, near: Sequence[int],
     moving: Sequence[MovingPoints],
 ) -> ViewDepth:
     """What the depth maps of the images `near` show in a view; labels are places in `moving`, from 1."""
-    still, absent = np.eye(4), np.zeros((4, 4))
-    moved = np.stack(
-        [np.tile(one, (len(near), 1, 1)) for one in (still,)]
-        + [each.moved[near] for each in moving]
-        + [np.tile(absent, (len(near), 1, 1))]
-    )
     # An object that is not in the view has the last motion, of zeros.
+    still, absent = (np.tile(one, (len(near), 1, 1)) for one in (np.eye(4), np.zeros((4, 4))))
+    moved = np.stack([still, *(each.moved[near] for each in moving), absent])
     place = np.full(256, len(moving) + 1, np.uint8)
     place[0] = 0
     for number, each in enumerate(moving, start=1):
@@ -304,3 +300,17 @@ def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -
     """(o, k, 4, 4) from the view's frame to each source's, including each object's own motion."""
     motions = [[invert_pose(to) @ by @ pose for to, by in zip(sources, each, strict=True)] for each in moved]
     return torch.from_numpy(np.array(motions, np.float32))
+
+
+def places_of(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:
+    """Places of pixels of the view shrunk by `factor`, in a window of the view shrunk by `shrunk_by`.
+
+    Returns:
+        (h, w, 2) in grid_sample's coordinates of the window.
+    """
+    sides = []
+    for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):
+        first, last, _ = side.indices(length // shrunk_by)
+        place = (torch.arange(length // factor, device=view.device) + 0.5) * factor / shrunk_by - first
+        sides.append(place * 2.0 / (last - first) - 1.0)
+    return torch.stack(torch.meshgrid(*sides, indexing="ij")[::-1], dim=-1)

@@ -1,22 +1,18 @@
-"""Learned rendering of camera views: source images, warped by estimated depths and blended by a network."""
+"""Learned rendering of camera views: recorded images, looked up on a view's surfaces and blended."""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks, DepthNetwork, RefineNetwork
+from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks, RefineNetwork
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor
-from nvsf_core.rendering.plane_volume import (
-    DepthBelief,
-    depth_belief,
-    plane_inverses,
-    plane_volume,
-    volume_features,
-    without_holes,
-)
+from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor, places_of
+from nvsf_core.rendering.hole_filling import without_holes
+from nvsf_core.rendering.pixel_support import pixel_support
+from nvsf_core.rendering.plane_depth import plane_step, resized
+from nvsf_core.rendering.plane_volume import plane_volume
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
@@ -24,37 +20,6 @@ _TRUST_PX = 12.0
 """Distance from a return in the image over which the trust in its depth falls to 1/e."""
 _FINER = 0.25
 """Step between refined depths, in steps between planes."""
-_JUMP = 1.0
-"""Neighbouring depths that differ by more, in steps between planes, belong to two surfaces."""
-
-
-def planes_of(
-    network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
-) -> tuple[Tensor, Tensor]:
-    """Probability (d, h, w) and colour (d, 3, h, w) of a view's d depth planes, at shrunk pixels.
-
-    Args:
-        network: Gives the probabilities.
-        view: The view.
-        spec: Recipe of the camera networks.
-        window: Part of the shrunk image.
-    """
-    inverses, small = plane_inverses(spec, view.device), view.small
-    # The first source is the image itself, which tells nothing of a depth but by the others.
-    label = view.label_of(view.factor, window)
-    sources = view.sources(view.images.small)
-    rays = plane_rays(small, view.device)[window]
-    volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
-    prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
-    features = volume_features(volume, prior, gap_px / view.factor, inverses)
-    return network(features).softmax(dim=0), volume.without_first().mean_colour()
-
-
-@torch.no_grad()
-def believe_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> DepthBelief:
-    """Likeliest depths of all shrunk pixels of a view; without gradients."""
-    probability, colour = planes_of(network, view, spec)
-    return depth_belief(probability, colour, plane_inverses(spec, view.device))
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,21 +30,6 @@ class Hypotheses:
     """(3, h, w) inverse depths, 1/m: the two of `ViewDepth`, and the LiDAR's."""
     share: Tensor
     """(3, h, w) in 0..1: trust in each."""
-
-    def resized(self, places: Tensor, jump: float) -> "Hypotheses":
-        """Resample at other places: bilinear on a surface, the nearest pixel at an edge.
-
-        A mean across an edge would be a depth where nothing is, visible as a line.
-
-        Args:
-            places: (h, w, 2) in grid_sample's coordinates.
-            jump: 1/m; where both samplings differ by more there is an edge.
-        """
-        both = torch.cat([self.inverse, self.share])
-        mean, near = sample(both, places), sample(both, places, "nearest")
-        is_edge = (mean - near)[: len(self.inverse)].abs() > jump
-        inverse, share = torch.where(is_edge.repeat(2, 1, 1), near, mean).chunk(2)
-        return Hypotheses(inverse, share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,23 +83,6 @@ def coarse_colour(view: CameraView) -> Tensor:
     return without_holes(volume.mean_colour()[0], volume.seen.any(dim=0)[0].float())
 
 
-@torch.no_grad()
-def view_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> Tensor:
-    """Inverse depth (H, W), 1/m, of a view by its depth planes, near returns the LiDAR's: median of the members."""
-    trust = torch.exp(-view.gap_px / _TRUST_PX)
-    depths = []
-    for member in networks:
-        belief = believe_depth(member.depth, view, spec)
-        places = _places(view, 1, view.factor)
-        believed = Hypotheses(belief.inverse, belief.probability).resized(places, _JUMP * _plane_step(spec))
-        both = Hypotheses(
-            torch.cat([believed.inverse, view.inverse[None]]),
-            torch.cat([believed.share * (1.0 - trust), trust[None]]),
-        )
-        depths.append(_likeliest(both))
-    return torch.stack(depths).median(dim=0).values
-
-
 def _likeliest(found: Hypotheses) -> Tensor:
     """(h, w) inverse depth of most trust, 1/m."""
     return found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
@@ -168,7 +101,7 @@ def refine(
         window: Part of the image of the middle size.
     """
     count = spec.refinements
-    offsets = (torch.arange(count, device=view.device) - count // 2) * _FINER * _plane_step(spec)
+    offsets = (torch.arange(count, device=view.device) - count // 2) * _FINER * plane_step(spec)
     depths = (coarse.inverse.detach()[:, None] + offsets[:, None, None]).clamp_min(0.0).flatten(0, 1)
     middle = view.middle
     label = view.label_of(middle_factor(view.factor), window)
@@ -184,7 +117,11 @@ def refine(
 
 
 def blend_sources(
-    networks: CameraNetworks, view: CameraView, spec: CameraSpec, window: Window = WHOLE, around: Window = WHOLE
+    networks: CameraNetworks,
+    view: CameraView,
+    spec: CameraSpec,
+    window: Window = WHOLE,
+    around: Window = WHOLE,
 ) -> Blend:
     """Render a window of a view.
 
@@ -202,9 +139,10 @@ def blend_sources(
         middle = middle_factor(view.factor)
         part = scaled(around, view.factor // middle)
         refinement = refine(networks.refine, view, hypotheses(view, middle, part), spec, part)
-        places = _places(view, 1, middle, part)[window]
-        found = refinement.hypotheses.resized(places, _JUMP * _plane_step(spec))
-    coarse = sample(coarse_colour(view), _places(view, 1, view.factor)[window])
+        places = places_of(view, 1, middle, part)[window]
+        layers = torch.cat([refinement.hypotheses.inverse, refinement.hypotheses.share])
+        found = Hypotheses(*resized(layers, places, plane_step(spec)).chunk(2))
+    coarse = sample(coarse_colour(view), places_of(view, 1, view.factor)[window])
     sources, rays = view.sources(view.images.full), plane_rays(view.pinhole, view.device)[window]
     volume = plane_volume(sources, rays, view.pinhole, found.inverse, view.label_of(1, window))
     colour = networks.blend(
@@ -232,15 +170,11 @@ def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) ->
 
     colours, depths = zip(*in_parts(seen_by, len(members)), strict=True)
     image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
-    believed = torch.stack(depths).median(dim=0).values
+    inverse = torch.stack(depths).median(dim=0).values
     return RenderedImage(
-        image.permute(1, 2, 0).contiguous().cpu().numpy(), ray_length(believed, view.pinhole).cpu().numpy()
-    )
-
-
-def _plane_step(spec: CameraSpec) -> float:
-    """Inverse depth between two planes, 1/m."""
-    return (1.0 / spec.near_m - 1.0 / spec.far_m) / (spec.planes - 1)
+        image.permute(1, 2, 0).contiguous().cpu().numpy(), ray_length(inverse, view.pinhole).cpu().numpy(),
+        pixel_support(view, inverse).cpu().numpy(),
+    )  # fmt: skip
 
 
 def scaled(window: Window, by: int) -> Window:
@@ -249,17 +183,3 @@ def scaled(window: Window, by: int) -> Window:
         side if side == slice(None) else slice(side.start * by, side.stop * by) for side in window
     )
     return rows, columns
-
-
-def _places(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:
-    """Places of pixels of the view shrunk by `factor`, in a window of the view shrunk by `shrunk_by`.
-
-    Returns:
-        (h, w, 2) in grid_sample's coordinates of the window.
-    """
-    sides = []
-    for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):
-        first, last, _ = side.indices(length // shrunk_by)
-        place = (torch.arange(length // factor, device=view.device) + 0.5) * factor / shrunk_by - first
-        sides.append(place * 2.0 / (last - first) - 1.0)
-    return torch.stack(torch.meshgrid(*sides, indexing="ij")[::-1], dim=-1)

@@ -20,8 +20,9 @@ class Sources:
     """Recorded images around a view, the nearest first."""
 
     image: tuple[Tensor, ...]
-    """k images (c, H, W) float32. Channels: colour in 0..1; 1 where the pixel shows anything; inverse depth of
-    the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving objects, 1 where it shows one."""
+    """k images (c, H, W) float32. Channels: colour in 0..1; 1 where the pixel shows anything; inverse depth
+    of the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving objects, 1 where the pixel
+    shows one."""
     motion: Tensor
     """(k, 4, 4) float32 from the view's camera frame to the source's."""
     nearness: Tensor
@@ -32,7 +33,7 @@ class Sources:
 
 
 def hides(own: Tensor, inverse: Tensor) -> Tensor:
-    """Whether a surface of inverse depth `own` hides a point of inverse depth `inverse` behind it, 1/m; bool."""
+    """Whether a surface of inverse depth `own` hides a point of inverse depth `inverse`, both in 1/m; bool."""
     return own > inverse * (1.0 + _HIDDEN_SHARE) + _HIDDEN_PER_M
 
 
@@ -41,8 +42,8 @@ def look_up(
 ) -> tuple[Tensor, Tensor]:
     """Colour (3, d, h, w) of a source at a view's pixels, and whether it shows them (d, h, w) bool.
 
-    A static pixel is not shown where the source's own depth map has a surface in front of it, or where a moving
-    object hid it when the source image was taken.
+    A static pixel is not shown where the source's own depth map has a surface in front of it, or where a
+    moving object hid it when the source image was taken.
 
     Args:
         sources: Source images of the view.

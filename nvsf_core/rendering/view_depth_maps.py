@@ -18,7 +18,7 @@ from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, sou
 _MOST_MAPS = 12
 """Most images whose depth maps are carried into a view."""
 _SPREAD = 1.2
-"""Ranks of these images by distance grow by this factor: the nearest all, farther ones more and more thinly."""
+"""Ranks of these images by distance grow by this factor: all of the nearest, fewer and fewer farther ones."""
 _LEAST_SHARE = 0.3
 """Share of the maps, by weight, that make a surface."""
 _DISTANCE_FLOOR_M = 0.5
@@ -49,8 +49,8 @@ class ViewDepth:
     """What the recorded images' depth maps show in a view."""
 
     inverse: Tensor
-    """(2, H, W) float32, 1/m, positive: the front surface and the best supported other one. Where no image shows
-    the front, that of the nearest pixel where one does; where there is no other one, the front again."""
+    """(2, H, W) float32, 1/m, positive: the front surface and the best supported other one. Where no image
+    shows the front, that of the nearest pixel where one does; where there is no other, the front again."""
     support: Tensor
     """(2, H, W) float32, 0..1: weight of the maps that agree on each; 0 where no image shows it."""
     label: Tensor
@@ -99,8 +99,8 @@ def depth_in_view(
         inverse: (k, H, W) float32 inverse depths of the images, 1/m; 0 = unknown.
         label: (k, H, W) uint8: what each pixel shows, an index of `moved`.
         poses: (k, 4, 4) camera to scene-local frame of each image.
-        moved: (o, k, 4, 4) motion in the scene from the view's instant to each image's: the identity for what is
-            static, then of each moving object; zeros where it is unknown.
+        moved: (o, k, 4, 4) motion in the scene from the view's instant to each image's: the identity for what
+            is static, then of each moving object; zeros where it is unknown.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
     carried = [
@@ -125,7 +125,7 @@ def depth_in_view(
 
 
 def _to_view(pose: np.ndarray, source: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """(o, 4, 4) from an image's camera frame to the view's, for each motion (o, 4, 4) between their instants."""
+    """(o, 4, 4) from an image's camera frame to the view's, by motions (o, 4, 4) between their instants."""
     motions = np.zeros_like(moved)
     known = moved[:, 3, 3] > 0.0
     motions[known] = invert_pose(pose) @ np.linalg.inv(moved[known]) @ source
@@ -133,7 +133,7 @@ def _to_view(pose: np.ndarray, source: np.ndarray, moved: np.ndarray) -> np.ndar
 
 
 def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:
-    """Images at several distances from an image, to compare it with: near ones show the same, far ones tell depths.
+    """Images at several distances from an image: near ones look alike, far ones tell depths apart.
 
     Args:
         poses: (j, 4, 4) camera to scene-local frame of all images.

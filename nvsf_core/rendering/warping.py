@@ -31,8 +31,8 @@ def source_pixels(
         pinhole: Intrinsics of the source.
 
     Returns:
-        grid_sample's coordinates (..., 2), whether the source shows the pixel (...) bool, and the inverse depth
-        of its point in the source (...), 1/m.
+        grid_sample's coordinates (..., 2), whether the source shows the pixel (...) bool, and the inverse
+        depth of its point in the source (...), 1/m.
     """
     width, height = pinhole.width, pinhole.height
     # grid_sample's coordinates are linear in pixels: projection and conversion are one matrix.

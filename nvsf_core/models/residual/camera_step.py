@@ -13,7 +13,8 @@ from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.recipe import CameraSpec, ResidualRecipe
 from nvsf_core.rendering.camera_view import Window, middle_factor
-from nvsf_core.rendering.learned_warp import blend_sources, planes_of, scaled
+from nvsf_core.rendering.learned_warp import blend_sources, scaled
+from nvsf_core.rendering.plane_depth import planes_of
 
 _MARGIN = 6
 """Shrunk pixels at a window's border that are not compared: the networks lack their surroundings."""
@@ -22,7 +23,7 @@ _MARGIN = 6
 def depth_step(
     network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
-    """The loss of the depth planes, weighted by their probability, in a window of a left-out image."""
+    """The loss of an image's depth planes by the other images, weighted by their probability, in a window."""
     example = _sampled(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = sample_window(shape, recipe.depth_training.rays // recipe.depth_training.parts, generator)

@@ -7,35 +7,27 @@ from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.depth_splat import without_edges
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.models.residual.pose_refinement import AlignedDrive
-from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import MovingPoints, ShownImages, camera_view
-from nvsf_core.rendering.learned_warp import view_inverse_depth
+from nvsf_core.models.residual.camera_examples import ShownCamera
+from nvsf_core.rendering.camera_view import MovingPoints, camera_view
+from nvsf_core.rendering.plane_depth import image_inverse_depth
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 
 _MARGIN_M = 0.3
 """Pixels of a moving object are nearer or farther than all its returns by at most so much."""
 
 
-def image_depths(
-    networks: CameraEnsemble, drive: AlignedDrive, camera: str, images: ShownImages, spec: CameraSpec,
-    validation: range,
-) -> DepthMaps:
+def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     """Depth maps of a camera's training images.
 
-    Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth depends on
-    an image for validation but its own, so a rendered validation image knows nothing of its own pixels.
+    Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth
+    depends on an image for validation but its own, so a rendered one knows nothing of its own pixels.
 
     Args:
         networks: Whose depth networks compare the images.
-        drive: With the images' poses.
-        camera: Name.
-        images: All of the camera's training images, without depths.
-        spec: Of the recipe.
-        validation: Numbers of the images for validation.
+        camera: Whose images have no depths yet.
     """
-    world = drive.world
-    one = world.recording.cameras[camera]
+    world, images = camera.drive.world, camera.images
+    one = world.recording.cameras[camera.name]
     shown, time_s = one.training, one.training_time_s
     around_movers = world.shadows(one)
 
@@ -43,15 +35,17 @@ def image_depths(
         instant_s = float(time_s[number])
         moving = world.moving(instant_s, time_s)
         view = camera_view(
-            shown.pose[number], shown.pinhole, world.static_points(instant_s), images, shown.pose, spec,
-            leave_out=set(validation) - {number}, own=number, moving=moving,
+            shown.pose[number], shown.pinhole, world.static_points(instant_s), images, shown.pose,
+            camera.spec, leave_out=set(camera.validation) - {number}, own=number, moving=moving,
         )  # fmt: skip
-        inverse = view_inverse_depth(networks, view.to(images.full.device), spec).cpu().numpy()
+        inverse = image_inverse_depth(networks, view.to(images.full.device), camera.spec).cpu().numpy()
         mover = np.zeros(inverse.shape, np.uint8)
         for place, each in enumerate(moving, start=1):
             assert view.label is not None
             mover[(view.label.numpy() == place) & _is_at(inverse, each, shown.pose[number])] = each.number
-        known = shown.valid if around_movers is None else shown.valid & ((mover > 0) | ~around_movers[number])
+        known = shown.valid
+        if around_movers is not None:
+            known = known & ((mover > 0) | ~around_movers[number])
         return np.where(known, without_edges(inverse), np.float32(0.0)), mover
 
     inverse, mover = zip(*in_parts(depth, len(time_s)), strict=True)
