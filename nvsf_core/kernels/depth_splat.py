@@ -67,7 +67,8 @@ def agreed_depths(
         least_share: Enough weight, as a share of the weight of all maps that know the pixel.
 
     Returns:
-        (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where none is; (2, H, W) float32, the weight of those that agree as a share of that of all n maps; and the labels
+        (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where none is;
+        (2, H, W) float32, the weight of those that agree as a share of that of all n maps; and the labels
         (2, H, W) uint8.
     """
     shape = (2, *inverse.shape[1:])

@@ -258,7 +258,7 @@ def camera_view(
         if label is not None:
             surfaces = surfaces.completed(label, torch.from_numpy(1.0 / depth_m))
             label = surfaces.label
-        maps = images.full[:, _DEPTH]
+        maps = images.full[:, _DEPTH].cpu()
         chosen = covering_sources(pose, pinhole, surfaces.inverse[0], maps, poses, near, spec.sources)
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)

@@ -21,8 +21,8 @@ class Sources:
 
     image: tuple[Tensor, ...]
     """k images (c, H, W) float32. Channels: colour in 0..1; 1 where the pixel shows anything; inverse depth
-    of the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving objects, 1 where the pixel
-    shows one."""
+    of the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving objects, 1 where the
+    pixel shows one."""
     motion: Tensor
     """(k, 4, 4) float32 from the view's camera frame to the source's."""
     nearness: Tensor
@@ -33,7 +33,7 @@ class Sources:
 
 
 def hides(own: Tensor, inverse: Tensor) -> Tensor:
-    """Whether a surface of inverse depth `own` hides a point of inverse depth `inverse`, both in 1/m; bool."""
+    """Whether a surface of inverse depth `own` hides a point of inverse depth `inverse`, 1/m; bool."""
     return own > inverse * (1.0 + _HIDDEN_SHARE) + _HIDDEN_PER_M
 
 

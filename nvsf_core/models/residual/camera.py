@@ -104,7 +104,7 @@ def train_camera(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
         metadata={"left_out_images": len(examples)} | verdict,
         facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
-        tensors={key: value for name in learned for key, value in stored_maps(name, maps[name]).items()},
+        tensors={key: value for name, one in maps.items() for key, value in stored_maps(name, one).items()},
     )  # fmt: skip
 
 
