@@ -16,7 +16,7 @@ from nvsf_core.sensors.tables import LaserTable
 
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths are measured: -a / 2 pi."""
+    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths (...) are measured: -a / 2 pi."""
     fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
     return fraction
 
