@@ -29,7 +29,11 @@ class Crowns:
 
 
 def make_foliage(rng: np.random.Generator) -> np.ndarray:
-    """Sample the balls of a crown in cells of an uneven sphere, each inside its cell: `Crowns.foliage`."""
+    """Sample the balls of a crown in cells of an uneven sphere, each inside its cell.
+
+    Returns:
+        (cells, cells, cells, 4) float32, as `Crowns.foliage`.
+    """
     shape = (GRID_CELLS,) * 3
     radius = rng.uniform(0.28, 0.48, shape)
     corner = np.stack(np.meshgrid(*[np.arange(GRID_CELLS)] * 3, indexing="ij"), axis=-1)

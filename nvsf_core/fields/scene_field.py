@@ -46,7 +46,7 @@ class SceneField(nn.Module):
         return self.density_network(torch.cat(features, dim=1))
 
     def neighbours(self, x01: Tensor, frame: float) -> list[Moved]:
-        """The points moved by MLP_flow (eq. 5) to frames i + 1 and i - 1, where these exist."""
+        """Unit-cube points (n, 3), moved by MLP_flow (eq. 5) to frames i + 1 and i - 1, where these exist."""
         flows = zip((1, -1), self.flow(x01, self.time(frame)), strict=True)
         there = [(step, flow) for step, flow in flows if 0 <= frame + step <= self.frames - 1]
         return [(x01 + applied(flow, self.recipe.slips), self.time(frame, step)) for step, flow in there]

@@ -53,7 +53,7 @@ def single_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, T
 def gradient_mask(
     range_m: Tensor, kind: Literal["double", "single"], threshold_m: float
 ) -> tuple[Tensor, Tensor]:
-    """`double_gradient_mask` or `single_gradient_mask`, as a recipe's `GradientLossSpec` names it."""
+    """`double_gradient_mask` or `single_gradient_mask` of ranges (..., H, W), as a recipe names it."""
     chosen = double_gradient_mask if kind == "double" else single_gradient_mask
     return chosen(range_m, threshold_m)
 

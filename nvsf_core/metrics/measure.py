@@ -31,7 +31,10 @@ def absent(reason: str) -> Measure:
 
 
 def fault(predicted: np.ndarray, truth: np.ndarray) -> Measure | None:
-    """The undefined measure of a pair with an empty truth or a non-finite number; None for others."""
+    """The undefined measure of two arrays of any one shape if the truth is empty or a number is not finite.
+
+    None for others.
+    """
     if truth.size == 0:
         return undefined("nothing to compare with: the truth is empty")
     for side, values in (("predicted", predicted), ("true", truth)):

@@ -41,7 +41,10 @@ def sensor_rays(
 def corrected_rays(
     table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`sensor_rays`, turned up by the table's elevation correction, as they go into the world."""
+    """`sensor_rays`, turned up by the table's elevation correction, as they go into the world.
+
+    Arguments and result as of `sensor_rays`.
+    """
     origin_m, direction = sensor_rays(table, azimuth_rad, laser)
     azimuth_rad = np.broadcast_to(azimuth_rad, origin_m.shape[:-1])
     return turn_up(origin_m, direction, azimuth_rad, table.elevation_correction_rad)

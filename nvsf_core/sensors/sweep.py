@@ -5,7 +5,9 @@ in (-pi, pi] is measured s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Betwe
 at a constant twist (rotation and translation together).
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from nvsf_core.sensors.tables import LaserTable
 
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths are measured: -a / 2 pi."""
+    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths (...) are measured: -a / 2 pi."""
     fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
     return fraction
 
@@ -104,6 +106,21 @@ class Trajectory:
         rotation, position_m = self.at(time_s)
         origin_m = np.einsum("nij,nj->ni", rotation, origin_s) + position_m
         return origin_m, np.einsum("nij,nj->ni", rotation, direction_s)
+
+
+def trajectory_of(frames: Sequence[Mapping[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
+    """Trajectory of the LiDAR frame, from the frames that have a pose.
+
+    Args:
+        frames: Each with `pose_valid`, `time_s` and `lidar_to_world`, a 4 x 4 matrix as 16 numbers.
+        scene_origin_m: (3,) float64, the scene's origin in the world.
+    """
+    posed = [frame for frame in frames if frame["pose_valid"]]
+    return Trajectory(
+        np.array([frame["time_s"] for frame in posed]),
+        np.array([frame["lidar_to_world"] for frame in posed]).reshape(-1, 4, 4),
+        scene_origin_m,
+    )
 
 
 def compensate(

@@ -12,7 +12,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraImages, CameraRecording
 from nvsf_core.recording.sweeps import LinearPanos, Sweeps
-from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep import trajectory_of
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
@@ -41,19 +41,6 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
         table=table,
         elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
         scene_origin_m=np.array(attrs["scene_origin_m"]),
-    )
-
-
-def trajectory_of(rows: list[dict[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
-    """Trajectory of the LiDAR frame, from all rows of `frames.parquet` with a pose.
-
-    `scene_origin_m` is (3,) float64, the scene's origin in the world, metres.
-    """
-    posed = [row for row in rows if row["pose_valid"]]
-    return Trajectory(
-        np.array([row["time_s"] for row in posed]),
-        np.array([row["lidar_to_world"] for row in posed]).reshape(-1, 4, 4),
-        scene_origin_m,
     )
 
 

@@ -12,10 +12,9 @@ from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_b
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
-from nvsf_core.sensors.sweep import compensate
+from nvsf_core.sensors.sweep import compensate, trajectory_of
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
-from nvsf_core.stages.inputs import trajectory_of
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays

@@ -213,7 +213,8 @@ def _measured(inputs: str, predicted: np.ndarray, truth: np.ndarray, *expected: 
 _POINT, _NONE, _NAN = np.array([[1.0, 2.0, 3.0]]), np.zeros((0, 3)), math.nan
 _LOSS, _CLOUD = "losses.chamfer.chamfer_distance", "metrics.point_cloud.point_cloud_metrics"
 _NOTHING, _ONE, _FLAT, _BLACK = np.zeros((0,)), np.array([[5.0]]), np.full((20, 20), 5.0), np.zeros((9, 9))
-_RANGE, _RAYS, _IMAGE = "range.range_image_metrics", "range.ray_range_metrics", "image.image_metrics"
+_IMAGE = "image.image_metrics"
+_RANGE, _RAYS = (f"range_and_intensity.{name}_metrics" for name in ("range_image", "ray_range"))
 _HITS, _CELLS, _HIT = "hit.hit_image_metrics", "hit.hit_cell_metrics", ("hit_accuracy", "hit_f_score")
 CASES = (
     Case(_LOSS, "300 and 350 points at the origin", lambda: _chamfer(0.0, True), SUM_EPS, "ulp"),
@@ -251,7 +252,7 @@ CASES = (
     _told(_RANGE, "constant pano", lambda: range_image_metrics(_FLAT, _FLAT), "range_ssim"),
     _told(_RANGE, "one pixel", lambda: range_image_metrics(_ONE, _ONE), "range_ssim"),
     _told(_RANGE, "a NaN pixel", lambda: range_image_metrics(_ONE * math.nan, _ONE), "all"),
-    _told("intensity.intensity_image_metrics", "intensities all 0",
+    _told("range_and_intensity.intensity_image_metrics", "intensities all 0",
           lambda: intensity_image_metrics(_BLACK, _BLACK), "intensity_ssim"),
     _told(_RAYS, "no answer: infinitely wrong", lambda: _rays(math.inf)),
     _told(_RAYS, "NaN answers", lambda: _rays(math.nan), "all"),

@@ -93,7 +93,7 @@ def _nothing_there() -> str:
     return f"points {empty}, {len(full)}"
 
 
-_LINEAR, _SAMPLE = "sensors.linear_pano.LinearPano", "simulation.sampled_scan.sample_scan"
+_LINEAR, _SAMPLE = "sensors.linear_pano.LinearPano", "simulation.scan.sample_scan"
 _NEAREST = "sensors.linear_pano.nearest_in_cells"
 CASES = (
     Case(f"{_LINEAR}.cells", "azimuth ±180 degrees ± 1e-300 .. 1e-5", _seam),

@@ -241,7 +241,7 @@ CASES = (
          _safe_exp, ELEMENTWISE_ULP, "ulp"),
     Case("numerics.probability_logit", "every float32; 0 to 1 closely; NaN stays NaN", _probability_logit,
          ELEMENTWISE_ULP, "ulp"),
-    Case("fields.density.Density", "features ±1e4", _density),
+    Case("fields.layers.Density", "features ±1e4", _density),
     Case(_WEIGHTS, "one sample, τ = 0 and 1e-8 to 80", _one_sample, ELEMENTWISE_ULP, "ulp"),
     Case(_WEIGHTS, "96 samples, τ 1e-16 to 1e8 on one ray", _mixed, SUM_EPS, "ulp"),
     Case(_WEIGHTS, "768 samples, τ 1e-8 to 1e-3: a product of 1 - τ would leave 1", _thin, SUM_EPS, "ulp"),

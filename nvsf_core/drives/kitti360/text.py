@@ -63,7 +63,7 @@ def require_folder(path: Path) -> bool:
 
 
 def parse_numbers(text: str, count: int) -> np.ndarray:
-    """Exactly `count` finite numbers separated by blanks, as float64.
+    """Exactly `count` finite numbers separated by blanks, (count,) float64.
 
     Raises:
         ValueError: There are more or fewer, or one is not a finite number; the message says which.

@@ -102,18 +102,21 @@ def write_image(path: Path, rgb: np.ndarray) -> None:
 
 
 def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows: int) -> None:
-    """Write `poses.txt` (rows = 3) or `cam0_to_world.txt` (rows = 4): a frame number and a matrix a line."""
+    """Write `poses.txt` (rows = 3) or `cam0_to_world.txt` (rows = 4): a frame number and a matrix a line.
+
+    `poses` are (n, 4, 4) to the world, metres, one a frame.
+    """
     lines = [f"{frame} {_numbers(pose[:rows])}" for frame, pose in zip(frames, poses, strict=True)]
     _write_text(path, "\n".join(lines) + "\n")
 
 
 def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None:
-    """Write `calib_cam_to_pose.txt`: in each line a name and the unrectified camera's mounting (3 x 4)."""
+    """Write `calib_cam_to_pose.txt`: in each line a name and the unrectified camera's mounting, of (4, 4)."""
     _write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in cam_to_pose.items()))
 
 
 def write_pose(path: Path, pose: np.ndarray) -> None:
-    """Write `calib_cam_to_velo.txt`: one 3 x 4 matrix in one line."""
+    """Write `calib_cam_to_velo.txt`: the upper rows of one pose (4, 4) in one line."""
     _write_text(path, _numbers(pose[:3]) + "\n")
 
 

@@ -31,7 +31,7 @@ class Kernels(NamedTuple):
 
 
 def choose_backend(points: Tensor, table: Tensor) -> Backend:
-    """Numba for float32 on the CPU, Triton on CUDA if it is installed; else the torch oracle."""
+    """Numba for float32 points (n, d) and table on the CPU, Triton on CUDA if installed; else the oracle."""
     if points.dtype != torch.float32 or table.dtype != torch.float32:
         return "torch"
     if points.is_cpu:
@@ -44,8 +44,8 @@ def require_backend(backend: Backend, points: Tensor, table: Tensor, *, what: tu
 
     Args:
         backend: As it was chosen or asked for.
-        points: To be encoded.
-        table: Of the features.
+        points: (n, d) to be encoded.
+        table: Of the features, of any shape.
         what: Names of the function, the points and the table, for messages.
 
     Raises:

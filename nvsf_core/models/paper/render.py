@@ -35,7 +35,10 @@ class PaperModel:
     def render_rays(
         self, origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
-        """Render LiDAR rays, all at the mean of their times, because the field takes one time a batch."""
+        """Render LiDAR rays, all at the mean of their times, because the field takes one time a batch.
+
+        Arguments as of `RayRenderer`.
+        """
         frame = self.frame_at(float(time_s.mean())) if len(time_s) else 0.0
         range_m, intensity, hit = self._lidar(origin_m, direction, frame)
         return RenderedRays(range_m=range_m.numpy(), hit=hit.numpy(), intensity=intensity.numpy())

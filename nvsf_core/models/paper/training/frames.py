@@ -59,7 +59,7 @@ class PaperFrames:
 
     @property
     def frames(self) -> np.ndarray:
-        """Frame coordinates with a scan or an image, ascending."""
+        """Frame coordinates (n,) with a scan or an image, ascending."""
         scans = np.zeros(0) if self.panos is None else self.panos.frame
         return np.unique(np.concatenate([scans, *(camera.frame for camera in self.cameras)]))
 
