@@ -9,6 +9,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.hits_elsewhere import hit_prior_elsewhere
 from nvsf_core.simulation.ray_renderers import render_in_chunks
 from nvsf_core.simulation.scan import (
     RenderedSweep,
@@ -79,22 +80,24 @@ def fire_sweep(
     near = evidence.prior.nearest_scans(time_s, model.prior_scans, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
-        similar = lasers
     else:
         lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
-        similar = _similar_lasers(plan.table, sweeps.table, evidence)
     rays = sweep_rays(
         plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s, mount=plan.mount, phase=phase
     )
-    hit_prior = evidence.prior.hit_prior_of_sweep(similar, rays.fraction[:firings], near).reshape(-1)
-    columns = (rays.origin_m, rays.direction, hit_prior, time_s + rays.fraction * sweeps.period_s)
+    fired_s = time_s + rays.fraction * sweeps.period_s
+    is_in_place = plan.is_recorded_sensor and plan.mount is None
+    if is_in_place:
+        hit_prior = evidence.prior.hit_prior_of_sweep(lasers, rays.fraction[:firings], near).reshape(-1)
+    else:
+        hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, near, is_own_unit=plan.is_recorded_sensor)
+    columns = (rays.origin_m, rays.direction, hit_prior, fired_s)
     rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
         missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
         rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
-    is_in_place = plan.is_recorded_sensor and plan.mount is None
     if model.correct is not None and is_in_place:
         rendered = model.correct(rays, rendered, near)
     if model.unobserved is not None and is_in_place:
@@ -185,10 +188,3 @@ def _with(rendered: RenderedRays, rays: np.ndarray, found: RenderedRays) -> Rend
     for name, column in columns.items():
         column[rays] = getattr(found, name)
     return replace(rendered, **columns)
-
-
-def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:
-    """(l,) for each laser of a table, the recorded laser nearest in elevation."""
-    seen = evidence.lasers.astype(np.int64)
-    apart = np.abs(table.elevation_rad[:, None] - recorded.elevation_rad[seen][None, :])
-    return seen[apart.argmin(axis=1)]

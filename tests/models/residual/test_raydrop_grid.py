@@ -8,8 +8,9 @@ import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.models.residual.raydrop_grid import RecordedSweeps, SweepRaydrop, hits_network, sweep_cells
+from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, hits_network, sweep_cells
 from nvsf_core.recipe import HitsSpec, TrainingSpec
+from nvsf_core.recording.scan_grids import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
