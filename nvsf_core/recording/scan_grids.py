@@ -61,11 +61,26 @@ class RecordedSweeps:
         """
         found = np.zeros((len(points_m), 5), np.float32)
         for scan in scans.tolist():
-            # As if something at the sensor hid what is behind it.
-            range_m = np.where(self.gaps_of(scan), _AT_SENSOR_M, self.range_m[scan])
-            look_up_scans(points_m, self._lasers, self._sweep(scan, range_m), found)
+            found += self.look(points_m, scan, gaps_hide=True)
         told = found[:, SAME] + found[:, EMPTY]
         return np.where(told > 0, found[:, SAME] / np.maximum(told, 1.0), 1.0).astype(np.float32)
+
+    def look(self, points_m: np.ndarray, scan: int, *, gaps_hide: bool) -> np.ndarray:
+        """What one scan recorded towards points (r, 3) float32, scene-local: (r, 5) float32.
+
+        Columns as of `look_up_scans`. If gaps hide, the unit's gaps are as if something at the sensor hid
+        what is behind it; else they have no return, as recorded.
+        """
+        found = np.zeros((len(points_m), 5), np.float32)
+        range_m = self.range_m[scan]
+        if gaps_hide:
+            range_m = np.where(self.gaps_of(scan), np.float32(_AT_SENSOR_M), range_m)
+        look_up_scans(points_m, self._lasers, self._sweep(scan, range_m), found)
+        return found
+
+    def position_m(self, scan: int) -> np.ndarray:
+        """(3,) scene-local position of the sensor at the instant of a scan."""
+        return np.asarray(self.trajectory.at(self.prior.time_s[scan : scan + 1])[1][0])
 
     def gaps_of(self, scan: int) -> np.ndarray:
         """(lasers, f) bool: which of a scan's firings lie in gaps of the unit."""
