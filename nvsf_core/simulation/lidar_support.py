@@ -2,9 +2,9 @@
 
 A ray shows a return or none. Of the nearest scans those tell that looked at its end and were not kept from it
 by something nearer. The ray is *seen* if two recorded the same there, from about the same direction and
-distance, and none something else: agreement says most about a ray's error. It is *guessed* if its end is where
-no return was ever recorded and no image shows it, or, of a ray without an end, if no scan looked that way.
-All else is *extrapolated*.
+distance, and none something else: agreement says most about a ray's error. It is *guessed* if its end is
+where no return was ever recorded and no image shows it, or, of a ray without an end, if no scan looked that
+way. All else is *extrapolated*.
 """
 
 import numpy as np
