@@ -17,3 +17,7 @@ class Support(IntEnum):
     def region(self) -> str:
         """Name of the part of a scan or an image that has this support, as in the column `region`."""
         return f"support_{self.name.lower()}"
+
+
+SUPPORTED = "supported"
+"""Region of all that is seen or extrapolated."""
