@@ -292,7 +292,7 @@ def _surfaces(
     place[0] = 0
     for number, each in enumerate(moving, start=1):
         place[each.number] = number
-    inverse, mover = (x[near].cpu().numpy() for x in (maps.inverse, maps.mover))
+    inverse, mover = (torch.stack([x[k] for k in near]).cpu().numpy() for x in (maps.inverse, maps.mover))
     return depth_in_view(pose, pinhole, inverse, place[mover], poses[near], moved)
 
 
