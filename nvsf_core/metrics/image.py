@@ -48,6 +48,26 @@ def image_metrics(
     }
 
 
+def image_part_metrics(
+    predicted_rgb: np.ndarray, truth_rgb: np.ndarray, chosen: np.ndarray
+) -> Mapping[str, Measure]:
+    """PSNR (peak 1) over some pixels of an image; undefined without one.
+
+    Args:
+        predicted_rgb: (H, W, 3) uint8.
+        truth_rgb: (H, W, 3) uint8.
+        chosen: (H, W) bool.
+
+    Raises:
+        ShapeError: The shapes differ.
+    """
+    same_shape(predicted_rgb, truth_rgb)
+    if not chosen.any():
+        return {"image_psnr_db": undefined("the image has no such pixel")}
+    predicted, truth = predicted_rgb[chosen] / 255.0, truth_rgb[chosen] / 255.0
+    return {"image_psnr_db": Measure(psnr(predicted, truth, 1.0).value, int(np.count_nonzero(chosen)))}
+
+
 def missing_share(predicted_rgb: np.ndarray, truth_rgb: np.ndarray, valid: np.ndarray) -> Measure:
     """Share of the pixels that the prediction does not cover: they are black, where the truth is not.
 

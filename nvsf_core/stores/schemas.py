@@ -201,6 +201,7 @@ CONTRACT: tuple[FileSpec, ...] = (
                 f"{CAMERA}_range_m", "f2", ("images", "height", "width"), "m",
                 "length of each pixel's ray; inf or 0 = no answer", optional=True,
             ),
+            Entry(f"{CAMERA}_support", "u1", ("images", "height", "width"), "1", _SUPPORT, optional=True),
             Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
             Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
             Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),

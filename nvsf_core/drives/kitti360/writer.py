@@ -95,9 +95,25 @@ def write_image(path: Path, rgb: np.ndarray) -> None:
         raise ShapeError(
             f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype} for {path}; convert it"
         )
+    _write_png(path, rgb[..., ::-1])
+
+
+def write_classes(path: Path, classes: np.ndarray) -> None:
+    """Write a class (H, W) uint8 of each pixel of an image as a grey PNG with these values.
+
+    Raises:
+        ShapeError: The array has another shape or type.
+        DataError: The file cannot be written.
+    """
+    if classes.dtype != np.uint8 or classes.ndim != 2:
+        raise ShapeError(f"expected classes (H, W) uint8, found {classes.shape} {classes.dtype} for {path}")
+    _write_png(path, classes)
+
+
+def _write_png(path: Path, pixels: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Level 1: images are written once and read often, and higher levels hardly compress smooth ones more.
-    if not cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+    if not cv2.imwrite(str(path), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
         raise DataError(f"expected to write {path}, found that the disk refuses it; check space and rights")
 
 

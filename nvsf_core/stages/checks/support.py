@@ -1,29 +1,41 @@
 """Check of stored views: how much of them is guessed."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 
 from nvsf_core.rendering.support import Support
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
-from nvsf_core.stores.arrays import array_names, read_arrays
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 GUESSED = NamedCheck(
     name="little_of_a_view_is_guessed",
-    description="Share of a view's returns that are guessed, where nothing was recorded: the worst view. "
-    "Limit: a tenth; a model trained on such scans learns from the guesses, too.",
+    description="Share of a view's returns, or of a camera's pixels, that are guessed, where nothing was "
+    "recorded: the worst. Limit: a tenth; a model trained on such data learns from the guesses, too.",
 )
 _LIMIT = 0.1
 
 
 def check_support(task: Task) -> list[Check]:
-    """The outcome of `GUESSED` for the model's scans of all views in the task's folder."""
+    """The outcome of `GUESSED` for the model's scans and images of all views in the task's folder."""
     shares = []
     for path in sorted(task.folder.glob("*/model.zarr")):
-        if "support" in array_names(path, "u"):
-            support = read_arrays(path, "support")["support"]
+        for kind, name in _supports(path):
+            support = read_arrays(path, name)[name]
             counts = [int(np.count_nonzero(support == one)) for one in Support]
-            shares.append((counts[Support.GUESSED] / max(1, len(support)), path.parent.name, counts))
+            shares.append((counts[Support.GUESSED] / max(1, support.size), path.parent.name, kind, counts))
     if not shares:
-        return [GUESSED.not_run("no view has a scan with support")]
-    worst, view, counts = max(shares)
+        return [GUESSED.not_run("no view has a scan or an image with support")]
+    worst, view, kind, counts = max(shares)
     words = ", ".join(f"{count:,} {one.name.lower()}" for one, count in zip(Support, counts, strict=True))
-    return [GUESSED.outcome(worst, _LIMIT, f"view {view}: of its returns {words}")]
+    return [GUESSED.outcome(worst, _LIMIT, f"view {view}: of its {kind} {words}")]
+
+
+def _supports(path: Path) -> Iterator[tuple[str, str]]:
+    """What a view's arrays of support are of, and their names."""
+    if "support" in array_names(path, "u"):
+        yield "returns", "support"
+    for camera in read_attrs(path).get("cameras", []):
+        if f"{camera}_support" in array_names(path, "u"):
+            yield f"pixels of {camera}", f"{camera}_support"

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.metrics.image import MISSING, image_metrics, missing_share
+from nvsf_core.metrics.image import MISSING, image_metrics, image_part_metrics, missing_share
 from nvsf_core.metrics.lpips import Lpips
+from nvsf_core.rendering.support import Support
 from nvsf_core.reporting.scene_outputs import TRUTH_NAME
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stores.arrays import read_arrays, write_arrays
+from nvsf_core.stores.arrays import array_names, read_arrays, write_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +47,7 @@ def write_truth(folder: Path, truths: Sequence[TrueImages]) -> None:
 def measure_view_images(
     path: Path, view: str, truth: TrueImages, ledger: Ledger, lpips: Lpips | None
 ) -> Iterator[str]:
-    """Add the rows of one camera of a view; yields progress after each image.
+    """Add the rows of one camera of a view, whole and by support; yields progress after each image.
 
     Args:
         path: Zarr group of one method's view, with images of that camera.
@@ -59,12 +60,19 @@ def measure_view_images(
         ShapeError: The images have other sizes than the true ones.
     """
     camera = truth.camera
-    a = read_arrays(path, f"{camera}_rgb", f"{camera}_render_seconds")
+    names = [f"{camera}_rgb", f"{camera}_render_seconds"]
+    knows_support = f"{camera}_support" in array_names(path, "u")
+    a = read_arrays(path, *names, *([f"{camera}_support"] if knows_support else []))
     for i, (row, frame) in enumerate(zip(truth.row.tolist(), truth.frame.tolist(), strict=True)):
         rgb, true = a[f"{camera}_rgb"][row], truth.rgb[i]
-        ledger.add(
-            {**image_metrics(rgb, true, truth.valid, lpips), MISSING: missing_share(rgb, true, truth.valid)},
-            split=view, protocol="image", sensor=camera, frame=frame,
-            render_seconds=float(a[f"{camera}_render_seconds"][row]),
-        )  # fmt: skip
+        whole = image_metrics(rgb, true, truth.valid, lpips)
+        found = {"all": {**whole, MISSING: missing_share(rgb, true, truth.valid)}}
+        for support in Support if knows_support else ():
+            chosen = truth.valid & (a[f"{camera}_support"][row] == support)
+            found[support.region] = {**image_part_metrics(rgb, true, chosen)}
+        for region, measures in found.items():
+            ledger.add(
+                measures, split=view, protocol="image", region=region, sensor=camera, frame=frame,
+                render_seconds=float(a[f"{camera}_render_seconds"][row]),
+            )  # fmt: skip
         yield f"image {i + 1} of {len(truth.row)}"

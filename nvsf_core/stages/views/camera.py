@@ -29,7 +29,8 @@ def image_arrays(
 
     Returns:
         Arrays of the data contract for each camera: images (n, H, W, 3) uint8, lengths of the pixels' rays
-        (n, H, W) float16 (exact to 0.05 %) in metres, frames, poses in the world and seconds.
+        (n, H, W) float16 (exact to 0.05 %) in metres, their support (n, H, W) uint8 where the model knows it,
+        frames, poses in the world and seconds.
     """
     arrays: dict[str, np.ndarray] = {}
     for name, plan in plans.items():
@@ -37,18 +38,20 @@ def image_arrays(
         poses = _camera_poses(recording, name, plan)
         one = partial(_image, name, pinhole, poses, plan, render)
         shown, seconds = render_all(task, one, len(poses), f"{plan.name}, {method}, {name}")
-        rgb, range_m = zip(*shown, strict=True)
+        rgb, range_m, support = zip(*shown, strict=True)
         arrays |= _named(name, plan, np.stack(rgb), to_world(recording, poses), seconds)
         arrays[f"{name}_range_m"] = np.stack(range_m)
+        if support[0] is not None:
+            arrays[f"{name}_support"] = np.stack(support)
     return arrays
 
 
 def _image(
     name: str, pinhole: Pinhole, poses: np.ndarray, plan: ViewPlan, render: ImageRenderer, number: int
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     image = render(name, pinhole, poses[number], float(plan.time_s[number]))
     with np.errstate(over="ignore"):  # lengths beyond 65 km become infinite
-        return image.rgb, image.range_m.astype(np.float16)
+        return image.rgb, image.range_m.astype(np.float16), image.support
 
 
 def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[str, np.ndarray]:

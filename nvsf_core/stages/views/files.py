@@ -9,7 +9,7 @@ import numpy as np
 
 from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
-from nvsf_core.drives.kitti360.writer import write_image, write_scan
+from nvsf_core.drives.kitti360.writer import write_classes, write_image, write_scan
 from nvsf_core.errors import DataError
 from nvsf_core.rendering.support import Support
 from nvsf_core.reporting.previews import image_preview, range_preview
@@ -132,7 +132,7 @@ def write_support(folder: Path, numbers: Sequence[int], supports: Sequence[np.nd
 
 
 def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[str, int, int, str]]:
-    """Write a view's rendered images as PNG.
+    """Write a view's rendered images as PNG; where their support is known, it as grey values beside them.
 
     Returns:
         Camera, index among the camera's images, file number, and file relative to the folder.
@@ -143,6 +143,9 @@ def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[s
         for index, (number, rgb) in enumerate(numbered):
             file = f"{name}/data_rect/{number:010d}.png"
             write_image(folder / file, rgb)
+            if f"{name}_support" in arrays:
+                classes = arrays[f"{name}_support"][index]
+                write_classes(folder / f"{name}/support/{number:010d}.png", classes)
             found.append((name, index, number, file))
     return found
 
@@ -163,6 +166,10 @@ def describe_view(output: StageOutput, view: str, folder: Path, arrays: dict[str
         output.metadata[f"{view}_{name}_images"] = len(arrays[f"{name}_rgb"])
         seconds = float(np.median(arrays[f"{name}_render_seconds"]))
         output.metadata[f"{view}_{name}_seconds_per_image"] = seconds
+        if f"{name}_support" in arrays:
+            for support in Support:
+                share = float(np.mean(arrays[f"{name}_support"] == support))
+                output.metadata[f"{view}_{name}_{support.region}_share"] = share
         (folder / f"{name}.png").write_bytes(image_preview(arrays[f"{name}_rgb"][0]))
         output.previews[f"{view} {name}"] = f"{view}/{name}.png"
 
