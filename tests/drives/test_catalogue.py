@@ -54,7 +54,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
         if entry.name == "street"
     )
     assert street.root == Path("/somewhere/drives/street") and street.last_frame == 31
-    *off_path, vlp16, between = street.views
+    *off_path, vlp16, os1_128, between = street.views
     assert [(view.name, view.shift_m, view.yaw_deg) for view in off_path] == [
         ("shift_1m", (0.0, 1.0, 0.0), 0.0),
         ("shift_2m", (0.0, 2.0, 0.0), 0.0),
@@ -65,6 +65,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
     ]
     assert {view.frames for view in off_path} == {(12, 28)}
     assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)
+    assert (os1_128.name, os1_128.sensor, len(os1_128.frames)) == ("os1_128", "OS1-128", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
     assert all(abs(time_s / 0.1 % 1.0 - 0.5) < 1e-9 for time_s in between.times_s)
 
