@@ -42,10 +42,10 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSpec:
-    """Networks that estimate a view's depth and blend recorded images into it; the same for all cameras."""
+    """Networks that find the depth of recorded images and blend them into a view; the same for all cameras."""
 
     sources: int = 4
-    """Number of training images, nearest to the view, that are warped and blended."""
+    """Number of training images that a view is blended from, and that an image's depth is found with."""
     planes: int = 48
     """Number of depth planes compared, evenly spaced in inverse depth."""
     near_m: float = 2.5
@@ -59,8 +59,8 @@ class CameraSpec:
     blend_channels: tuple[int, int] = (24, 32)
     """Channels of the blending network, at half resolution and below."""
     refinements: int = 0
-    """Number of depths around the estimate that are compared at twice the planes' resolution, to refine it;
-    odd, 0 = no refinement."""
+    """Number of depths around a view's surfaces that are compared at twice the planes' resolution, to refine
+    them; odd, 0 = no refinement."""
     refined_channels: int = 24
     """Channels of the refining network."""
     aligned: bool = False
@@ -114,7 +114,7 @@ class LossWeights:
     colour_distance: float = 0.3
     """Of the absolute colour error, which keeps edges sharper than the squared one."""
     coarse: float = 3.0
-    """Of the squared colour error of the mean over all depth planes."""
+    """Of the squared colour error of the mean over all depth planes of an image."""
     plane: float = 0.15
     """Of the absolute colour error of each depth plane, weighted by the plane's probability."""
     structure: float = 0.0
@@ -168,7 +168,7 @@ class ResidualRecipe(Recipe):
     lidar_field: FieldSpec = FieldSpec()
     camera: CameraSpec = CameraSpec()
     lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
-    depth_training: TrainingSpec = TrainingSpec(steps=120, rays=8064, network_rate=5e-3)
+    depth_training: TrainingSpec = TrainingSpec(steps=240, rays=8064, network_rate=5e-3)
     camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
