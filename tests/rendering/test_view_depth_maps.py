@@ -1,0 +1,105 @@
+"""Laws of a view's depth by the depth maps of recorded images, of its sources and of its support."""
+
+import numpy as np
+import torch
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
+from nvsf_core.rendering.hole_filling import without_holes
+from nvsf_core.rendering.pixel_support import pixel_support
+from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources, covering_sources, spread_ranks
+
+CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
+SPEC = CameraSpec(sources=3, plane_px=64 * 32)
+WALL_M, POST_M = 20.0, 4.0
+
+
+def pose(right_m: float, forward_m: float = 0.0) -> np.ndarray:
+    result = np.eye(4)
+    result[0, 3], result[2, 3] = right_m, forward_m
+    return result
+
+
+def depth_map(place: np.ndarray) -> np.ndarray:
+    """A wall 20 m ahead, and a post 1 m wide in front of it, 4 m ahead of the first image."""
+    rays = (np.arange(64) - CAMERA.cx) / CAMERA.fx
+    depth_m = np.where(
+        np.abs(rays * (POST_M - place[2, 3]) + place[0, 3]) < 0.5, POST_M - place[2, 3], WALL_M - place[2, 3]
+    )
+    return np.tile(1.0 / depth_m, (32, 1)).astype(np.float32)
+
+
+def view(at: np.ndarray, places: list[np.ndarray], sources: int = 3) -> CameraView:
+    images = np.full((len(places), 32, 64, 3), 100, np.uint8)
+    inverse = torch.from_numpy(np.stack([depth_map(place) for place in places]))
+    maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.uint8))
+    shown = shown_images(images, np.ones((32, 64), np.bool_), 1).with_depths(maps)
+    return camera_view(
+        at, CAMERA, np.zeros((0, 3), np.float32), shown, np.stack(places),
+        CameraSpec(sources=sources, plane_px=64 * 32),
+    )  # fmt: skip
+
+
+def test_the_front_surface_of_a_view_is_that_of_the_scene() -> None:
+    at = pose(0.4, 0.5)
+    one = view(at, [pose(x, z) for x in (-0.5, 0.0, 0.5) for z in (0.0, 1.0)])
+    assert one.surfaces is not None
+    known = one.surfaces.support[0] > 0.0
+    error = (one.surfaces.inverse[0] * torch.from_numpy(1.0 / depth_map(at)) - 1.0).abs()
+    # Up to the pixels on the post's edges.
+    assert known.float().mean() > 0.95 and (error[known] < 0.05).float().mean() > 0.95
+
+
+def test_what_no_image_shows_is_guessed_and_what_one_shows_from_elsewhere_extrapolated() -> None:
+    beside = view(pose(0.1), [pose(0.0), pose(0.2)])
+    classes = pixel_support(beside, torch.from_numpy(depth_map(pose(0.1))))
+    wall = np.abs(np.arange(64) - CAMERA.cx) > 12
+    assert (classes[:, wall] == Support.SEEN).float().mean() > 0.95
+    # From 3 m to the right the post uncovers wall that the images do not show.
+    at = pose(3.0)
+    away = view(at, [pose(0.0), pose(0.2)])
+    classes = pixel_support(away, torch.from_numpy(depth_map(at)))
+    x_m = (np.arange(64) - CAMERA.cx) / CAMERA.fx * WALL_M + 3.0
+    hidden = np.abs(x_m) < 1.5
+    assert (classes[:, hidden] == Support.GUESSED).all()
+    assert (classes[:, (x_m > 4.0) & (x_m < 9.0)] == Support.EXTRAPOLATED).float().mean() > 0.9
+
+
+def test_sources_are_those_that_see_most_together_with_the_nearest_among_them() -> None:
+    # Three images beside each other see the same; the last sees around the post.
+    places = np.stack([pose(x) for x in (2.0, 1.9, 1.8, -2.0)])
+    maps = torch.from_numpy(np.stack([depth_map(place) for place in places]))
+    at = pose(1.0)
+    inverse = torch.full((32, 64), 1.0 / WALL_M)
+    known = [2, 1, 0, 3]
+    assert covering_sources(at, CAMERA, inverse, maps, places, known, 3) == [2, 1, 3]
+    assert covering_sources(at, CAMERA, inverse, maps, places, known, 9) == known
+
+
+def test_depths_are_found_with_images_at_growing_distances() -> None:
+    poses = np.stack([pose(0.0, z) for z in np.arange(0.0, 8.0, 0.25)])
+    chosen = baseline_sources(poses, 0, list(range(len(poses))), 4)
+    assert poses[chosen][:, 2, 3].tolist() == [0.75, 1.5, 3.0, 6.0]
+    assert baseline_sources(poses[:3], 0, [0, 1, 2], 4) == [2, 1]
+
+
+def test_ranks_are_dense_at_first_and_reach_far() -> None:
+    assert spread_ranks(4) == [0, 1, 2, 3]
+    ranks = spread_ranks(60)
+    assert ranks[:5] == [0, 1, 2, 3, 4] and len(ranks) == 12 and ranks[-1] > 14
+    assert ranks == sorted(set(ranks))
+
+
+def test_holes_take_the_colour_of_what_is_around_and_known_pixels_keep_theirs() -> None:
+    colour = torch.zeros(3, 24, 40)
+    colour[0, :, :20], colour[1, :, 20:] = 0.8, 0.6
+    share = torch.ones(24, 40)
+    share[4:12, 2:10] = 0.0
+    share[14:20, 28:36] = 0.0
+    filled = without_holes(torch.where(share > 0, colour, 9.0), share)
+    assert torch.equal(filled[:, share > 0], colour[:, share > 0])
+    assert (filled[0, 4:12, 2:10] - 0.8).abs().max() < 0.2
+    assert (filled[1, 14:20, 28:36] - 0.6).abs().max() < 0.2
+    assert (without_holes(colour, torch.zeros(24, 40)) == 0.0).all(), "nothing is known: black"
