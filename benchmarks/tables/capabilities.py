@@ -92,8 +92,8 @@ CAPABILITIES = (
         "views by depth maps of the images; pixels that nothing shows are known",
         ("models/residual/image_depths.py", "rendering/view_depth_maps.py", "rendering/hole_filling.py",
          "rendering/pixel_support.py", "kernels/depth_splat.py"),
-        "street, quick, 3 m aside: 19.8 to 23.7 dB, turned by 15 degrees 14.5 to 25.5, on the path + .5 to .7; "
-        "kitti0005, right camera: 19.9 to 20.5 (0022)",
+        "street, quick, 3 m aside: 19.8 to 23.7 dB, turned by 15 degrees 14.5 to 25.5, on the path + .5 "
+        "to .7; kitti0005, right camera: 19.9 to 20.5 (0022)",
     ),
     Capability(
         "images aligned among each other",

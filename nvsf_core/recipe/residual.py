@@ -42,7 +42,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSpec:
-    """Networks that find the depth of recorded images and blend them into a view; the same for all cameras."""
+    """Networks that find the depth of images and blend them into a view; the same for all cameras."""
 
     sources: int = 4
     """Number of training images that a view is blended from, and that an image's depth is found with."""
