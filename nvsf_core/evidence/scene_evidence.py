@@ -12,6 +12,7 @@ from nvsf_core.evidence.static.surfels import Surfels
 
 _RENDERED, _UNKNOWN = "rendered_", "unknown_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
+_GAPS = "unit_gaps"
 _PATH = ("scan", "time_s", "pose")
 
 
@@ -131,6 +132,9 @@ class SceneEvidence:
     """To compare candidates on the validation scans; None where there are too few scans to leave any out."""
     unobserved: Surfels | None = None
     """Unobserved voxels beside static ones, from `unobserved_beside`; None where there are none."""
+    unit_gaps: np.ndarray | None = None
+    """(lasers, cells) bool: firings of the recorded unit that never return, from `find_unit_gaps`; None where
+    the sensor moved too little to tell."""
 
     @property
     def static(self) -> Surfels:
@@ -149,7 +153,8 @@ class SceneEvidence:
         rendered = {} if self.rendered is None else _prefixed(_RENDERED, self.rendered)
         left_out = {} if self.left_out is None else self.left_out.to_arrays()
         unobserved = {} if self.unobserved is None else _prefixed(_UNKNOWN, self.unobserved)
-        return self.surfels.to_arrays() | moving | stationary | rendered | left_out | unobserved | {
+        gaps = {} if self.unit_gaps is None else {_GAPS: self.unit_gaps}
+        return self.surfels.to_arrays() | moving | stationary | rendered | left_out | unobserved | gaps | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -165,7 +170,7 @@ class SceneEvidence:
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
             dynamic=DynamicEvidence.from_arrays(a), stationary=StationaryScans.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
-            unobserved=_surfels(_UNKNOWN, a),
+            unobserved=_surfels(_UNKNOWN, a), unit_gaps=a.get(_GAPS),
         )  # fmt: skip
 
 

@@ -23,16 +23,32 @@ def point_cloud_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping
         predicted_m: (N, 3), in the frame of the truth.
         truth_m: (M, 3).
     """
-    n_points = len(predicted_m) + len(truth_m)
-    if len(predicted_m) == 0 or len(truth_m) == 0:
-        empty = [name for name, cloud in (("predicted", predicted_m), ("true", truth_m)) if len(cloud) == 0]
+    everywhere = np.ones(len(predicted_m), bool), np.ones(len(truth_m), bool)
+    return point_cloud_part_metrics(predicted_m, truth_m, *everywhere)
+
+
+def point_cloud_part_metrics(
+    predicted_m: np.ndarray, truth_m: np.ndarray, in_predicted: np.ndarray, in_truth: np.ndarray
+) -> Mapping[str, Measure]:
+    """`point_cloud_metrics` of a part of two clouds, whose neighbours are sought in the whole other cloud.
+
+    Args:
+        predicted_m: (N, 3), in the frame of the truth.
+        truth_m: (M, 3).
+        in_predicted: (N,) bool, the part's points.
+        in_truth: (M,) bool.
+    """
+    sizes = int(np.count_nonzero(in_predicted)), int(np.count_nonzero(in_truth))
+    n_points = sum(sizes)
+    if 0 in sizes:
+        empty = [name for name, size in zip(("predicted", "true"), sizes, strict=True) if size == 0]
         missing = undefined(f"no points in the {' and the '.join(empty)} cloud", n_points)
         return {"chamfer_m2": missing, "f_score": missing if len(empty) == 2 else Measure(0.0, n_points)}
     bad = fault(predicted_m, truth_m)
     if bad is not None:
         return {"chamfer_m2": bad, "f_score": bad}
-    to_truth_m2 = _nearest_m2(predicted_m, truth_m)
-    to_predicted_m2 = _nearest_m2(truth_m, predicted_m)
+    to_truth_m2 = _nearest_m2(predicted_m[in_predicted], truth_m)
+    to_predicted_m2 = _nearest_m2(truth_m[in_truth], predicted_m)
     precision = float(np.mean(to_truth_m2 < F_THRESHOLD_M2))
     recall = float(np.mean(to_predicted_m2 < F_THRESHOLD_M2))
     both = precision + recall

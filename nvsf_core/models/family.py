@@ -50,6 +50,8 @@ class TrainedPart:
     """Time besides the training steps, scoring on validation data included."""
     metadata: dict[str, Scalar]
     facts: dict[str, object]
+    tensors: dict[str, Tensor] = field(default_factory=dict)
+    """What rendering needs besides the networks' weights, by name."""
 
 
 class Weights(Protocol):
@@ -61,6 +63,13 @@ class Weights(Protocol):
 
     def has(self, prefix: str, /) -> bool:
         """Whether any weight's name begins with the prefix."""
+
+    def tensor(self, name: str, /) -> Tensor:
+        """The tensor of that name.
+
+        Raises:
+            StoreError: It is absent, or a value is not finite.
+        """
 
     def load_into(self, model: nn.Module, prefix: str, /) -> None:
         """Load the weights whose names begin with the prefix into a network, the prefix removed.

@@ -16,6 +16,7 @@ from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.raydrop.prior import DropPrior, build_drop_prior, find_cells
 from nvsf_core.evidence.raydrop.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
+from nvsf_core.evidence.raydrop.unit_gaps import GAP_CELLS, find_unit_gaps, places_apart
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.static.surfels import Surfels, build_surfels
 from nvsf_core.evidence.static.unobserved import unobserved_beside
@@ -23,6 +24,7 @@ from nvsf_core.models.selection.holdout import is_sure
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.sweeps import Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
+from nvsf_core.simulation.scan import sweep_rays
 
 FIELD_VOXEL_M = 0.2
 """Edge of the voxels that a field corrects: finer ones do not lower its error and make its steps longer."""
@@ -45,6 +47,8 @@ _RESOLVED_M = 30.0
 """Farther away the rows of 64 lasers are over 20 cm apart on an object, too coarse for limbs."""
 _WORST_ON_OBJECT_M = 0.5
 """Largest error of a ray in the score of a flow."""
+_GAP_SCANS = 12
+"""Most scans in which gaps of the recorded unit are sought."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +130,7 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     )
     dynamic = None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays)
     static = surfels if dynamic is None else dynamic.static
+    rendered = rays.surfels(best_m, shaped=True)
     evidence = SceneEvidence(
         surfels=surfels,
         prior=prior,
@@ -135,14 +140,34 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_intensity=a["own_vehicle_intensity"],
         dynamic=dynamic,
         stationary=_stationary_scans(sweeps, of_training, prior),
-        rendered=rays.surfels(best_m, shaped=True),
+        rendered=rendered,
         left_out=None if choice is None else _left_out(choice, training),
         unobserved=unobserved_beside(static, rays.origin_m, rays.direction, rays.range_m),
+        unit_gaps=_unit_gaps(sweeps, prior, rendered),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
     for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
         tried[f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm"] = error_m
     return evidence, tried
+
+
+def _unit_gaps(sweeps: Sweeps, prior: DropPrior, surfels: Surfels) -> np.ndarray | None:
+    """Gaps of the recorded unit, see `find_unit_gaps`, by rays of some scans through static surfels."""
+    _, position_m = sweeps.trajectory.at(prior.time_s)
+    scans = places_apart(position_m, _GAP_SCANS)
+    scans = scans[~prior.is_unidentified[scans]]
+    lasers = np.arange(sweeps.table.laser_count)
+    is_met = np.zeros((len(scans), len(lasers), GAP_CELLS), bool)
+    for number, scan in enumerate(scans):
+        rays = sweep_rays(
+            sweeps.table, lasers, GAP_CELLS, sweeps.trajectory, float(prior.time_s[scan]), sweeps.period_s
+        )
+        rendered = reproject_rays(
+            surfels, rays.origin_m, rays.direction, np.ones(len(rays.laser), np.float32),
+            most=EvidenceSpec().lidar_candidates, far_m=float(sweeps.table.max_range_m),
+        )  # fmt: skip
+        is_met[number] = np.isfinite(rendered.range_m).reshape(rays.shape)
+    return find_unit_gaps(prior, scans, is_met)
 
 
 def _left_out(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:

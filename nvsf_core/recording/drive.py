@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -9,11 +10,12 @@ from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.images import CameraRecording
+from nvsf_core.recording.scan_grids import RecordedSweeps, recorded_sweeps
 from nvsf_core.recording.sweeps import LinearPanos, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LidarRecording:
     """The scans, and the evidence of the training scans."""
 
@@ -26,6 +28,11 @@ class LidarRecording:
     def far_m(self) -> float:
         """Greatest range of a simulated ray, metres."""
         return float(self.sweeps.table.max_range_m)
+
+    @cached_property
+    def scan_grids(self) -> RecordedSweeps:
+        """The training scans by laser and firing, for looking points up in them."""
+        return recorded_sweeps(self.sweeps, self.evidence)
 
     @property
     def object_hit_priors(self) -> ObjectHitPriors:

@@ -1,6 +1,6 @@
 """Inputs of the camera networks for one view: source images, LiDAR depth, and moving objects."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +13,19 @@ from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.reproject_camera import nearest_sources, view_depth, view_label
 from nvsf_core.rendering.sources import Sources
+from nvsf_core.rendering.view_depth_maps import (
+    DepthMaps,
+    ViewDepth,
+    baseline_sources,
+    covering_sources,
+    depth_in_view,
+    spread_ranks,
+)
 from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
 
 _DISTANCE_FLOOR_M = 0.05
+_DEPTH = 4
+"""Channel of the images' inverse depths, see `Sources.image`."""
 _REACH_PX = 6.0
 """Pixels within this distance of a moving object's return are labelled as the object."""
 _SHADOW_PX = 10.0
@@ -36,10 +46,24 @@ class ShownImages:
     """(j, c, h, w) float32, shrunk by `middle_factor`: depths are refined on these."""
     small: Tensor
     """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
+    depths: DepthMaps | None = None
+    """What the images' channel of inverse depths is made from; None = not known yet, the channel is 0."""
+
+    def with_depths(self, maps: DepthMaps) -> "ShownImages":
+        """The same images with their depth maps."""
+        static = torch.where(maps.mover == 0, maps.inverse, 0.0)
+
+        def with_it(images: Tensor) -> Tensor:
+            images = images.clone()
+            images[:, _DEPTH] = functional.avg_pool2d(static, static.shape[-1] // images.shape[-1])
+            return images
+
+        return ShownImages(with_it(self.full), with_it(self.middle), with_it(self.small), maps)
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
-        return ShownImages(*(images.to(device) for images in (self.full, self.middle, self.small)))
+        depths = None if self.depths is None else self.depths.to(device)
+        return ShownImages(self.full.to(device), self.middle.to(device), self.small.to(device), depths)
 
     def mirrored(self) -> "ShownImages":
         """The images with left and right exchanged."""
@@ -49,6 +73,9 @@ class ShownImages:
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingPoints:
     """Points of a moving object at a view's instant, and its motion to each image's instant."""
+
+    number: int
+    """Of the object, from 1, the same in all views and in `DepthMaps.mover`."""
 
     points_m: np.ndarray
     """(m, 3) float32, scene-local, metres, at the view's instant."""
@@ -78,6 +105,8 @@ class CameraView:
     """(k,), see `Sources`."""
     moved: Tensor | None = None
     """(o, k, 4, 4), see `Sources`."""
+    surfaces: ViewDepth | None = None
+    """What the images' depth maps show; None where the images have none."""
     label: Tensor | None = None
     """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 
@@ -87,6 +116,7 @@ class CameraView:
             self,
             inverse=self.inverse.to(device),
             gap_px=self.gap_px.to(device),
+            surfaces=None if self.surfaces is None else self.surfaces.to(device),
             images=self.images.to(device),
             motion=self.motion.to(device),
             nearness=self.nearness.to(device),
@@ -122,6 +152,7 @@ class CameraView:
             pinhole=replace(self.pinhole, cx=self.pinhole.width - 1 - self.pinhole.cx),
             inverse=self.inverse.flip(-1),
             gap_px=self.gap_px.flip(-1),
+            surfaces=None if self.surfaces is None else self.surfaces.mirrored(),
             images=self.images.mirrored(),
             motion=flip @ self.motion @ flip,
             moved=None if self.moved is None else flip @ self.moved @ flip,
@@ -129,10 +160,10 @@ class CameraView:
         )
 
     def thinned(self, image: Tensor, factor: int) -> Tensor:
-        """The middle pixel of each block of factor x factor pixels of an image (H, W)."""
+        """The middle pixel of each block of factor x factor pixels of an image (..., H, W)."""
         half = factor // 2
         rows, columns = self.pinhole.height // factor, self.pinhole.width // factor
-        return image[half::factor, half::factor][:rows, :columns]
+        return image[..., half::factor, half::factor][..., :rows, :columns]
 
     def label_of(self, factor: int, window: Window) -> Tensor | None:
         """Labels (h, w) in a window of the view shrunk by `factor`; None = nothing moves."""
@@ -161,7 +192,7 @@ def shown_images(
         moving: (j, H, W) bool, pixels that show moving objects; None = nothing moves.
     """
     shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
-    parts = [to_float(images), shown]
+    parts = [to_float(images), shown, torch.zeros_like(shown)]
     if moving is not None:
         parts.append(torch.from_numpy(moving).float()[:, None])
     full = torch.cat(parts, dim=1)
@@ -195,7 +226,8 @@ def camera_view(
     poses: np.ndarray,
     spec: CameraSpec,
     *,
-    leave_out: int | None = None,
+    leave_out: Collection[int] = (),
+    own: int | None = None,
     moving: Sequence[MovingPoints] = (),
 ) -> CameraView:
     """Choose the source images of a view and render the LiDAR's depth into it.
@@ -207,33 +239,78 @@ def camera_view(
         images: All j images of the camera, shrunk by `shrinking`.
         poses: (j, 4, 4) camera to scene-local frame of each image.
         spec: Recipe of the camera networks.
-        leave_out: Index of an image that must not be a source, as the view is compared with it.
+        leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
+        own: Number of the image that the view is of, whose depth is wanted: it is the first source; others
+            are chosen at several distances from it.
         moving: Moving objects that may be visible.
     """
     clouds = [points_m, *(each.points_m for each in moving)]
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
-    known = [index for index in range(len(poses)) if index != leave_out]
-    chosen = [known[index] for index in nearest_sources(pose, poses[known], spec.sources)]
+    label = torch.from_numpy(view_label(pose, pinhole, clouds, _REACH_PX)) if moving else None
+    known = [index for index in range(len(poses)) if index not in leave_out]
+    known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
+    surfaces, chosen = None, known[: spec.sources]
+    if own is not None:
+        chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
+    elif images.depths is not None:
+        near = [known[rank] for rank in spread_ranks(len(known))]
+        surfaces = _surfaces(pose, pinhole, images.depths, poses, near, moving)
+        if label is not None:
+            surfaces = surfaces.completed(label, torch.from_numpy(1.0 / depth_m))
+            label = surfaces.label
+        maps = images.full[:, _DEPTH].cpu()
+        chosen = covering_sources(pose, pinhole, surfaces.inverse[0], maps, poses, near, spec.sources)
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
     chosen += [chosen[-1]] * (spec.sources - len(chosen))
-    label = view_label(pose, pinhole, clouds, _REACH_PX) if moving else None
     return CameraView(
         pinhole=pinhole,
         factor=shrinking(pinhole, spec),
         inverse=torch.from_numpy(1.0 / depth_m),
         gap_px=torch.from_numpy(gap_px),
+        surfaces=surfaces,
         images=images,
         chosen=chosen,
         motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
         nearness=nearness,
         moved=_moved(pose, poses[chosen], [each.moved[chosen] for each in moving]) if moving else None,
-        label=None if label is None else torch.from_numpy(label),
+        label=label,
     )
+
+
+# Wide: the view (pose, pinhole), the maps with their poses and numbers, and what moves are independent.
+def _surfaces(
+    pose: np.ndarray, pinhole: Pinhole, maps: DepthMaps, poses: np.ndarray, near: Sequence[int],
+    moving: Sequence[MovingPoints],
+) -> ViewDepth:
+    """What the depth maps of the images `near` show in a view; labels are places in `moving`, from 1."""
+    # An object that is not in the view has the last motion, of zeros.
+    still, absent = (np.tile(one, (len(near), 1, 1)) for one in (np.eye(4), np.zeros((4, 4))))
+    moved = np.stack([still, *(each.moved[near] for each in moving), absent])
+    place = np.full(256, len(moving) + 1, np.uint8)
+    place[0] = 0
+    for number, each in enumerate(moving, start=1):
+        place[each.number] = number
+    inverse, mover = (x[near].cpu().numpy() for x in (maps.inverse, maps.mover))
+    return depth_in_view(pose, pinhole, inverse, place[mover], poses[near], moved)
 
 
 def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:
     """(o, k, 4, 4) from the view's frame to each source's, including each object's own motion."""
     motions = [[invert_pose(to) @ by @ pose for to, by in zip(sources, each, strict=True)] for each in moved]
     return torch.from_numpy(np.array(motions, np.float32))
+
+
+def places_of(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:
+    """Places of pixels of the view shrunk by `factor`, in a window of the view shrunk by `shrunk_by`.
+
+    Returns:
+        (h, w, 2) in grid_sample's coordinates of the window.
+    """
+    sides = []
+    for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):
+        first, last, _ = side.indices(length // shrunk_by)
+        place = (torch.arange(length // factor, device=view.device) + 0.5) * factor / shrunk_by - first
+        sides.append(place * 2.0 / (last - first) - 1.0)
+    return torch.stack(torch.meshgrid(*sides, indexing="ij")[::-1], dim=-1)

@@ -89,7 +89,7 @@ def _disagreement(sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, p
     rays, colours = plane_rays(pinhole)[: len(inverse)], []
     seen = torch.ones(inverse.shape, dtype=torch.bool)
     for source, motion in zip(sources, motions, strict=True):
-        grid, inside = source_pixels(motion, rays, inverse, pinhole)
+        grid, inside, _ = source_pixels(motion, rays, inverse, pinhole)
         looked_up = sample(source, grid)
         colours.append(looked_up[:3])
         seen &= inside & (looked_up[3] > 0.999)

@@ -28,3 +28,5 @@ class RenderedImage:
     """(H, W, 3) uint8, red first."""
     range_m: np.ndarray
     """(H, W) float32, metres along each pixel's ray; infinite where it meets no surface."""
+    support: np.ndarray | None = None
+    """(H, W) uint8 class of `Support`; None = this renderer does not know it."""

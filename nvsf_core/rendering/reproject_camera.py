@@ -96,7 +96,7 @@ def render_by_warping(
     total = torch.zeros(3, pinhole.height, pinhole.width)
     weight = torch.zeros(pinhole.height, pinhole.width)
     for image, motion, index in zip(images, motions, chosen, strict=True):
-        grid, seen = source_pixels(motion, rays, inverse, pinhole)
+        grid, seen, _ = source_pixels(motion, rays, inverse, pinhole)
         seen = seen & (sample(valid, grid)[0] > 0.999)
         share = seen / (_distance(target_pose, source_poses[index]) + _BASELINE_FLOOR_M)
         total += share * sample(image, grid)
@@ -233,7 +233,7 @@ def _sweep(
         seen_by_both = torch.ones(size, dtype=torch.bool)
         warped = []
         for image, motion in zip(grey, motions, strict=True):
-            grid, seen = source_pixels(motion, rays, candidate, small)
+            grid, seen, _ = source_pixels(motion, rays, candidate, small)
             warped.append(sample(image, grid)[0])
             seen_by_both &= seen
         difference = torch.where(seen_by_both, (warped[0] - warped[1]).abs(), _UNSEEN_COST)

@@ -17,7 +17,9 @@ _NEAREST_Z = 1e-3
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
 
 
-def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
+def source_pixels(
+    motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole
+) -> tuple[Tensor, Tensor, Tensor]:
     """Places of a view's pixels in a source image.
 
     A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
@@ -29,7 +31,8 @@ def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhol
         pinhole: Intrinsics of the source.
 
     Returns:
-        grid_sample's coordinates (..., 2), and whether the source shows the pixel (...) bool.
+        grid_sample's coordinates (..., 2), whether the source shows the pixel (...) bool, and the inverse
+        depth of its point in the source (...), 1/m.
     """
     width, height = pinhole.width, pinhole.height
     # grid_sample's coordinates are linear in pixels: projection and conversion are one matrix.
@@ -48,7 +51,7 @@ def source_pixels(motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhol
     x, y = x * scale, y * scale
     most_x, most_y = 1.0 - 1.0 / width, 1.0 - 1.0 / height
     seen = (z > _NEAREST_Z) & (x.abs() <= most_x) & (y.abs() <= most_y)
-    return torch.stack([x, y], dim=-1), seen
+    return torch.stack([x, y], dim=-1), seen, inverse * scale
 
 
 def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "bilinear") -> Tensor:

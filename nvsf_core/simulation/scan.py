@@ -160,11 +160,10 @@ class RenderedSweep:
             rays, rendered, known, point, np.sqrt(level_m2 + z * z), np.arctan2(y, x), elevation
         )
 
-    def scan(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The recorded scan: points (m, 3) float32, intensity (m,) float32, laser (m,) int16 of the returns.
+    def returns(self) -> np.ndarray:
+        """(m,) numbers of the rays that return, in a scan's order.
 
-        Points are in the sensor's frame at firing time, laser by laser from the top, and by azimuth ascending
-        in [0, 360) degrees within each laser.
+        Laser by laser from the top, and by azimuth ascending in [0, 360) degrees within each laser.
         """
         returned = np.flatnonzero(rays_return(self.rendered.hit) & self.is_known)
         azimuth = self.azimuth_rad[returned]
@@ -173,7 +172,14 @@ class RenderedSweep:
         starts = np.flatnonzero(np.diff(self.rays.laser[returned])) + 1
         orders = [np.argsort(part, kind="stable") for part in np.split(azimuth, starts)]
         order = np.concatenate([own + first for own, first in zip(orders, [0, *starts], strict=True)])
-        taken = returned[order]
+        return np.asarray(returned[order])
+
+    def scan(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The recorded scan: points (m, 3) float32, intensity (m,) float32, laser (m,) int16 of the returns.
+
+        Points are in the sensor's frame at firing time, in the order of `returns`.
+        """
+        taken = self.returns()
         return (
             self.point_m[taken].astype(np.float32),
             np.clip(self.rendered.intensity[taken], 0, 1).astype(np.float32),
@@ -204,7 +210,7 @@ class RenderedSweep:
 
 def sample_scan(
     grid: Mapping[str, np.ndarray], generator: np.random.Generator, range_noise_m: float = RANGE_NOISE_M
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Sample one scan of a rendered sweep: which rays return, and the noise of their ranges.
 
     Args:
@@ -215,7 +221,8 @@ def sample_scan(
         range_noise_m: Standard deviation of the range.
 
     Returns:
-        (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees.
+        (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees;
+        and the number (N,) of each return's ray in the flat grid.
 
     Raises:
         DataError: An array of the grid holds NaN, which would count as a dropped ray.
@@ -244,7 +251,8 @@ def sample_scan(
         axis=-1,
     ).astype(np.float32)
     order = np.argsort(np.mod(azimuth, 2.0 * np.pi), axis=1, kind="stable")
-    return np.take_along_axis(scan, order[..., None], 1)[np.take_along_axis(kept, order, 1)]
+    ray = (order + order.shape[1] * np.arange(len(order))[:, None])[np.take_along_axis(kept, order, 1)]
+    return scan.reshape(-1, 4)[ray], ray
 
 
 # Wide: sensor, path, instant and mounting are independent of each other.

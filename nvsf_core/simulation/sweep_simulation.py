@@ -9,6 +9,8 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.hits_elsewhere import hit_prior_elsewhere
+from nvsf_core.simulation.lidar_support import support_of_sweep
 from nvsf_core.simulation.ray_renderers import render_in_chunks
 from nvsf_core.simulation.scan import (
     RenderedSweep,
@@ -40,19 +42,46 @@ class SimulatedSweep:
     """(66, 1030) float32, 0..1: probability that any ray of the pixel returns."""
     grid: dict[str, np.ndarray]
     """`GRID_ARRAYS` (l, f) of all rays, before returns are decided or sampled."""
+    support: np.ndarray
+    """(m,) uint8, `Support` of the scan's returns."""
+    grid_support: np.ndarray
+    """(l, f) uint8, `Support` of all rays, with a return or without."""
 
 
 def simulate_sweep(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float
 ) -> SimulatedSweep:
     """Simulate one sweep of the plan's sensor; arguments as of `fire_sweep`."""
-    sweep = RenderedSweep.of(*fire_sweep(model, lidar, plan, time_s))
+    rays, rendered = fire_sweep(model, lidar, plan, time_s)
+    sweep = RenderedSweep.of(rays, rendered)
+    support = _support(model, lidar, plan, time_s, rays, rendered)
     points, intensity, laser = sweep.scan()
     pano = LinearPano(reference_quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
     return SimulatedSweep(
-        points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid()
+        points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid(),
+        support[sweep.returns()], support.reshape(rays.shape),
+    )  # fmt: skip
+
+
+def _support(
+    model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float, rays: SweepRays,
+    rendered: RenderedRays,
+) -> np.ndarray:  # fmt: skip
+    """(r,) uint8 `Support` of a rendered sweep's rays."""
+    near = lidar.evidence.prior.nearest_scans(time_s, model.prior_scans)
+    is_by_images = np.zeros(len(rays.laser), bool)
+    if model.above is not None and not plan.is_recorded_sensor:
+        is_by_images = _is_above(lidar, plan, rays)
+    return support_of_sweep(
+        lidar, rays, rendered, near, is_own_unit=plan.is_recorded_sensor, is_by_images=is_by_images
     )
+
+
+def _is_above(lidar: LidarRecording, plan: SweepPlan, rays: SweepRays) -> np.ndarray:
+    """Whether (r,) bool rays look above all recorded lasers."""
+    above: np.ndarray = plan.table.elevation_rad[rays.laser] > highest_rad(lidar.sweeps.table, lidar.evidence)
+    return above
 
 
 def fire_sweep(
@@ -79,22 +108,23 @@ def fire_sweep(
     near = evidence.prior.nearest_scans(time_s, model.prior_scans, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
-        similar = lasers
     else:
         lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
-        similar = _similar_lasers(plan.table, sweeps.table, evidence)
     rays = sweep_rays(
         plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s, mount=plan.mount, phase=phase
     )
-    hit_prior = evidence.prior.hit_prior_of_sweep(similar, rays.fraction[:firings], near).reshape(-1)
-    columns = (rays.origin_m, rays.direction, hit_prior, time_s + rays.fraction * sweeps.period_s)
+    fired_s = time_s + rays.fraction * sweeps.period_s
+    is_in_place = plan.is_recorded_sensor and plan.mount is None
+    if is_in_place:
+        hit_prior = evidence.prior.hit_prior_of_sweep(lasers, rays.fraction[:firings], near).reshape(-1)
+    else:
+        hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, near, is_own_unit=plan.is_recorded_sensor)
+    columns = (rays.origin_m, rays.direction, hit_prior, fired_s)
     rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
-        is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
-        missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
+        missing = np.flatnonzero(_is_above(lidar, plan, rays) & ~np.isfinite(rendered.range_m))
         rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
-    is_in_place = plan.is_recorded_sensor and plan.mount is None
     if model.correct is not None and is_in_place:
         rendered = model.correct(rays, rendered, near)
     if model.unobserved is not None and is_in_place:
@@ -185,10 +215,3 @@ def _with(rendered: RenderedRays, rays: np.ndarray, found: RenderedRays) -> Rend
     for name, column in columns.items():
         column[rays] = getattr(found, name)
     return replace(rendered, **columns)
-
-
-def _similar_lasers(table: LaserTable, recorded: LaserTable, evidence: SceneEvidence) -> np.ndarray:
-    """(l,) for each laser of a table, the recorded laser nearest in elevation."""
-    seen = evidence.lasers.astype(np.int64)
-    apart = np.abs(table.elevation_rad[:, None] - recorded.elevation_rad[seen][None, :])
-    return seen[apart.argmin(axis=1)]

@@ -20,12 +20,19 @@ from nvsf_core._types import Scalar
 from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
+from nvsf_core.rendering.support import Support
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
 from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.views.files import file_numbers, scans_of, write_images, write_scans
+from nvsf_core.stages.views.files import (
+    file_numbers,
+    scans_of,
+    write_images,
+    write_scans,
+    write_support,
+)
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
@@ -65,7 +72,7 @@ def _run(task: Task) -> StageOutput:
         attrs = read_attrs(rendered / view.name / "model.zarr")
         location = f"dataset/{view.name}/{version}"
         with task.store.publish(location) as folder:
-            scans = _write_scans(folder, view, _scans(task, view, arrays), arrays)
+            scans = _write_scans(folder, view, *_scans(task, view, arrays), arrays)
             pictures = _write_images(folder, arrays)
             manifest = {
                 **_identity(task, view, version),
@@ -134,19 +141,30 @@ def _read_view(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _scans(task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """(N, 4) float32 per scan (x, y, z in metres, intensity): sampled from the grid if the view has one."""
-    if GRID_ARRAYS[0] in arrays:
-        key = f"{task.scene.name} {view.name} {task.config.recipe.identity()} {task.config.seed}"
-        words = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
-        return [
-            sample_scan(
-                {name: arrays[name][index] for name in GRID_ARRAYS},
-                np.random.default_rng([task.config.draw_seed, index, *words]),
-            )
-            for index in range(len(arrays[GRID_ARRAYS[0]]))
-        ]
-    return scans_of(arrays)
+def _scans(
+    task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The scans, and the support of their returns (none where the view was rendered without).
+
+    A scan is (N, 4) float32 (x, y, z in metres, intensity): sampled from the grid if the view has one.
+    """
+    if GRID_ARRAYS[0] not in arrays:
+        supports = np.split(arrays["support"], arrays["offsets"][1:-1]) if "support" in arrays else []
+        return scans_of(arrays), supports
+    key = f"{task.scene.name} {view.name} {task.config.recipe.identity()} {task.config.seed}"
+    words = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
+    sampled = [
+        sample_scan(
+            {name: arrays[name][index] for name in GRID_ARRAYS},
+            np.random.default_rng([task.config.draw_seed, index, *words]),
+        )
+        for index in range(len(arrays[GRID_ARRAYS[0]]))
+    ]
+    scans = [scan for scan, _ in sampled]
+    if "grid_support" not in arrays:
+        return scans, []
+    grids = zip(arrays["grid_support"], sampled, strict=True)
+    return scans, [support.reshape(-1)[ray] for support, (_, ray) in grids]
 
 
 def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -162,24 +180,40 @@ def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _write_scans(
-    folder: Path, view: ViewEntry, scans: list[np.ndarray], arrays: Mapping[str, np.ndarray]
+    folder: Path,
+    view: ViewEntry,
+    scans: list[np.ndarray],
+    supports: list[np.ndarray],
+    arrays: Mapping[str, np.ndarray],
 ) -> list[dict[str, Any]]:
-    """Write each scan in the formats that the view asks for; returns one manifest row per scan."""
+    """Write each scan in the formats that the view asks for, and the support of its returns beside it.
+
+    Returns one manifest row per scan.
+    """
     if not scans:
         return []
     numbers = file_numbers(arrays["frame"])
     files = write_scans(folder, numbers, scans, view.exports)
+    support_files = write_support(folder, numbers, supports) if supports else []
+    for own, file in zip(files, support_files, strict=False):
+        own["support"] = file
     return [
         {
             "number": number,
             "files": files[index],
             "returns": len(scans[index]),
+            **(_support_counts(supports[index]) if supports else {}),
             "nearest_frame": int(arrays["frame"][index]),
             "time_s": float(arrays["time_s"][index]),
             "lidar_to_world": arrays["lidar_to_world"][index].reshape(-1).tolist(),
         }
         for index, number in enumerate(numbers)
     ]
+
+
+def _support_counts(support: np.ndarray) -> dict[str, int]:
+    """Returns of each support, under the name of its region."""
+    return {one.region: int(np.count_nonzero(support == one)) for one in Support}
 
 
 def _write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
@@ -315,7 +349,7 @@ STAGE = Stage(
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " a manifest of what they came from.",
-    version="2",
+    version="3",
     run=_run,
     per_recipe=True,
     per_draw=True,

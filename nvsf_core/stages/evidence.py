@@ -40,6 +40,7 @@ def _run(task: Task) -> StageOutput:
             **_plane_thickness(surfels),
             "unknown_voxels": 0 if evidence.unobserved is None else len(evidence.unobserved.hits),
             "own_vehicle_cells": int((evidence.own_range_m > 0).sum()),
+            "unit_gaps_share": 0.0 if evidence.unit_gaps is None else float(evidence.unit_gaps.mean()),
         },
         checks=[
             Check(
@@ -78,6 +79,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, what moves and how, and what the scene needs.",
-    version="13",
+    version="14",
     run=_run,
 )

@@ -16,6 +16,8 @@ from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_CHECKS
 from nvsf_core.stages.checks.images import check_images
+from nvsf_core.stages.checks.own_vehicle import GHOSTS, check_ghosts
+from nvsf_core.stages.checks.support import GUESSED, check_support
 from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
 from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
@@ -194,7 +196,7 @@ def _write(
 
 
 def _check(task: Task) -> list[Check]:
-    return [*check_views(task), *check_images(task)]
+    return [*check_views(task), *check_images(task), *check_ghosts(task), *check_support(task)]
 
 
 STAGE = Stage(
@@ -203,11 +205,11 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="15",
+    version="16",
     run=_run,
     per_recipe=True,
     reads_views=True,
     check=_check,
-    check_version="2",
-    named_checks=(*VIEW_CHECKS, *IMAGE_CHECKS),
+    check_version="3",
+    named_checks=(*VIEW_CHECKS, *IMAGE_CHECKS, GHOSTS, GUESSED),
 )

@@ -182,7 +182,7 @@ STAGE = Stage(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known."
     ),
-    version="7",
+    version="8",
     run=_run,
     per_recipe=True,
     reads_truth=True,

@@ -11,7 +11,7 @@ from nvsf_core.drives.kitti360.scans import read_scan
 from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
-from nvsf_core.sensors.own_vehicle import OwnVehicle, learn_own_vehicle
+from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
 from nvsf_core.sensors.sweep import compensate, trajectory_of
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
@@ -27,6 +27,8 @@ SENSOR = HDL_64E
 
 _OWN_VEHICLE_CELLS = 2000
 
+_Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Origins, directions and ranges of one scan's returns, as `compensate` gives them."""
 _MAP_RANGE_M = 40.0
 _MAP_RETURNS = 600_000
 _MAP_VOXEL_M = 0.4
@@ -53,9 +55,9 @@ def _run(task: Task) -> StageOutput:
     scans = _read_scans(task, [row for row in posed if row["scan_valid"]])
     sources = Counter(scan.timing.source for scan in scans)
     source = sources.most_common(1)[0][0] if scans else UNKNOWN
-    own = _learn_own_vehicle(scans)
     correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
-    arrays = _arrays(task, posed, scans, drive, own, correction_rad)
+    rays = _placed(task, posed, scans, drive, correction_rad)
+    arrays = _arrays(scans, rays, _learn_own_vehicle(scans, rays, np.array(drive["scene_origin_m"])))
     arrays |= _laser_errors(scans, arrays)
     evidence = _evidence(scans, sources)
     attrs = {
@@ -84,40 +86,47 @@ def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
     return scans
 
 
-def _learn_own_vehicle(scans: list[_Scan]) -> OwnVehicle:
-    training = [scan for scan in scans if scan.row["split"] == "train"]
-    firings = [scan.timing.firings for scan in training if scan.timing.firings > 0]
+def _placed(
+    task: Task, posed: list[dict[str, Any]], scans: list[_Scan], drive: dict[str, Any], correction_rad: float
+) -> list[_Rays]:
+    """The scans' returns as rays in the scene, compensated for ego-motion."""
+    if not scans:
+        return []
+    # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
+    trajectory = trajectory_of(posed, np.array(drive["scene_origin_m"], np.float64))
+    say = sparse(task.progress)
+    # A period of 0 puts a whole scan at its pose's instant, as the papers do.
+    period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
+    rays: list[_Rays] = []
+    for scan in scans:
+        time_s = scan.row["time_s"] + scan.timing.sweep_fraction * period_s
+        rays.append(
+            compensate(
+                SENSOR, scan.points_m, scan.timing.laser, time_s, trajectory,
+                elevation_correction_rad=correction_rad,
+            )
+        )  # fmt: skip
+        say(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
+    return rays
+
+
+def _learn_own_vehicle(scans: list[_Scan], rays: list[_Rays], scene_origin_m: np.ndarray) -> OwnVehicle:
+    training = [(one, ray) for one, ray in zip(scans, rays, strict=True) if one.row["split"] == "train"]
+    firings = [scan.timing.firings for scan, _ in training if scan.timing.firings > 0]
     # Cells finer than the firings would be empty by chance and miss the car.
     cells = min(_OWN_VEHICLE_CELLS, min(firings, default=_OWN_VEHICLE_CELLS))
-    return learn_own_vehicle(
-        SENSOR, [(scan.points_m, scan.intensity, scan.timing.laser) for scan in training], cells
-    )
+    placed = [
+        PlacedScan(
+            points_m=scan.points_m, intensity=scan.intensity, laser=scan.timing.laser,
+            world_m=(origin_m + direction * range_m[:, None]).astype(np.float32),
+            position_m=np.array(scan.row["lidar_to_world"], np.float64).reshape(4, 4)[:3, 3] - scene_origin_m,
+        )
+        for scan, (origin_m, direction, range_m) in training
+    ]  # fmt: skip
+    return learn_own_vehicle(SENSOR, placed, cells)
 
 
-def _arrays(
-    task: Task,
-    posed: list[dict[str, Any]],
-    scans: list[_Scan],
-    drive: dict[str, Any],
-    own: OwnVehicle,
-    correction_rad: float,
-) -> dict[str, np.ndarray]:
-    rays = []
-    if scans:
-        # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
-        trajectory = trajectory_of(posed, np.array(drive["scene_origin_m"], np.float64))
-        say = sparse(task.progress)
-        # A period of 0 puts a whole scan at its pose's instant, as the papers do.
-        period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
-        for scan in scans:
-            time_s = scan.row["time_s"] + scan.timing.sweep_fraction * period_s
-            rays.append(
-                compensate(
-                    SENSOR, scan.points_m, scan.timing.laser, time_s, trajectory,
-                    elevation_correction_rad=correction_rad,
-                )
-            )  # fmt: skip
-            say(f"[{task.scene.name}] sweeps: moved {len(rays)} of {len(scans)} scans")
+def _arrays(scans: list[_Scan], rays: list[_Rays], own: OwnVehicle) -> dict[str, np.ndarray]:
     counts = [len(scan.points_m) for scan in scans]
     poses = np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
     return {
@@ -134,9 +143,7 @@ def _arrays(
         "origin_m": _joined([ray[0] for ray in rays], np.float32, 3),
         "direction": _joined([ray[1] for ray in rays], np.float32, 3),
         "range_m": _joined([ray[2] for ray in rays], np.float32),
-        "is_own_vehicle": _joined(
-            [own.is_own(SENSOR, scan.points_m, scan.timing.laser) for scan in scans], np.bool_
-        ),
+        "is_own_vehicle": _joined([own.is_own(scan.points_m) for scan in scans], np.bool_),
         "own_vehicle_range_m": own.range_m,
         "own_vehicle_intensity": own.intensity,
     }
@@ -306,7 +313,7 @@ STAGE = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="6",
+    version="7",
     run=_run,
     reads_drive=True,
     check=check_registration,

@@ -67,6 +67,19 @@ class StoredWeights:
         """Whether any weight's name begins with `prefix`."""
         return any(name.startswith(prefix) for name in self.tensors)
 
+    def tensor(self, name: str, /) -> Tensor:
+        """The tensor of that name.
+
+        Raises:
+            StoreError: It is absent, or a value is not finite.
+        """
+        if name not in self.tensors:
+            raise foreign(self.source, f"expected a tensor {name!r}, found none")
+        value = self.tensors[name]
+        if not bool(value.isfinite().all()):
+            raise foreign(self.source, f"expected finite values, found NaN or infinity in {name!r}")
+        return value
+
     def load_into(self, model: nn.Module, prefix: str, /) -> None:
         """Load the weights whose names begin with `prefix` into a network, whose names lack it.
 

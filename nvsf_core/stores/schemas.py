@@ -55,6 +55,7 @@ def _columns(*rows: tuple[str, str, str, str]) -> tuple[Entry, ...]:
 
 _SAME: dict[str, tuple[str, ...]] = {"i8": ("f8",), "f8": ("i8",)}
 """Other types allowed for a column of numbers: its stored type depends on whether all values are whole."""
+_SUPPORT = "what recorded data know of it: 0 = guessed, 1 = extrapolated, 2 = seen"
 _POSE = "4x4, row by row; an empty list where there is none"
 
 CONTRACT: tuple[FileSpec, ...] = (
@@ -177,6 +178,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("points_m", "f4", ("returns", 3), "m", "sensor frame at firing time", optional=True),
             Entry("intensity", "f4", ("returns",), "1", "0 to 1", optional=True),
             Entry("laser", "i2", ("returns",), "1", "0 = top", optional=True),
+            Entry("support", "u1", ("returns",), "1", _SUPPORT, optional=True),
             Entry("pano_range_m", "f4", ("scans", 66, 1030), "m", "0 = no return", optional=True),
             Entry("pano_intensity", "f4", ("scans", 66, 1030), "1", "0 to 1", optional=True),
             Entry("pano_hit", "f4", ("scans", 66, 1030), "1", "probability of a return", optional=True),
@@ -189,6 +191,10 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("grid_intensity", "f4", ("scans", "lasers", "firings"), "1", "0 to 1", optional=True),
             Entry("grid_azimuth_rad", "f4", ("scans", "lasers", "firings"), "rad", "own", optional=True),
             Entry("grid_elevation_rad", "f4", ("scans", "lasers", "firings"), "rad", "own", optional=True),
+            Entry(
+                "grid_support", "u1", ("scans", "lasers", "firings"), "1",
+                _SUPPORT + "; of rays without a return, whether that is known", optional=True,
+            ),
             Entry("lidar_render_seconds", "f8", ("scans",), "s", "a scan", optional=True),
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
             Entry(
@@ -221,7 +227,11 @@ CONTRACT: tuple[FileSpec, ...] = (
             ("split", "string", "", "`test` (held out), or a view whose truth is known"),
             ("frame", "i8", "1", "frame number"),
             ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`"),
-            ("region", "string", "", "`all`, `foreground`, `background`"),
+            (
+                "region", "string", "",
+                "`all`, `foreground`, `background`; of views whose truth is exact also `support_seen`,"
+                " `support_extrapolated`, `support_guessed`, and `supported`: the first two together",
+            ),
             ("sensor", "string", "", "`lidar` or a camera's name"),
             ("metric", "string", "", "name with its unit"),
             ("value", "f8", "see unit", "NaN = undefined, never 0"),
@@ -364,7 +374,9 @@ def as_markdown() -> str:
         "Internal, and not described here: all of `evidence/`, `frames/drive.json`.",
         "",
         "A data set lies in `dataset/<view>/<version>/`: scans as KITTI's `velodyne_points/data/*.bin`",
-        "(float32 x, y, z, intensity, laser by laser), `.ply`, images as PNG, and `manifest.json`; what",
+        "(float32 x, y, z, intensity, laser by laser), `.ply`, images as PNG, and `manifest.json`; in",
+        "`velodyne_points/support/*.bin` the support of each point, uint8 in the scan's order (0 = guessed,",
+        "1 = extrapolated, 2 = seen: `nvsf_core/rendering/support.py`); what",
         "made it is recorded in `dataset/.index/<recipe>/<seed>-<draw>-<label>/`. Its hits are drawn by",
         "their probability, its ranges get noise of 1.5 cm. Beside the arrays of `novel_views` lie `.bin`",
         "and PNG files, too: nothing there is drawn, they are what is expected.",

@@ -19,15 +19,11 @@ from nvsf_core.rendering.camera_view import (
     shown_images,
     shrinking,
 )
-from nvsf_core.rendering.learned_warp import (
-    Hypotheses,
-    believe_depth,
-    blend_sources,
-    hypotheses,
-    refine,
-    render_view,
-)
-from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses, plane_volume, volume_features
+from nvsf_core.rendering.learned_warp import blend_sources, hypotheses, refine, render_view
+from nvsf_core.rendering.plane_depth import likeliest_depth, plane_inverses, resized, volume_features
+from nvsf_core.rendering.plane_volume import plane_volume
+from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import plane_rays
 
 CAMERA = Pinhole(fx=80.0, fy=80.0, cx=63.5, cy=31.5, width=128, height=64)
@@ -60,16 +56,18 @@ PHOTOGRAPHS = np.stack([photograph(place) for place in PLACES])
 VALID = np.ones((64, 128), np.bool_)
 
 
-def view(points: np.ndarray, *, images: int = 4, leave_out: int | None = 1) -> CameraView:
+def wall_maps(images: int = 4) -> DepthMaps:
+    shape = (images, CAMERA.height, CAMERA.width)
+    return DepthMaps(torch.full(shape, 1.0 / WALL_M), torch.zeros(shape, dtype=torch.uint8))
+
+
+def view(points: np.ndarray, *, images: int = 4, depths: DepthMaps | None = None) -> CameraView:
+    """The second photograph, left out: by the others, and by their depths if they are given."""
+    shown = shown_images(PHOTOGRAPHS[:images], VALID, 2)
     return camera_view(
-        pose(0.0),
-        CAMERA,
-        points,
-        shown_images(PHOTOGRAPHS[:images], VALID, 2),
-        PLACES[:images],
-        SPEC,
-        leave_out=leave_out,
-    )
+        pose(0.0), CAMERA, points, shown if depths is None else shown.with_depths(depths), PLACES[:images],
+        SPEC, leave_out=(1,),
+    )  # fmt: skip
 
 
 def test_a_left_out_image_is_no_source_and_missing_sources_have_no_weight() -> None:
@@ -91,18 +89,20 @@ def test_sources_agree_best_on_the_plane_of_the_wall() -> None:
     assert abs(int(agreement.argmin()) - int((inverses - 1 / WALL_M).abs().argmin())) <= 1
 
 
-def test_two_separate_depths_of_a_pixel_are_both_found() -> None:
+def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surface() -> None:
     inverses = torch.linspace(0.0, 1.0, 21)
     probability = torch.zeros(21, 1, 1)
-    probability[3:5], probability[15] = 0.3, 0.4
-    belief = depth_belief(probability, torch.rand(21, 3, 1, 1), inverses)
-    assert belief.inverse[:, 0, 0].tolist() == pytest.approx([0.75, 0.175])
-    assert belief.probability[:, 0, 0].tolist() == pytest.approx([0.4, 0.6])
+    probability[3], probability[4], probability[15] = 0.35, 0.3, 0.3
+    inverse, mass = likeliest_depth(probability, inverses)
+    assert float(inverse) == pytest.approx((0.35 * 0.15 + 0.3 * 0.2) / 0.65)
+    assert float(mass) == pytest.approx(0.65)
 
 
-def test_untrained_networks_show_the_wall_where_the_lidar_knows_it() -> None:
+@pytest.mark.parametrize("points", [NOTHING, wall_points()])
+def test_untrained_networks_show_the_wall_where_the_depths_of_images_are_known(points: np.ndarray) -> None:
     networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
-    shown = render_view(networks, view(wall_points()), SPEC)
+    shown = render_view(networks, view(points, depths=wall_maps()), SPEC)
+    assert shown.support is not None and (shown.support == Support.SEEN)[8:-8, 16:-16].all()
     error = np.abs(shown.rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
     assert np.median(error) < 12.0
     length_m = WALL_M / CAMERA.rays(CAMERA.pixels())[..., 2]
@@ -112,7 +112,8 @@ def test_untrained_networks_show_the_wall_where_the_lidar_knows_it() -> None:
 @torch.no_grad()
 def test_a_view_is_the_mean_of_what_its_members_show() -> None:
     spec = replace(SPEC, members=3)
-    networks, one = CameraEnsemble(spec, torch.Generator().manual_seed(0)), view(wall_points())
+    networks = CameraEnsemble(spec, torch.Generator().manual_seed(0))
+    one = view(wall_points(), depths=wall_maps())
     for number, member in enumerate(networks):
         assert member.blend.out.bias is not None
         member.blend.out.bias += 0.1 * (number + 1) * torch.linspace(-1.0, 1.0, len(member.blend.out.bias))
@@ -133,11 +134,10 @@ def test_a_view_is_the_mean_of_what_its_members_show() -> None:
 @torch.no_grad()
 def test_a_window_shows_what_the_whole_view_shows_there() -> None:
     networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
-    one = view(wall_points())
-    belief = believe_depth(networks.depth, one, SPEC)
+    one = view(wall_points(), depths=wall_maps())
     window = (slice(8, 40), slice(16, 80))
-    part = blend_sources(networks, one, belief, SPEC, window).colour
-    whole = blend_sources(networks, one, belief, SPEC).colour
+    part = blend_sources(networks, one, SPEC, window).colour
+    whole = blend_sources(networks, one, SPEC).colour
     torch.testing.assert_close(part, whole[:, *window])
 
 
@@ -145,8 +145,8 @@ def test_a_window_shows_what_the_whole_view_shows_there() -> None:
 def test_untrained_refinement_leaves_depths_and_shares_as_they_were() -> None:
     spec = replace(SPEC, refinements=3)
     networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
-    one = view(wall_points())
-    before = hypotheses(one, believe_depth(networks.depth, one, spec), spec, 1, WHOLE)
+    one = view(wall_points(), depths=wall_maps())
+    before = hypotheses(one, 1, WHOLE)
     assert networks.refine is not None
     after = refine(networks.refine, one, before, spec)
     torch.testing.assert_close(after.hypotheses.inverse, before.inverse, atol=1e-6, rtol=0.0)
@@ -156,9 +156,10 @@ def test_untrained_refinement_leaves_depths_and_shares_as_they_were() -> None:
 @torch.no_grad()
 def test_refined_depths_are_none_that_lie_behind_infinity() -> None:
     spec = replace(SPEC, refinements=3)
-    networks, one = CameraNetworks(spec, torch.Generator().manual_seed(0)), view(wall_points())
+    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
+    one = view(wall_points(), depths=wall_maps())
     assert networks.refine is not None
-    far = hypotheses(one, believe_depth(networks.depth, one, spec), spec, 1, WHOLE)
+    far = hypotheses(one, 1, WHOLE)
     far = replace(far, inverse=torch.zeros_like(far.inverse))
     assert (refine(networks.refine, one, far, spec).hypotheses.inverse >= 0.0).all()
 
@@ -180,12 +181,12 @@ def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:
     share = torch.where(columns < 4, 0.9, 0.2).expand(3, 2, 8)
     x = (torch.arange(32) + 0.5) / 16.0 - 1.0
     places = torch.stack([x, torch.zeros(32)], dim=-1)[None]
-    finer = Hypotheses(inverse, share).resized(places, 0.01)
+    finer, trust = resized(torch.cat([inverse, share]), places, 0.01).chunk(2)
     near = torch.arange(32) < 16
     expected = 0.10 + 0.001 * ((torch.arange(32) + 0.5) / 4.0 - 0.5).clamp_min(0.0)
-    torch.testing.assert_close(finer.inverse[0, 0, :14], expected[:14])
-    assert (finer.inverse[..., near] < 0.104).all() and (finer.inverse[..., ~near] > 0.299).all()
-    assert (finer.share[..., near] > 0.89).all() and (finer.share[..., ~near] < 0.21).all()
+    torch.testing.assert_close(finer[0, 0, :14], expected[:14])
+    assert (finer[..., near] < 0.104).all() and (finer[..., ~near] > 0.299).all()
+    assert (trust[..., near] > 0.89).all() and (trust[..., ~near] < 0.21).all()
 
 
 THING_M = 4.0
@@ -212,10 +213,16 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     )
     moved = np.tile(np.eye(4), (4, 1, 1))
     moved[:, 0, 3] = centres
+    is_plate = torch.from_numpy((images == np.uint8([255, 0, 255])).all(axis=-1))
+    # As `image_depths` gives it: unknown around the plate.
+    inverse = torch.where(is_plate, 1.0 / THING_M, torch.where(torch.from_numpy(shadows), 0.0, 1.0 / WALL_M))
+    maps = DepthMaps(inverse, is_plate.to(torch.uint8) * 7)
+    shown = shown_images(images, VALID, 2, shadows).with_depths(maps)
     one = camera_view(
-        pose(0.0), CAMERA, wall_points(), shown_images(images, VALID, 2, shadows), PLACES, SPEC, leave_out=1,
-        moving=[MovingPoints(plate(0.0), moved)],
+        pose(0.0), CAMERA, wall_points(), shown, PLACES, SPEC, leave_out=(1,),
+        moving=[MovingPoints(7, plate(0.0), moved)],
     )  # fmt: skip
+    assert one.label is not None and (one.label.numpy() > 0)[28:36, 60:68].all()
     networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
     error = np.abs(render_view(networks, one, SPEC).rgb.astype(float) - images[1]).max(axis=-1)
     middle = (slice(28, 36), slice(60, 68))
@@ -226,4 +233,4 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
 
 def test_a_static_view_holds_nothing_dynamic() -> None:
     one = view(wall_points())
-    assert one.label is None and one.moved is None and one.images.full.shape[1] == 4
+    assert one.label is None and one.moved is None and one.images.full.shape[1] == 5

@@ -54,8 +54,15 @@ def scene() -> LidarRecording:
     own = np.zeros((64, 4), np.float32)
     prior = DropPrior(path.times_s, fraction, is_hit)
     evidence = SceneEvidence(surfels, prior, LASERS, np.full(SCANS, FIRINGS), own, own)
+    scan, laser, firing = np.nonzero(is_hit)
+    arrays = {
+        "offsets": np.concatenate([[0], np.cumsum(np.bincount(scan, minlength=SCANS))]),
+        "laser": laser, "firing": firing, "sweep_fraction": fraction[0][firing],
+        "firings": np.full(SCANS, FIRINGS), "range_m": np.full(len(scan), 90.0),
+        "intensity": np.ones(len(scan)),
+    }  # fmt: skip
     sweeps = Sweeps(
-        arrays={}, is_training=np.ones(SCANS, bool), trajectory=path, period_s=PERIOD_S, table=HDL_64E,
+        arrays=arrays, is_training=np.ones(SCANS, bool), trajectory=path, period_s=PERIOD_S, table=HDL_64E,
         elevation_correction_rad=0.0, scene_origin_m=np.zeros(3),
     )  # fmt: skip
     return LidarRecording(sweeps=sweeps, evidence=evidence)

@@ -189,7 +189,7 @@ def test_an_unknown_export_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_drawn_scan_is_ordered_as_a_driver_records() -> None:
     grid = {name: array[0] for name, array in _grid(1).items()}
-    scan = sample_scan(grid, np.random.default_rng(0))
+    scan, _ = sample_scan(grid, np.random.default_rng(0))
     range_m = np.linalg.norm(scan[:, :3], axis=1)
     elevation = np.arcsin(scan[:, 2] / range_m)
     laser = np.abs(elevation[:, None] - np.linspace(0.05, -0.4, _LASERS)).argmin(axis=1)

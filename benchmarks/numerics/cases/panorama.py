@@ -82,7 +82,7 @@ def _drawn(**changed: float) -> np.ndarray:
     values = dict.fromkeys(GRID_ARRAYS, 0.0) | {"grid_range_m": 10.0, "grid_hit": 0.9, "grid_intensity": 0.5}
     grid = {name: np.full((4, 40), value, np.float32) for name, value in (values | changed).items()}
     azimuth = np.linspace(-np.pi, np.pi, 40, endpoint=False, dtype=np.float32)
-    return sample_scan(grid | {"grid_azimuth_rad": np.tile(azimuth, (4, 1))}, np.random.default_rng(0))
+    return sample_scan(grid | {"grid_azimuth_rad": np.tile(azimuth, (4, 1))}, np.random.default_rng(0))[0]
 
 
 def _nothing_there() -> str:

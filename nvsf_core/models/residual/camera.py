@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import torch
-from torch import nn
-from torch.nn import functional
+from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
 from nvsf_core.fields.camera_networks import CameraEnsemble
@@ -16,27 +16,22 @@ from nvsf_core.kernels.threads import in_parts
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
-from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.family import TrainedPart, Weights
+from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.models.residual.image_depths import image_depths
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
-from nvsf_core.models.selection.holdout import compare, validation_numbers
+from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import CameraSpec, ResidualRecipe
 from nvsf_core.recording.drive import Recording
-from nvsf_core.rendering.camera_view import (
-    CameraView,
-    ShownImages,
-    camera_view,
-    middle_factor,
-    shown_images,
-    shrinking,
-)
+from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
 from nvsf_core.rendering.image_alignment import PoseCorrection
 from nvsf_core.rendering.learned_warp import render_view
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
-from nvsf_core.rendering.warping import to_float
+from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import Part, fresh_state, side_by_side
@@ -49,6 +44,8 @@ ALIGNED = "camera_corrections"
 """Name of the fact: corrections of the images' poses, see `facts_of`."""
 _FEWEST_IMAGES = 3
 """With fewer, an image that is left out has no two others to be rendered from."""
+_MAPS = "depth_maps"
+"""First part of the names of the stored depth maps."""
 
 
 def train_camera(
@@ -60,19 +57,12 @@ def train_camera(
     networks.to(device)
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     given = aligned_by(MovingWorld(recording), {})
-    shown = {name: _shown(given.world, name, recipe.camera).to(device) for name in usable}
-    wanted = [
-        (name, index)
+    cameras = {
+        name: ShownCamera(given, name, _shown(given.world, name, recipe.camera).to(device), recipe.camera)
         for name in usable
-        for index in range(_images(recording, name))
-        if index not in validation_images(_images(recording, name), recipe.camera)
-    ]
-
-    def example(number: int) -> LeftOut:
-        name, index = wanted[number]
-        return left_out(given, name, index, shown[name], recipe.camera).to(device)
-
-    examples = in_parts(example, len(wanted))
+    }
+    wanted = [(name, index) for name in usable for index in cameras[name].training]
+    examples = _each(wanted, lambda name, index: cameras[name].itself(index))
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
@@ -83,7 +73,7 @@ def train_camera(
     depths = nn.ModuleList(one.depth for one in networks)
     depth = fresh_state(depths, recipe.depth_training, session.seed * 3 + 1)
     preparation = time.perf_counter() - started
-    # First the depth networks alone, by comparing planes; then all networks, for the image.
+    # First the depth of each image, compared with those around it; by these depths views are then drawn.
     fit(
         session, "depth", depth, recipe.depth_training,
         lambda _, generator: _of_members(
@@ -91,22 +81,36 @@ def train_camera(
             [partial(depth_step, one.depth, examples, recipe) for one in networks],
         ),
     )  # fmt: skip
-    both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
+    placing = time.perf_counter()
+    maps = {name: image_depths(networks, one) for name, one in cameras.items()}
+    cameras = {name: one.with_depths(maps[name].to(device)) for name, one in cameras.items()}
+    views = _each(wanted, lambda name, index: cameras[name].left_out(index)) + _each(
+        wanted, lambda name, index: cameras[name].left_out_in_block(index)
+    )
+    preparation += time.perf_counter() - placing
+    drawing = nn.ModuleList(part for one in networks for part in (one.blend, one.refine) if part is not None)
+    both = fresh_state(drawing, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
         lambda _, generator: _of_members(
             recipe.camera_training.parts, generator,
-            [partial(camera_step, one, examples, recipe) for one in networks],
+            [partial(camera_step, one, views, recipe) for one in networks],
         ),
     )  # fmt: skip
     validating = time.perf_counter()
-    verdict, learned, corrections = _verdict(networks, given, shown, recipe.camera)
+    verdict, learned, corrections = _verdict(networks, given, cameras, recipe.camera)
     preparation += time.perf_counter() - validating
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
         metadata={"left_out_images": len(examples)} | verdict,
         facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
+        tensors={key: value for name, one in maps.items() for key, value in stored_maps(name, one).items()},
     )  # fmt: skip
+
+
+def _each(wanted: Sequence[tuple[str, int]], example: Callable[[str, int], LeftOut]) -> list[LeftOut]:
+    """An example of each image, given by its camera and number."""
+    return in_parts(lambda number: example(*wanted[number]), len(wanted))
 
 
 def _of_members(
@@ -117,7 +121,7 @@ def _of_members(
 
 
 def _verdict(
-    networks: CameraEnsemble, given: AlignedDrive, shown: Mapping[str, ShownImages], spec: CameraSpec
+    networks: CameraEnsemble, given: AlignedDrive, cameras: Mapping[str, ShownCamera], spec: CameraSpec
 ) -> tuple[dict[str, Scalar], list[str], dict[str, PoseCorrection]]:
     """Scores on the validation images, the cameras that use the networks, and the pose corrections to use.
 
@@ -126,17 +130,18 @@ def _verdict(
     that are returned are of all images.
     """
     recording = given.given
-    left_out = {name: validation_images(_images(recording, name), spec) for name in shown}
-    aligned = aligned_by(given.world, align_drive(given.world, list(shown) if spec.aligned else [], left_out))
+    left_out = {name: one.validation for name, one in cameras.items()}
+    aligning = list(cameras) if spec.aligned else []
+    aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out))
     metadata: dict[str, Scalar] = {}
     learned, better = [], []
-    for name, images in shown.items():
+    for name, camera in cameras.items():
         candidates = {
-            "learned": _by_networks(networks, given, name, images, spec),
+            "learned": _by_networks(networks, camera),
             "reproject": _by_warping(recording, name),
         }
         if name in aligned.corrections:
-            candidates["aligned"] = _by_networks(networks, aligned, name, images, spec)
+            candidates["aligned"] = _by_networks(networks, replace(camera, drive=aligned))
         found, ours = compare(_METRICS, left_out[name], candidates), "learned"
         if "aligned" in candidates:
             gain_db = found.of("aligned", "psnr_db") - found.of("learned", "psnr_db")
@@ -156,26 +161,26 @@ def camera_renderer(
     networks: CameraEnsemble,
     recording: Recording,
     spec: CameraSpec,
-    learned: Sequence[str],
+    maps: Mapping[str, DepthMaps],
     corrections: Mapping[str, PoseCorrection],
 ) -> ImageRenderer:
-    """Renders images by the networks for the cameras in `learned`, by `reproject` for the others.
+    """Renders images by the networks for the cameras that have depth maps, by `reproject` for the others.
 
     Args:
         networks: Trained.
         recording: The drive.
         spec: Of the recipe.
-        learned: Names of cameras.
+        maps: Depth maps of the training images, by camera.
         corrections: Of the images' poses, by camera.
     """
     warp, device = warping_renderer(recording), training_device()
     networks.to(device)
     drive = aligned_by(MovingWorld(recording), corrections)
     world = drive.world
-    shown = {name: _shown(world, name, spec).to(device) for name in learned}
+    shown = {name: _shown(world, name, spec).with_depths(one).to(device) for name, one in maps.items()}
 
     def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
-        if camera not in learned:
+        if camera not in maps:
             return warp(camera, pinhole, pose, time_s)
         one = world.recording.cameras[camera]
         view = camera_view(
@@ -187,19 +192,27 @@ def camera_renderer(
     return render
 
 
-def validation_images(images: int, spec: CameraSpec) -> range:
-    """Numbers of the training images that are for validation; at least one, never all."""
-    return validation_numbers(images, spec.judge_every, spec.judge_every // 3)
+def stored_maps(camera: str, maps: DepthMaps) -> dict[str, Tensor]:
+    """A camera's depth maps as tensors to store; half precision is exact to 0.05 %."""
+    return {f"{_MAPS}.{camera}.inverse": maps.inverse.half(), f"{_MAPS}.{camera}.mover": maps.mover}
 
 
-def _by_networks(
-    networks: CameraEnsemble, drive: AlignedDrive, camera: str, images_shown: ShownImages, spec: CameraSpec
-) -> Callable[[int], list[float]]:
+def maps_from(weights: Weights, camera: str) -> DepthMaps:
+    """A camera's depth maps from stored tensors.
+
+    Raises:
+        StoreError: They are absent.
+    """
+    inverse, mover = (weights.tensor(f"{_MAPS}.{camera}.{part}") for part in ("inverse", "mover"))
+    return DepthMaps(inverse.float(), mover)
+
+
+def _by_networks(networks: CameraEnsemble, camera: ShownCamera) -> Callable[[int], list[float]]:
     """Scores a left-out image as the networks render it."""
 
     def score(index: int) -> list[float]:
-        view = _left_out_view(drive, camera, index, images_shown, spec).to(images_shown.full.device)
-        return _scores(drive.given, camera, index, render_view(networks, view, spec))
+        shown = render_view(networks, camera.view(index, {index}), camera.spec)
+        return _scores(camera.drive.given, camera.name, index, shown)
 
     return score
 
@@ -225,40 +238,6 @@ def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage)
     """PSNR in dB of a rendered training image over the valid pixels."""
     images = recording.cameras[camera].training
     return [psnr(shown.rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value]
-
-
-def left_out(
-    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
-) -> LeftOut:
-    """A training image as a held-out view that the other images render.
-
-    Args:
-        drive: With the images' poses.
-        camera: Name.
-        index: Of the image among the camera's training images.
-        images_shown: All of the camera's training images.
-        spec: Of the recipe.
-    """
-    view = _left_out_view(drive, camera, index, images_shown, spec)
-    truth = drive.given.cameras[camera].training.rgb[index]
-    middle, small = (
-        functional.avg_pool2d(to_float(truth[None]), by)[0]
-        for by in (middle_factor(view.factor), view.factor)
-    )
-    return LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), middle, small)
-
-
-def _left_out_view(
-    drive: AlignedDrive, camera: str, index: int, images_shown: ShownImages, spec: CameraSpec
-) -> CameraView:
-    world = drive.world
-    one = world.recording.cameras[camera]
-    images, time_s = one.training, float(one.training_time_s[index])
-    return camera_view(
-        drive.left_out_pose(camera, index), images.pinhole, world.static_points(time_s, leave_out=True),
-        images_shown, images.pose, spec, leave_out=index,
-        moving=world.moving(time_s, one.training_time_s, leave_out=True),
-    )  # fmt: skip
 
 
 def _shown(world: MovingWorld, camera: str, spec: CameraSpec) -> ShownImages:

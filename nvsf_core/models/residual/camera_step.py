@@ -13,8 +13,8 @@ from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.recipe import CameraSpec, ResidualRecipe
 from nvsf_core.rendering.camera_view import Window, middle_factor
-from nvsf_core.rendering.learned_warp import blend_sources, planes_of, scaled
-from nvsf_core.rendering.plane_volume import depth_belief, plane_inverses
+from nvsf_core.rendering.learned_warp import blend_sources, scaled
+from nvsf_core.rendering.plane_depth import planes_of
 
 _MARGIN = 6
 """Shrunk pixels at a window's border that are not compared: the networks lack their surroundings."""
@@ -23,7 +23,7 @@ _MARGIN = 6
 def depth_step(
     network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
-    """The loss of the depth planes, weighted by their probability, in a window of a left-out image."""
+    """The loss of an image's depth planes by the other images, weighted by their probability, in a window."""
     example = _sampled(examples, recipe.camera, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = sample_window(shape, recipe.depth_training.rays // recipe.depth_training.parts, generator)
@@ -34,21 +34,18 @@ def depth_step(
 def camera_step(
     networks: CameraNetworks, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
-    """The loss of a window of a left-out image, rendered by both networks, and that of its depth planes."""
+    """The loss of a window of a left-out image, rendered from the other images and their depths."""
     example = _sampled(examples, recipe.camera, generator)
     view = example.view
     shape = (view.small.height, view.small.width)
     around = sample_window(shape, recipe.camera_training.rays // recipe.camera_training.parts, generator)
-    probability, colour = planes_of(networks.depth, view, recipe.camera, around)
-    belief = depth_belief(probability, colour, plane_inverses(recipe.camera, view.device))
     window = _full_size(around, shape, view.factor)
-    placed = belief.placed(around, shape)
-    blend = blend_sources(networks, view, placed, recipe.camera, window, around)
+    blend = blend_sources(networks, view, recipe.camera, window, around)
     shown, refinement = blend.colour, blend.refinement
     truth = example.truth[:, *window].float() / 255.0
     difference = shown - truth
     is_valid = _shown(view.images.full, window)
-    terms = _plane_terms(example, around, probability, colour) | {
+    terms = {
         "colour": difference.square().mean(dim=0)[is_valid],
         "colour_distance": difference.abs().mean(dim=0)[is_valid],
     }

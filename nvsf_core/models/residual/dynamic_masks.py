@@ -53,7 +53,7 @@ class MovingWorld:
         """
         found = []
         own = self._scan_at(instant_s) if leave_out else None
-        for one in self._objects:
+        for number, one in enumerate(self._objects, start=1):
             path = one.path.without(own)
             if not path.is_there(np.array([instant_s]))[0]:
                 continue
@@ -63,7 +63,7 @@ class MovingWorld:
             now = path.matrix_at(np.array([instant_s]))[0]
             moved = path.matrix_at(image_time_s) @ np.linalg.inv(now)
             moved[~path.is_there(image_time_s)] = 0.0
-            found.append(MovingPoints(transform_points(now, points).astype(np.float32), moved))
+            found.append(MovingPoints(number, transform_points(now, points).astype(np.float32), moved))
         return found
 
     def shadows(self, camera: CameraRecording) -> np.ndarray | None:

@@ -4,7 +4,7 @@ import time
 from dataclasses import replace
 
 from nvsf_core.models.family import Trained, TrainedPart, Weights
-from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, train_camera
+from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, maps_from, train_camera
 from nvsf_core.models.residual.capacity import ResidualFields, make_fields, needs
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
@@ -37,8 +37,11 @@ def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession
         facts |= part.facts
     for sensor, state in states.items():
         metadata[f"{sensor}_seconds"] = state.seconds
+    tensors = fields.tensors()
+    for part in parts:
+        tensors |= part.tensors
     return Trained(
-        tensors=fields.tensors(),
+        tensors=tensors,
         curves={sensor: state.curve for sensor, state in states.items()},
         seconds=seconds + sum(state.seconds for state in states.values()),
         metadata=metadata,
@@ -88,7 +91,8 @@ def load(
     if fields.camera is not None and with_camera:
         weights.load_into(fields.camera, "camera.")
         corrections = corrections_from(facts.get(ALIGNED, {}))
-        camera = camera_renderer(fields.camera, recording, recipe.camera, facts[LEARNED], corrections)
+        maps = {name: maps_from(weights, name) for name in facts[LEARNED]}
+        camera = camera_renderer(fields.camera, recording, recipe.camera, maps, corrections)
         model = replace(model, camera=camera)
     return model
 

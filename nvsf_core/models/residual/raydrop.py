@@ -8,7 +8,6 @@ import numpy as np
 import torch
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.raydrop.prior import find_cells
 from nvsf_core.evidence.static.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
@@ -17,7 +16,6 @@ from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import fire_left_out
 from nvsf_core.models.residual.raydrop_grid import (
-    RecordedSweeps,
     SweepCells,
     SweepRaydrop,
     hit_logits,
@@ -27,6 +25,7 @@ from nvsf_core.models.residual.training_rays import learned_scans
 from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.scan_grids import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
@@ -98,7 +97,7 @@ def train_hits(
         )
     started, device = time.perf_counter(), training_device()
     network.to(device)
-    scan_grids = recorded_sweeps(lidar)
+    scan_grids = lidar.scan_grids
     learned = [number for number, _ in learned_scans(lidar)]
     chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
     session.say("hits", f"simulating {len(chosen)} training scans")
@@ -171,27 +170,7 @@ def raydrop_correction(
     network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]
 ) -> SweepRaydrop:
     """A trained network, ready to correct sweeps; `blend` is the fact `HITS_BLEND`."""
-    return SweepRaydrop(network, recorded_sweeps(lidar), HitBlend(**blend))
-
-
-def recorded_sweeps(lidar: LidarRecording) -> RecordedSweeps:
-    """All training scans in the grid of lasers and firings of the drop prior."""
-    sweeps, a, prior = lidar.sweeps, lidar.sweeps.arrays, lidar.evidence.prior
-    ranges, shine = (np.zeros(prior.is_hit.shape, np.float32) for _ in range(2))
-    for number, scan in enumerate(np.flatnonzero(sweeps.is_training).tolist()):
-        part = sweeps.returns_of(scan)
-        laser, offsets = a["laser"][part], np.array([0, part.stop - part.start])
-        _, cells = find_cells(
-            laser, a["firing"][part], a["sweep_fraction"][part], offsets, a["firings"][scan : scan + 1],
-            nominal_firings=sweeps.table.firings_per_turn,
-        )  # fmt: skip
-        known = cells.is_known
-        cell = (number, laser[known], cells.column[known])
-        ranges[cell], shine[cell] = a["range_m"][part][known], a["intensity"][part][known]
-    return RecordedSweeps(
-        prior, lidar.evidence.lasers.astype(np.int64), ranges, shine, sweeps.trajectory, sweeps.table,
-        sweeps.period_s, sweeps.elevation_correction_rad,
-    )  # fmt: skip
+    return SweepRaydrop(network, lidar.scan_grids, HitBlend(**blend))
 
 
 def _example(

@@ -14,73 +14,18 @@ from scipy.special import expit
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.fields.cell_network import CellNetwork
-from nvsf_core.kernels.scan_lookup import (
-    BESIDE,
-    EMPTY,
-    SAME,
-    SHINE,
-    THROUGH,
-    Lasers,
-    SweepGrid,
-    look_up_scans,
-)
+from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH
 from nvsf_core.numerics import probability_logit
+from nvsf_core.recording.scan_grids import NEAREST, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import HitBlend
 from nvsf_core.simulation.scan import SweepRays
 
 FEATURES = 14
 """Input channels of the network."""
-_NEAREST = 2
-"""Of the scans that are looked up, those nearest in time, which have channels of their own too."""
 _PRIOR_LIMIT, _HIT_LIMIT = 0.02, 0.003
-_MOMENTS = 256
-"""Equal parts of a sweep at which the sensor's pose is interpolated."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedSweeps:
-    """The n training scans in the grid of lasers and firings, and how their sensor moved."""
-
-    prior: DropPrior
-    lasers: np.ndarray
-    """(l,) int64: lasers with any return, from the top."""
-    range_m: np.ndarray
-    """(n, lasers, f) float32 metres along the laser's ray, without its range bias; 0 = no return."""
-    intensity: np.ndarray
-    """(n, lasers, f) float32 as recorded."""
-    trajectory: Trajectory
-    table: LaserTable
-    period_s: float
-    turn_up_rad: float
-    """Angle by which recorded directions are turned up on their way into the world."""
-
-    def ask(self, points_m: np.ndarray, scans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Look up points (r, 3) float32, scene-local, in scans (k,), nearest in time first.
-
-        Returns the counts (r, 5) float32 of `look_up_scans`, summed over the first two scans and over all.
-        """
-        table, rows = self.table, self.lasers
-        shift_rad = (table.phase_steps - table.firing_shift_steps)[rows] * table.step_rad
-        lasers = Lasers(
-            rows, table.elevation_rad[rows], table.vertical_offset_m[rows], table.horizontal_offset_m[rows],
-            shift_rad, self.turn_up_rad,
-        )  # fmt: skip
-        moments = (np.arange(_MOMENTS) + 0.5) / _MOMENTS - 0.5
-        found = np.zeros((len(points_m), 5), np.float32)
-        nearest = found
-        for number, scan in enumerate(scans.tolist()):
-            if number == _NEAREST:
-                nearest = found.copy()
-            rotation, position = self.trajectory.at(self.prior.time_s[scan] + moments * self.period_s)
-            fraction = self.prior.fraction[scan][: self.prior.firings_of(scan)]
-            sweep = SweepGrid(rotation, position, fraction, self.range_m[scan], self.intensity[scan])
-            look_up_scans(points_m, lasers, sweep, found)
-        return nearest, found
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,12 +99,12 @@ def sweep_cells(
     points_m = rays.origin_m + rays.direction * rendered.range_m[:, None]
     nearest, asked = scan_grids.ask(points_m.astype(np.float32), near)
     share = asked / np.float32(len(near))
-    share_nearest = nearest / np.float32(min(len(near), _NEAREST))
+    share_nearest = nearest / np.float32(min(len(near), NEAREST))
     shine = asked[:, SHINE] / np.maximum(asked[:, SAME], 1.0)
     level = np.repeat(np.linspace(-1.0, 1.0, lasers, dtype=np.float32), firings)
     channels = (
         rendered.hit_prior - 0.5,
-        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:_NEAREST]) - 0.5,
+        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:NEAREST]) - 0.5,
         is_met - 0.5,
         np.log1p(range_m) / 2.0 - 1.0,
         range_m / 40.0,

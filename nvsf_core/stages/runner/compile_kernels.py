@@ -12,7 +12,6 @@ import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.models.residual.raydrop import recorded_sweeps
 from nvsf_core.recipe import preset
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
@@ -43,7 +42,7 @@ def compile_kernels() -> None:
         lidar = read_recording(run.store).lidar
         assert lidar is not None
         # So small a field may lose against `reproject`, and then the recorded sweeps are not queried.
-        recorded_sweeps(lidar).ask(np.zeros((1, 3), np.float32), np.zeros(1, np.int64))
+        lidar.scan_grids.ask(np.zeros((1, 3), np.float32), np.zeros(1, np.int64))
 
 
 if __name__ == "__main__":

@@ -24,9 +24,10 @@ from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.point_cloud import point_cloud_metrics
+from nvsf_core.metrics.point_cloud import point_cloud_metrics, point_cloud_part_metrics
 from nvsf_core.metrics.protocols import Scan, near_returns
 from nvsf_core.metrics.range_and_intensity import ray_intensity_metrics, ray_range_metrics
+from nvsf_core.rendering.support import SUPPORTED, Support
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.raydrop import rays_return
@@ -34,7 +35,7 @@ from nvsf_core.simulation.view_plan import mount_pose
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
 _VIEW = (
@@ -115,19 +116,25 @@ def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Led
     Raises:
         StoreError: The stored rays are not those that the view's sensor fires.
     """
-    a = read_arrays(path, *_VIEW)
+    supports = [name for name in ("support", "grid_support") if name in array_names(path, "u")]
+    a = read_arrays(path, *_VIEW, *supports)
     for i, frame in enumerate(a["frame"].tolist()):
-        own = part(a["offsets"], i)
+        own, firings = part(a["offsets"], i), int(a["grid_firings"][i])
         scan = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
-        grid = {name: a[name][i][:, : int(a["grid_firings"][i])] for name in _GRID}
+        grid = {name: a[name][i][:, :firings] for name in _GRID}
         rays = _Rays(truth, view, float(a["time_s"][i]) + truth.shift_s, grid["grid_hit"].shape[1])
         # A copy lies on the model's rays, with the azimuths of the model's returns: checked with the model.
         if path.stem != _COPY:
             rays.require_same(path, grid)
-        ledger.add(
-            _against(rays, grid, near_returns(scan)), split=view.name, protocol="raw", sensor="lidar",
-            frame=frame, render_seconds=float(a["lidar_render_seconds"][i]),
-        )  # fmt: skip
+        found = {"all": _against(rays, grid, near_returns(scan))}
+        if "support" in a:
+            grid["grid_support"] = a["grid_support"][i][:, :firings]
+            found |= _by_support(rays, grid, scan, a["support"][own])
+        for region, measures in found.items():
+            ledger.add(
+                measures, split=view.name, protocol="raw", region=region, sensor="lidar", frame=frame,
+                render_seconds=float(a["lidar_render_seconds"][i]),
+            )  # fmt: skip
         yield f"sweep {i + 1} of {a['frame'].size}"
 
 
@@ -178,15 +185,46 @@ class _Rays:
 
 def _against(rays: _Rays, grid: Mapping[str, np.ndarray], exported: Scan) -> dict[str, Measure]:
     """Metrics of the exported scan and of the rendered grid against the truth."""
-    there = rays.returns
+    true_m = np.where(rays.returns, rays.exact.range_m, 0.0)
+    return {
+        **_along_rays(rays, grid, np.ones(rays.returns.shape, bool)),
+        **point_cloud_metrics(exported.points_m, rays.points(true_m)[rays.returns]),
+    }
+
+
+def _along_rays(rays: _Rays, grid: Mapping[str, np.ndarray], chosen: np.ndarray) -> dict[str, Measure]:
+    """Metrics of the chosen (L, F) rays of the rendered grid against the truth."""
+    there = rays.returns & chosen
     predicted_m = rays.along(grid["grid_range_m"])
     answered = np.isfinite(predicted_m[there])
-    hits = hit_image_metrics(rays_return(grid["grid_hit"]).astype(np.float64), there)
-    true_m = np.where(there, rays.exact.range_m, 0.0)
+    hits = hit_image_metrics(
+        rays_return(grid["grid_hit"][chosen]).astype(np.float64), rays.returns[chosen]
+    )  # fmt: skip
     return {
-        **ray_range_metrics(predicted_m[there], true_m[there]),
+        **ray_range_metrics(predicted_m[there], rays.exact.range_m[there]),
         **ray_intensity_metrics(grid["grid_intensity"][there], rays.exact.intensity[there], answered),
         "hit_accuracy": hits["hit_accuracy"],
         "hit_f_score": hits["hit_f_score"],
-        **point_cloud_metrics(exported.points_m, rays.points(true_m)[there]),
+    }
+
+
+def _by_support(
+    rays: _Rays, grid: Mapping[str, np.ndarray], scan: Scan, support: np.ndarray
+) -> dict[str, dict[str, Measure]]:
+    """Metrics by region: of the rays and returns of each support, and of all that are supported.
+
+    `support` (N,) is that of the scan's returns, which here are all, also those beyond the metrics' limit.
+    """
+    true_m = rays.points(np.where(rays.returns, rays.exact.range_m, 0.0))[rays.returns]
+    true_support = grid["grid_support"][rays.returns]
+    regions: dict[str, tuple[Support, ...]] = {one.region: (one,) for one in Support}
+    regions[SUPPORTED] = (Support.EXTRAPOLATED, Support.SEEN)
+    return {
+        region: {
+            **_along_rays(rays, grid, np.isin(grid["grid_support"], kinds)),
+            **point_cloud_part_metrics(
+                scan.points_m, true_m, np.isin(support, kinds), np.isin(true_support, kinds)
+            ),
+        }
+        for region, kinds in regions.items()
     }

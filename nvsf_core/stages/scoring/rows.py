@@ -125,7 +125,9 @@ class Ledger:
         shown: dict[str, Scalar] = {}
         for row in mean_rows(self.rows):
             is_view = row["split"] != HELD_OUT
-            wanted = _EXACT if is_view else _HEADLINES.get((row["split"], row["region"]), ())
+            wanted = _HEADLINES.get((row["split"], row["region"]), ())
+            if is_view:
+                wanted = _EXACT if row["region"] == "all" else ()
             if (row["protocol"], row["metric"]) in wanted and not math.isnan(row["value"]):
                 place = row["split"] if is_view else row["region"]
                 key = f"{row['recipe']}/{row['protocol']}/{row['sensor']}/{row['metric']}"

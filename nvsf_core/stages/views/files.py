@@ -11,6 +11,7 @@ from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.kitti360.writer import write_image, write_scan
 from nvsf_core.errors import DataError
+from nvsf_core.rendering.support import Support
 from nvsf_core.reporting.previews import image_preview, range_preview
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
 from nvsf_core.stages.runner.record import read_record
@@ -117,6 +118,19 @@ def write_scans(
     return found
 
 
+def write_support(folder: Path, numbers: Sequence[int], supports: Sequence[np.ndarray]) -> list[str]:
+    """Write the support of each scan's returns, uint8 (N,), as a file beside the scan.
+
+    Returns:
+        For each scan its file, relative to the folder.
+    """
+    files = [f"velodyne_points/support/{number:010d}.bin" for number in numbers]
+    for file, support in zip(files, supports, strict=True):
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_bytes(support.astype(np.uint8).tobytes())
+    return files
+
+
 def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[str, int, int, str]]:
     """Write a view's rendered images as PNG.
 
@@ -158,6 +172,9 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
     output.metadata[f"{view}_sweeps"] = len(returns)
     output.metadata[f"{view}_returns_per_sweep"] = float(returns.mean())
     output.metadata[f"{view}_lidar_seconds_per_sweep"] = float(np.median(arrays["lidar_render_seconds"]))
+    for support in Support if "support" in arrays else ():
+        share = float(np.mean(arrays["support"] == support))
+        output.metadata[f"{view}_{support.region}_share"] = share
     (folder / "range.png").write_bytes(range_preview(arrays["pano_range_m"][0]))
     output.previews[f"{view} range"] = f"{view}/range.png"
     output.checks.append(

@@ -44,9 +44,11 @@ def sweep_arrays(
     shapes = {s.grid["grid_hit"].shape for s in sweeps}
     firings = max(shape[1] for shape in shapes)
     arrays["grid_firings"] = np.array([s.grid["grid_hit"].shape[1] for s in sweeps])
-    for name in sweeps[0].grid:
+    arrays["support"] = np.concatenate([s.support for s in sweeps])
+    grids = [s.grid | {"grid_support": s.grid_support} for s in sweeps]
+    for name in grids[0]:
         # Sweeps differ by a firing or two: shorter grids are padded with zeros.
-        padded = [np.pad(s.grid[name], ((0, 0), (0, firings - s.grid[name].shape[1]))) for s in sweeps]
+        padded = [np.pad(grid[name], ((0, 0), (0, firings - grid[name].shape[1]))) for grid in grids]
         arrays[name] = np.stack(padded)
     return arrays
 

@@ -12,7 +12,8 @@ from nvsf_core.models.residual.camera_step import camera_step, depth_step, sampl
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
-from nvsf_core.rendering.learned_warp import believe_depth
+from nvsf_core.rendering.plane_depth import likeliest_depth, plane_inverses, planes_of
+from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.training.loop import make_optimiser
 
@@ -32,15 +33,16 @@ def poses() -> np.ndarray:
     return result
 
 
-def example(spec: CameraSpec = RECIPE.camera) -> LeftOut:
-    """A wall of stripes at 5 m, its middle photograph left out; no LiDAR."""
+def example(spec: CameraSpec = RECIPE.camera, *, itself: bool = False) -> LeftOut:
+    """A wall of stripes at 5 m, its middle photograph left out or `itself` a source; no LiDAR."""
     rays = CAMERA.rays(CAMERA.pixels())
     x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
+    maps = DepthMaps(torch.full((3, 32, 64), 0.2), torch.zeros(3, 32, 64, dtype=torch.uint8))
+    shown = shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec))
     view = camera_view(
-        poses()[1], CAMERA, np.zeros((0, 3), np.float32),
-        shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec)), poses(), spec,
-        leave_out=1,
+        poses()[1], CAMERA, np.zeros((0, 3), np.float32), shown if itself else shown.with_depths(maps),
+        poses(), spec, leave_out=() if itself else (1,), own=1 if itself else None,
     )  # fmt: skip
     truth = torch.from_numpy(images[1]).permute(2, 0, 1)
     full = to_float(images[1:2])
@@ -49,7 +51,7 @@ def example(spec: CameraSpec = RECIPE.camera) -> LeftOut:
 
 def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall() -> None:
     networks = CameraNetworks(RECIPE.camera, torch.Generator().manual_seed(0))
-    left_out, generator = example(), torch.Generator().manual_seed(1)
+    itself, left_out, generator = example(itself=True), example(), torch.Generator().manual_seed(1)
 
     def descend(network, step) -> tuple[float, float]:
         optimiser, losses = make_optimiser(network, STEPS), []
@@ -61,12 +63,13 @@ def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall(
             losses.append(float(loss.total.detach()))
         return float(np.mean(losses[:5])), float(np.mean(losses[-5:]))
 
-    before, after = descend(networks.depth, lambda: depth_step(networks.depth, [left_out], RECIPE, generator))
+    before, after = descend(networks.depth, lambda: depth_step(networks.depth, [itself], RECIPE, generator))
     assert after < 0.8 * before
-    belief = believe_depth(networks.depth, left_out.view, RECIPE.camera)
-    middle = belief.inverse[0, 4:-4, 12:-12]
+    with torch.no_grad():
+        probability, _ = planes_of(networks.depth, itself.view, RECIPE.camera)
+    middle = likeliest_depth(probability, plane_inverses(RECIPE.camera))[0][4:-4, 12:-12]
     assert abs(float(middle.median()) - 0.2) < 0.04
-    before, after = descend(networks, lambda: camera_step(networks, [left_out], RECIPE, generator))
+    before, after = descend(networks.blend, lambda: camera_step(networks, [left_out], RECIPE, generator))
     assert after < before
 
 
@@ -79,16 +82,17 @@ def test_windows_lie_in_the_image_and_are_as_large_as_asked_where_they_fit() -> 
         assert area == shape[0] * shape[1] or 0.9 * pixels < area <= pixels
 
 
-def test_the_shown_window_trains_the_choice_of_depth_too_even_with_a_place_holder_for_a_source() -> None:
+def test_gradients_are_finite_with_a_place_holder_for_a_source() -> None:
     spec = replace(RECIPE.camera, sources=4)
     networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
-    recipe = replace(RECIPE, camera=spec, losses=LossWeights(coarse=0.0, plane=0.0))
-    camera_step(networks, [example(spec)], recipe, torch.Generator().manual_seed(1)).total.backward()
-    gradient = networks.depth.down.weight.grad
+    camera_step(
+        networks, [example(spec)], replace(RECIPE, camera=spec), torch.Generator().manual_seed(1)
+    ).total.backward()
+    gradient = networks.blend.out.weight.grad
     assert gradient is not None and torch.isfinite(gradient).all() and gradient.abs().sum() > 0
 
 
-def test_depths_are_refined_on_larger_images_and_all_networks_learn_from_structure_and_planes() -> None:
+def test_depths_are_refined_on_larger_images_and_both_networks_learn_from_structure_and_depths() -> None:
     spec = replace(RECIPE.camera, plane_px=64 * 32 // 4, refinements=3)
     networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
     losses = LossWeights(colour=0.0, colour_distance=0.0, coarse=0.0, structure=1.0)
@@ -97,7 +101,8 @@ def test_depths_are_refined_on_larger_images_and_all_networks_learn_from_structu
     assert left_out.view.factor == 2 and left_out.middle_truth.shape == (3, 32, 64)
     loss = camera_step(networks, [left_out], recipe, generator)
     loss.total.backward()
-    assert {"structure", "refined", "plane"} <= loss.terms.keys()
-    for name, network in networks.named_children():
-        assert network.out.weight.grad.abs().sum() > 0 if name != "depth" else True, name
+    assert {"structure", "refined"} <= loss.terms.keys()
+    for name in ("blend", "refine"):
+        network = networks.get_submodule(name)
+        assert network.out.weight.grad.abs().sum() > 0, name
         assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None), name

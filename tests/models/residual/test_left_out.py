@@ -6,7 +6,8 @@ import torch
 
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.rendering.camera_view import CameraView
-from nvsf_core.rendering.plane_volume import PlaneVolume, plane_inverses, plane_volume
+from nvsf_core.rendering.plane_depth import plane_inverses
+from nvsf_core.rendering.plane_volume import PlaneVolume, plane_volume
 from nvsf_core.rendering.warping import plane_rays
 from tests.models.residual.test_camera_step import RECIPE, example
 
@@ -44,7 +45,7 @@ def test_a_mirror_of_a_mirror_is_the_example() -> None:
 def test_a_variant_changes_sources_and_truth_alike() -> None:
     one = example()
     # As if every source stood where the image was taken.
-    same = torch.cat([one.truth.float() / 255.0, torch.ones(1, *one.truth.shape[1:])])
+    same = torch.cat([one.truth.float() / 255.0, torch.ones(2, *one.truth.shape[1:])])
     images = replace(one.view.images, full=same.expand(3, -1, -1, -1))
     one = replace(one, view=replace(one.view, images=images))
     looks = set()

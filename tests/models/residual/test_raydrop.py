@@ -14,7 +14,6 @@ from nvsf_core.models.residual.raydrop import (
     TrainedHits,
     ValidationSweep,
     blend_in_rotation,
-    recorded_sweeps,
     train_hits,
 )
 from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
@@ -113,7 +112,7 @@ def test_a_scan_of_which_no_laser_is_known_teaches_no_drops(drive: Drive, tmp_pa
 
 
 def test_recorded_turns_hold_every_training_return_where_the_prior_has_it(drive: Drive) -> None:
-    scan_grids, prior = recorded_sweeps(drive.lidar), drive.lidar.evidence.prior
+    scan_grids, prior = drive.lidar.scan_grids, drive.lidar.evidence.prior
     assert np.array_equal(scan_grids.range_m > 0.0, prior.is_hit)
     sweeps = drive.lidar.sweeps
     first = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[0]))

@@ -9,8 +9,9 @@ import torch
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.models.residual.capacity import hits_network
-from nvsf_core.models.residual.raydrop_grid import RecordedSweeps, SweepRaydrop, sweep_cells
+from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, sweep_cells
 from nvsf_core.recipe import HitsSpec, TrainingSpec
+from nvsf_core.recording.scan_grids import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

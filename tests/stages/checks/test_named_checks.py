@@ -11,6 +11,7 @@ import pytest
 from assets.factory import CHECK_NAME, asset_of
 from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
+from nvsf_core.rendering.support import Support
 from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput, UnsoundOutputError
@@ -21,6 +22,8 @@ from nvsf_core.stores.tables import write_rows, write_table
 SCENE = "demo"  # of the project's own catalogue: the partitions are known when Dagster loads
 LASERS, FIRINGS, SENSOR = 8, 64, "HDL-64E"
 RAYS = LASERS * FIRINGS
+NO_SUPPORT = np.zeros(0, np.uint8)
+OWN = 10
 CAMERA, HIGH, WIDE = "image_00", 12, 16
 FRAMES, HELD_OUT = (0, 1, 2, 3, 4), 2
 
@@ -35,6 +38,21 @@ def _scan(draws, share=0.9):
         "laser": laser[kept].astype(np.int16),
         "intensity": draws.uniform(0.0, 1.0, len(kept)).astype(np.float32),
     }
+
+
+def _recorded(draws):
+    """A scan whose first returns are on the own vehicle: a roof mount to the right."""
+    scan = _scan(draws)
+    own = np.arange(len(scan["laser"])) < OWN
+    scan["points_m"][own] = [0.1, -1.9, 0.1]
+    return scan | {"is_own_vehicle": own}
+
+
+def _at(frame):
+    """The sensor's pose: a metre forward each frame."""
+    pose = np.eye(4)
+    pose[0, 3] = frame
+    return pose
 
 
 def _image(draws):
@@ -57,7 +75,8 @@ def store(tmp_path, monkeypatch):
     with store.publish("sweeps") as folder:
         times = {"frame": np.array(FRAMES), "time_s": np.arange(5) * 0.1}
         times["firings"] = np.full(5, FIRINGS, np.int32)
-        arrays = _joined([_scan(draws) for _ in FRAMES])
+        times["lidar_to_world"] = np.stack([_at(frame) for frame in FRAMES])
+        arrays = _joined([_recorded(draws) for _ in FRAMES])
         write_arrays(folder / "returns.zarr", times | arrays, {"sensor": SENSOR})
     with store.publish("undistorted") as folder:
         images = {f"{CAMERA}_rgb": np.stack([_image(draws) for _ in FRAMES])}
@@ -68,7 +87,9 @@ def store(tmp_path, monkeypatch):
 
 def _view(folder, scan):
     """The model's held-out view as `novel_views` stores it."""
-    counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2]), "lidar_to_world": np.eye(4)[None]}
+    counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2])}
+    counts["lidar_to_world"] = _at(HELD_OUT)[None]
+    counts["support"] = np.full(len(scan["laser"]), Support.SEEN, np.uint8)
     along = {"ray_range_m": np.array([10.0, np.inf], np.float32), "ray_intensity": np.zeros(2, np.float32)}
     images = {
         f"{CAMERA}_rgb": _image(np.random.default_rng(5))[None],
@@ -103,13 +124,26 @@ def _far(path):
 
 def _dropped(path):
     gone = {"points_m": np.zeros((0, 3), np.float32), "laser": np.zeros(0, np.int16)}
-    _change(path, **gone, intensity=np.zeros(0, np.float32), offsets=np.array([0, 0]))
+    _change(path, **gone, intensity=np.zeros(0, np.float32), offsets=np.array([0, 0]), support=NO_SUPPORT)
 
 
 def _half_dropped(path):
-    a = read_arrays(path, "points_m", "laser", "intensity")
+    a = read_arrays(path, "points_m", "laser", "intensity", "support")
     half = {name: values[: len(values) // 2] for name, values in a.items()}
     _change(path, **half, offsets=np.array([0, len(half["laser"])]))
+
+
+def _ghosts(path):
+    """Some returns lie where the roof mount was two frames before."""
+    points = read_arrays(path, "points_m")["points_m"]
+    points[:OWN] = [0.1 - 2.0, -1.9, 0.1]
+    _change(path, points_m=points)
+
+
+def _guessed(path):
+    support = read_arrays(path, "support")["support"]
+    support[: len(support) // 5] = Support.GUESSED
+    _change(path, support=support)
 
 
 def _grey(path):
@@ -170,6 +204,8 @@ def _shown(instance, stage, names):
         (_dropped, "held_out_scans_hold_returns", True),
         (_half_dropped, "hit_rate_is_like_the_training_scans", False),
         (_grey, "intensities_are_like_the_training_scans", False),
+        (_ghosts, "views_hold_no_ghosts_of_the_recording_vehicle", False),
+        (_guessed, "little_of_a_view_is_guessed", False),
         (_black, "rendered_images_are_not_blank", False),
         (_one_grey, "rendered_images_are_not_blank", False),
         (_plain, "rendered_images_are_not_blank", False),

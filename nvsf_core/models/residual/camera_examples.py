@@ -1,0 +1,96 @@
+"""Training images of a camera as views that its other images render."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from nvsf_core.models.residual.left_out import LeftOut
+from nvsf_core.models.residual.pose_refinement import AlignedDrive
+from nvsf_core.models.selection.holdout import validation_numbers
+from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view, middle_factor
+from nvsf_core.rendering.view_depth_maps import DepthMaps
+from nvsf_core.rendering.warping import to_float
+
+_BLOCKS_M = (1.0, 2.0, 4.0)
+"""An image is also rendered without those within one of these distances: networks learn to look from afar."""
+_FEWEST_SOURCES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ShownCamera:
+    """A camera's training images, and their views by each other."""
+
+    drive: AlignedDrive
+    """With the images' poses."""
+    name: str
+    """Of the camera."""
+    images: ShownImages
+    """All training images, as sources."""
+    spec: CameraSpec
+    """Of the recipe."""
+
+    @property
+    def validation(self) -> range:
+        """Numbers of the training images that are for validation; at least one, never all."""
+        return validation_numbers(len(self.images.full), self.spec.judge_every, self.spec.judge_every // 3)
+
+    @property
+    def training(self) -> list[int]:
+        """Numbers of the other images."""
+        return [index for index in range(len(self.images.full)) if index not in self.validation]
+
+    def with_depths(self, maps: DepthMaps) -> "ShownCamera":
+        """The same camera, whose images have depth maps."""
+        return replace(self, images=self.images.with_depths(maps))
+
+    def itself(self, index: int) -> LeftOut:
+        """An image among its own sources, by which its depth is found; images for validation are none."""
+        return self._with_truth(self.view(index, set(self.validation) - {index}, own=index), index)
+
+    def left_out(self, index: int) -> LeftOut:
+        """An image rendered from all others."""
+        return self._with_truth(self.view(index, {index}), index)
+
+    def left_out_in_block(self, index: int) -> LeftOut:
+        """An image rendered from those beyond a distance that depends on its number."""
+        block = self._block(index, _BLOCKS_M[index % len(_BLOCKS_M)])
+        return self._with_truth(self.view(index, block), index)
+
+    def view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
+        """The view of a training image by the others, without the scan of its instant.
+
+        Args:
+            index: Number of the image.
+            leave_out: Numbers of images that are no sources.
+            own: As in `camera_view`.
+        """
+        world = self.drive.world
+        one = world.recording.cameras[self.name]
+        shown, time_s = one.training, float(one.training_time_s[index])
+        view = camera_view(
+            self.drive.left_out_pose(self.name, index), shown.pinhole,
+            world.static_points(time_s, leave_out=True), self.images, shown.pose, self.spec,
+            leave_out=leave_out, own=own, moving=world.moving(time_s, one.training_time_s, leave_out=True),
+        )  # fmt: skip
+        return view.to(self.images.full.device)
+
+    def _with_truth(self, view: CameraView, index: int) -> LeftOut:
+        truth = self.drive.given.cameras[self.name].training.rgb[index]
+        middle, small = (
+            functional.avg_pool2d(to_float(truth[None]), by)[0]
+            for by in (middle_factor(view.factor), view.factor)
+        )
+        example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), middle, small)
+        return example.to(self.images.full.device)
+
+    def _block(self, index: int, radius_m: float) -> set[int]:
+        """Numbers of the images within a distance of one of them, which is one; at least two are left."""
+        position_m = self.drive.world.recording.cameras[self.name].training.pose[:, :3, 3]
+        distance_m = np.linalg.norm(position_m - position_m[index], axis=1)
+        order = np.argsort(distance_m, kind="stable")
+        inside = int(np.count_nonzero(distance_m <= radius_m))
+        return {index, *order[: min(inside, len(order) - _FEWEST_SOURCES)].tolist()}

@@ -1,0 +1,58 @@
+"""Depth maps of the training images: what each image shows, compared with the images around it."""
+
+import numpy as np
+import torch
+
+from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.geometry.se3 import invert_pose, transform_points
+from nvsf_core.kernels.depth_splat import without_edges
+from nvsf_core.kernels.threads import in_parts
+from nvsf_core.models.residual.camera_examples import ShownCamera
+from nvsf_core.rendering.camera_view import MovingPoints, camera_view
+from nvsf_core.rendering.plane_depth import image_inverse_depth
+from nvsf_core.rendering.view_depth_maps import DepthMaps
+
+_MARGIN_M = 0.3
+"""Pixels of a moving object are nearer or farther than all its returns by at most so much."""
+
+
+def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
+    """Depth maps of a camera's training images.
+
+    Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth
+    depends on an image for validation but its own, so a rendered one knows nothing of its own pixels.
+
+    Args:
+        networks: Whose depth networks compare the images.
+        camera: Whose images have no depths yet.
+    """
+    world, images = camera.drive.world, camera.images
+    one = world.recording.cameras[camera.name]
+    shown, time_s = one.training, one.training_time_s
+    around_movers = world.shadows(one)
+
+    def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
+        instant_s = float(time_s[number])
+        moving = world.moving(instant_s, time_s)
+        view = camera_view(
+            shown.pose[number], shown.pinhole, world.static_points(instant_s), images, shown.pose,
+            camera.spec, leave_out=set(camera.validation) - {number}, own=number, moving=moving,
+        )  # fmt: skip
+        inverse = image_inverse_depth(networks, view.to(images.full.device), camera.spec).cpu().numpy()
+        mover = np.zeros(inverse.shape, np.uint8)
+        for place, each in enumerate(moving, start=1):
+            assert view.label is not None
+            mover[(view.label.numpy() == place) & _is_at(inverse, each, shown.pose[number])] = each.number
+        known = shown.valid
+        if around_movers is not None:
+            known = known & ((mover > 0) | ~around_movers[number])
+        return np.where(known, without_edges(inverse), np.float32(0.0)), mover
+
+    inverse, mover = zip(*in_parts(depth, len(time_s)), strict=True)
+    return DepthMaps(torch.from_numpy(np.stack(inverse)), torch.from_numpy(np.stack(mover)))
+
+
+def _is_at(inverse: np.ndarray, mover: MovingPoints, pose: np.ndarray) -> np.ndarray:
+    """(H, W) bool: depths at which an object's points lie, as the camera sees them."""
+    z_m = transform_points(invert_pose(pose), mover.points_m)[:, 2]
+    return (inverse * (z_m.max() + _MARGIN_M) >= 1.0) & (inverse * max(z_m.min() - _MARGIN_M, 1e-3) <= 1.0)

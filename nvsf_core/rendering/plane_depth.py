@@ -1,0 +1,143 @@
+"""Depth of a recorded image: a network compares the images around it on depth planes."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from nvsf_core.fields.camera_networks import CameraEnsemble, DepthNetwork
+from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_of
+from nvsf_core.rendering.plane_volume import PlaneVolume, plane_volume
+from nvsf_core.rendering.warping import plane_rays, sample
+
+_WINDOW_PX = 5
+_TRUST_PX = 3.0
+"""Distance from a return in the shrunk image over which the trust in its depth falls to 1/e."""
+_FULL_TRUST_PX = 12.0
+"""The same in the full image, where the return's depth replaces that of the planes."""
+_CLAMP_PLANES = 8.0
+_MODE_PLANES = 2
+"""Planes on either side of the likeliest that count as the same depth."""
+
+
+def plane_step(spec: CameraSpec) -> float:
+    """Inverse depth between two planes, 1/m; depths of neighbours that differ by more are of two surfaces."""
+    return (1.0 / spec.near_m - 1.0 / spec.far_m) / (spec.planes - 1)
+
+
+def plane_inverses(spec: CameraSpec, device: torch.device | None = None) -> Tensor:
+    """Inverse depths (d,) of the planes, 1/m, ascending, evenly spaced; None = on the CPU."""
+    # Always computed on the CPU, so that every device gets the same bits.
+    return torch.linspace(1.0 / spec.far_m, 1.0 / spec.near_m, spec.planes).to(device)
+
+
+def planes_of(
+    network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
+) -> tuple[Tensor, Tensor]:
+    """Probability (d, h, w) and colour (d, 3, h, w) of a recorded image's d depth planes, at shrunk pixels.
+
+    The image itself is the first source: planes are compared with it, but their colours are the others'.
+
+    Args:
+        network: Gives the probabilities.
+        view: Of the image.
+        spec: Recipe of the camera networks.
+        window: Part of the shrunk image.
+    """
+    inverses, small = plane_inverses(spec, view.device), view.small
+    label = view.label_of(view.factor, window)
+    sources = view.sources(view.images.small)
+    rays = plane_rays(small, view.device)[window]
+    volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
+    prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
+    features = volume_features(volume, prior, gap_px / view.factor, inverses)
+    return network(features).softmax(dim=0), volume.without_first().mean_colour()
+
+
+def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
+    """Input (VOLUME_FEATURES, d, h, w) of the depth network.
+
+    Args:
+        volume: Colours on d planes.
+        prior: (h, w) inverse depth from the LiDAR, 1/m.
+        gap_px: (h, w) distance to the nearest return in shrunk pixels; inf where there is no return.
+        inverses: (d,) inverse depths of the planes, 1/m.
+    """
+    spread, pair, share, mean = volume.agreement()
+    # Without any return the prior is only a placeholder.
+    is_known = torch.isfinite(gap_px).float()
+    trust = torch.exp(-gap_px / _TRUST_PX)
+    offset = (inverses[:, None, None] - prior) / (inverses[1] - inverses[0]) * is_known
+    at_prior = torch.exp(-0.5 * offset**2) * is_known
+    return torch.stack(
+        [
+            4.0 * spread,
+            4.0 * pair,
+            4.0 * _window_mean(spread),
+            4.0 * _window_mean(pair),
+            share,
+            at_prior * trust,
+            at_prior * (1.0 - trust),
+            offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,
+            trust.expand_as(spread),
+            *mean.unbind(dim=1),
+        ]
+    )
+
+
+def likeliest_depth(probability: Tensor, inverses: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverse depth (h, w), 1/m, of the planes around the likeliest one, and their probability (h, w).
+
+    Args:
+        probability: (d, h, w) of the planes.
+        inverses: (d,) inverse depths of the planes, 1/m.
+    """
+    planes = probability.argmax(dim=0) + torch.arange(
+        -_MODE_PLANES, _MODE_PLANES + 1, device=probability.device
+    )[:, None, None]
+    inside = (planes >= 0) & (planes < len(inverses))
+    planes = planes.clamp(0, len(inverses) - 1)
+    near = probability.gather(0, planes) * inside
+    mass = near.sum(dim=0)
+    return (near * inverses[planes]).sum(dim=0) / mass.clamp_min(1e-9), mass
+
+
+@torch.no_grad()
+def image_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> Tensor:
+    """Inverse depth (H, W), 1/m, of a recorded image; near returns the LiDAR's. The median of the members'.
+
+    Args:
+        networks: Whose depth networks are used.
+        view: Of the image, which is its first source.
+        spec: Recipe of the camera networks.
+    """
+    trust = torch.exp(-view.gap_px / _FULL_TRUST_PX)
+    inverses, places = plane_inverses(spec, view.device), places_of(view, 1, view.factor)
+    depths = []
+    for member in networks:
+        probability, _ = planes_of(member.depth, view, spec)
+        both = torch.stack(likeliest_depth(probability, inverses))
+        inverse, mass = resized(both, places, plane_step(spec))
+        depths.append(torch.where(trust > mass * (1.0 - trust), view.inverse, inverse))
+    return torch.stack(depths).median(dim=0).values
+
+
+def resized(layers: Tensor, places: Tensor, jump: float) -> Tensor:
+    """Resample depths and what belongs to them: bilinear on a surface, the nearest pixel at an edge.
+
+    A mean across an edge would be a depth where nothing is, visible as a line.
+
+    Args:
+        layers: (c, h, w); of n depths first the inverse depths, 1/m, then n other values; c = 2n.
+        places: (H, W, 2) in grid_sample's coordinates.
+        jump: 1/m; where both samplings of a depth differ by more there is an edge.
+    """
+    mean, near = sample(layers, places), sample(layers, places, "nearest")
+    is_edge = (mean - near)[: len(layers) // 2].abs() > jump
+    return torch.where(is_edge.repeat(2, 1, 1), near, mean)
+
+
+def _window_mean(costs: Tensor) -> Tensor:
+    """Mean of costs (d, h, w) over a square window."""
+    half = _WINDOW_PX // 2
+    return functional.avg_pool2d(costs[None], _WINDOW_PX, 1, half, count_include_pad=False)[0]

@@ -1,0 +1,39 @@
+"""Hit priors of rays that the recorded unit never fired: of another sensor, or from another place.
+
+Which firing of the recorded unit returned tells nothing about them, but which places returned does. Where a
+ray meets a surface of the evidence, the nearest scans are asked whether they had a return there.
+"""
+
+import numpy as np
+
+from nvsf_core.evidence.raydrop.unit_gaps import cells_of
+from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.simulation.ray_renderers import evidence_renderer, render_in_chunks
+from nvsf_core.simulation.scan import SweepRays
+
+
+def hit_prior_elsewhere(
+    lidar: LidarRecording, rays: SweepRays, time_s: np.ndarray, near: np.ndarray, *, is_own_unit: bool
+) -> np.ndarray:
+    """Share (r,) float32 of the scans that looked where rays end which had a return there.
+
+    Args:
+        lidar: The recording.
+        rays: All r rays of a sweep.
+        time_s: (r,) seconds since the first frame, when each ray is fired.
+        near: (k,) numbers of the training scans that are asked.
+        is_own_unit: Whether the recorded unit fires them: then its gaps are theirs, too.
+    """
+    evidence = lidar.evidence
+    render = evidence_renderer(
+        evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
+    )
+    ones = np.ones(len(rays.laser), np.float32)
+    met = render_in_chunks(render, rays.origin_m, rays.direction, ones, time_s)
+    points_m = (rays.origin_m + rays.direction * met.range_m[:, None]).astype(np.float32)
+    hit_prior = lidar.scan_grids.hit_prior_at(points_m, near)
+    if is_own_unit and evidence.unit_gaps is not None:
+        cell = cells_of(rays.fraction, evidence.unit_gaps.shape[1])
+        hit_prior[evidence.unit_gaps[rays.laser, cell]] = 0.0
+    return hit_prior

@@ -1,0 +1,92 @@
+"""Support of a simulated sweep's rays: whether recorded rays of about the same place and direction agree.
+
+A ray shows a return or none. Of the nearest scans those tell that looked at its end and were not kept from it
+by something nearer. The ray is *seen* if two recorded the same there, from about the same direction and
+distance, and none something else: agreement says most about a ray's error. It is *guessed* if its end is
+where no return was ever recorded and no image shows it, or, of a ray without an end, if no scan looked that
+way. All else is *extrapolated*.
+"""
+
+import numpy as np
+
+from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.kernels.scan_lookup import EMPTY, SAME, THROUGH
+from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.rendering.rendered import RenderedRays
+from nvsf_core.rendering.support import Support
+from nvsf_core.sensors.own_vehicle import NEAR_M
+from nvsf_core.simulation.raydrop import rays_return
+from nvsf_core.simulation.scan import SweepRays
+
+_AGREEING_SCANS = 2
+_SAME_DIRECTION_COSINE = np.cos(np.deg2rad(20.0))
+_SAME_DISTANCE_RATIO = 1.5
+_SHIFT_M = 0.15
+"""A field moves a return along its ray by no more than this from the surface that it was recorded on."""
+_NOWHERE_M = 60.0
+"""Where a ray without an end is looked up."""
+
+
+def support_of_sweep(
+    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, near: np.ndarray, *,
+    is_own_unit: bool, is_by_images: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Support (r,) uint8, values of `Support`, of all rays of a sweep.
+
+    Args:
+        lidar: The recording.
+        rays: All r rays.
+        rendered: What they show.
+        near: (k,) numbers of the training scans that are asked.
+        is_own_unit: Whether the recorded unit fires them: its gaps and its own vehicle are known.
+        is_by_images: (r,) bool: rays whose end is known from images alone.
+    """
+    has_end = np.isfinite(rendered.range_m)
+    ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
+    ends_m = ends_m.astype(np.float32)
+    returned = rays_return(rendered.hit) & has_end
+    agreed, others, looked = np.zeros(len(ends_m)), np.zeros(len(ends_m)), np.zeros(len(ends_m), bool)
+    for scan in near.tolist():
+        found = lidar.scan_grids.look(ends_m, scan, gaps_hide=not is_own_unit)
+        same = np.where(returned, found[:, SAME], found[:, EMPTY])
+        is_alike = ~has_end | _is_alike(lidar.scan_grids.position_m(scan), rays, ends_m, rendered.range_m)
+        agreed += same * is_alike
+        others += found[:, [SAME, THROUGH, EMPTY]].sum(axis=1) - same
+        looked |= found.any(axis=1)
+    is_known = np.where(has_end, is_by_images | _is_recorded(lidar.evidence, rays, ends_m), looked)
+    support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
+    support[(agreed >= min(_AGREEING_SCANS, len(near))) & (others == 0)] = Support.SEEN
+    if is_own_unit:
+        support[has_end & (rendered.range_m < NEAR_M)] = Support.SEEN
+    return np.asarray(support.astype(np.uint8))
+
+
+def _is_alike(position_m: np.ndarray, rays: SweepRays, ends_m: np.ndarray, range_m: np.ndarray) -> np.ndarray:
+    """Whether (r,) bool a sensor at a position (3,) sees the rays' ends as they do."""
+    towards = ends_m - position_m.astype(np.float32)
+    distance_m = np.linalg.norm(towards, axis=1)
+    cosine = np.einsum("ni,ni->n", towards, rays.direction)
+    is_same_way = cosine >= _SAME_DIRECTION_COSINE * distance_m
+    ratio = np.maximum(distance_m, 1e-3) / np.maximum(range_m, 1e-3)
+    is_same_far = (ratio < _SAME_DISTANCE_RATIO) & (ratio > 1.0 / _SAME_DISTANCE_RATIO)
+    return np.asarray(is_same_way & is_same_far)
+
+
+def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -> np.ndarray:
+    """Whether (r,) bool a return was recorded in the voxel that a ray ends in, just before or behind it."""
+    here = _holds(evidence.surfels, ends_m)
+    found = here.copy()
+    for shift_m in (-_SHIFT_M, _SHIFT_M):
+        found |= _holds(evidence.surfels, ends_m + shift_m * rays.direction)
+    if evidence.unobserved is not None:
+        # An unobserved voxel lies beside a surface, but nothing was recorded in it.
+        found &= here | ~_holds(evidence.unobserved, ends_m)
+    return found
+
+
+def _holds(surfels: Surfels, points_m: np.ndarray) -> np.ndarray:
+    """Whether (n,) bool points (n, 3) lie in the voxel of a surfel."""
+    index = surfels.index
+    place = np.floor((points_m - index.origin_m) / index.voxel_m).astype(np.int64)
+    return np.asarray(index.find(place) >= 0)
