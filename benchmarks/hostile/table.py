@@ -13,7 +13,7 @@ _MEANING = {
     "doubted": "a check fails, or something is left out with its reason",
     "healed": "made again",
     "harmless": "the results are the same",
-    "silent": "other results, and nobody is told",
+    "silent": "other results, and nothing says so",
     "raw error": "a library's error",
     "hang": "longer than its limit",
     "crash": "the process died",

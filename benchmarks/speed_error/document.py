@@ -33,7 +33,7 @@ edit. Not measured on KITTI-360's ten scenes.
 
 A row or curve is a recipe; the baselines (`reproject`, `copy_nearest`, `mesh`) learn nothing. **Seconds** are
 wall clock of training, preparation included, for `reproject` and the LiDAR of recipes that start from
-evidence also the stage `evidence`, for `mesh` the stage `mesh`; the clock stands still while weights are
+evidence also the stage `evidence`, for `mesh` the stage `mesh`; the clock is stopped while weights are
 saved, and scoring is done after training. A column is the model *as it was* then in one training with the
 recipe's own number of steps; a training planned for so short a time would lower its rates sooner and be
 better. Where a recipe trains a model for each sensor, the LiDAR's errors stand over the LiDAR's seconds and

@@ -89,5 +89,5 @@ def ray_intensity_metrics(
     """
     same_shape(predicted, truth)
     if truth.size and not is_covered.any():
-        return {"intensity_rmse": undefined("no ray was answered")}
+        return {"intensity_rmse": undefined("no ray was rendered with a return")}
     return {"intensity_rmse": rmse(predicted[is_covered], truth[is_covered])}

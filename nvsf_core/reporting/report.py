@@ -195,7 +195,7 @@ def _how_to_read() -> str:
         "<li><b>Range error</b>: distance between predicted and recorded return along the very rays that the"
         " recording returned on. A ray without an answer counts as infinitely wrong; <b>no answer</b> is"
         " their share.</li>"
-        "<li><b>Hit accuracy</b>: share of the laser’s directions for which it is rightly told whether"
+        "<li><b>Hit accuracy</b>: share of the laser’s directions for which it is rightly predicted whether"
         " anything comes"
         " back. The unknown phase of the scanner’s turn keeps a real sensor from exceeding about 0.99.</li>"
         "<li><b>PSNR, SSIM</b>: likeness of pictures; large is good.</li></ul><p>A protocol says what"

@@ -12,7 +12,7 @@ from nvsf_core.reporting.scene_outputs import METHODS, CameraPair, ViewPictures
 from nvsf_core.reporting.tables import Row, image_scores, view_table
 
 _OF_IMAGES = (
-    " Its lasers look above those that recorded: what no return answers there is told by images, with"
+    " Its lasers look above those that recorded: where no return was recorded, images show the surface, with"
     " the scene's mean intensity."
 )
 _NOT_RECORDED = "Nobody recorded this one: rendered by {recipe} alone, nearest recorded frame {frame}."

@@ -78,7 +78,7 @@ STAGE = Stage(
     group="prepare",
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
-    "drop votes, the own vehicle, what moves and how, and what the scene needs.",
+    "hit priors, the own vehicle, what moves and how, and what the scene needs.",
     version="14",
     run=_run,
 )

@@ -98,7 +98,9 @@ def _with_images(
         return dict(models)
     started = time.perf_counter()
     above = seen_above(recording, lambda line: task.progress(f"[{task.scene.name}] novel_views: {line}"))
-    output.metadata["above_lasers"] = "unknown: no images show it" if above is None else "answered by images"
+    output.metadata["above_lasers"] = (
+        "unknown: no images show it" if above is None else "rendered from images"
+    )
     output.metadata["above_lasers_seconds"] = time.perf_counter() - started
     return {name: model if name == MESH else replace(model, above=above) for name, model in models.items()}
 

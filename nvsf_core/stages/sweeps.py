@@ -161,7 +161,7 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
     counts = ", ".join(f"{source} in {count} scans" for source, count in sources.items())
     first = scans[0]
     return (
-        f"{counts}; {min(firings)} to {max(firings)} firings a turn; "
+        f"{counts}; {min(firings)} to {max(firings)} firings a sweep; "
         f"frame {first.row['frame']}: {first.timing.evidence}"
     )
 

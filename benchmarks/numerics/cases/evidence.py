@@ -117,7 +117,7 @@ def _votes() -> str:
     once = np.array([[0.0, math.inf, math.inf]], np.float32)
     alone = DropPrior(np.zeros(1), once, np.array([[[True, False, False]]]))
     assert bool((alone.hit_prior(np.zeros(6, np.int64), asked, np.array([0])) == 1.0).all()), "one firing"
-    return "1, 0, and the nearest end beyond the turn"
+    return "1, 0, and the nearest end beyond the sweep"
 
 
 def _points(seed: int) -> np.ndarray:
@@ -155,7 +155,7 @@ CASES = (
          _wall_ranges, 1e-3, "m (99.9 % of rays)"),
     Case(f"{_SURFELS}.candidates_of", "rays along axes, borders and edges", _axis_rays),
     Case("evidence.raydrop.prior.DropPrior.hit_prior",
-         "all, none; fractions at and beyond a turn's ends; one firing a turn", _votes),
+         "all, none; fractions at and beyond a sweep's ends; one firing a sweep", _votes),
     Case(_INDEX, "1e7 points at once, 0.2 m voxels", _voxels, 0.0, "of 2,000 sampled"),
     Case(_INDEX, "no point (outside)", refused(DataError, lambda: index_points(np.zeros((0, 3)), 0.25))),
     _stray("a stray point at 1e5 m", 1e5, 1e5, 1e5),

@@ -255,7 +255,7 @@ CASES = (
     _told("range_and_intensity.intensity_image_metrics", "intensities all 0",
           lambda: intensity_image_metrics(_BLACK, _BLACK), "intensity_ssim"),
     _told(_RAYS, "no answer: infinitely wrong", lambda: _rays(math.inf)),
-    _told(_RAYS, "NaN answers", lambda: _rays(math.nan), "all"),
+    _told(_RAYS, "NaN ranges", lambda: _rays(math.nan), "all"),
     _told(_RAYS, "no ray", lambda: ray_range_metrics(_NOTHING, _NOTHING), "all"),
     _told(_IMAGE, "no valid pixel", lambda: _image(40, False), "all"),
     _told(_IMAGE, "one pixel", lambda: _image(1, True), "image_ssim", "image_lpips_squeeze"),

@@ -88,7 +88,7 @@ def choose(
     """
     left_out = lidar.evidence.left_out
     if left_out is None:
-        return True, {"lidar_shows": "field: too few scans to judge it by"}
+        return True, {"lidar_shows": "field: too few scans to compare it on"}
 
     numbers, far_m = left_out.validation.tolist(), lidar.far_m
     moving = {number: lidar.moving(leave_out=number) for number in numbers}

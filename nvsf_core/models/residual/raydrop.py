@@ -91,7 +91,7 @@ def train_hits(
     spec, left_out = recipe.hits, lidar.evidence.left_out
     assert spec is not None
     if left_out is None:
-        few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to judge a network by"}
+        few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to compare a network on"}
         return TrainedHits(
             states={}, preparation_seconds=0.0, metadata=few, facts={HITS_BLEND: None}, correct=None
         )

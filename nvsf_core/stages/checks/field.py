@@ -47,7 +47,7 @@ RAYS_IN_LIMITS = NamedCheck(
 HIT_RATE = NamedCheck(
     name="hit_rate_is_as_trained",
     description="Share of the rays that return in the middle training scan: rendered (without that scan's "
-    f"own vote) less recorded. {RATE_LIMIT}",
+    f"own returns) less recorded. {RATE_LIMIT}",
 )
 INTENSITY = NamedCheck(
     name="intensities_are_as_trained",

@@ -22,7 +22,7 @@ FRAME_CHECK = NamedCheck(
     f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
     f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times. Motions that "
     f"slide along all surfaces, as in a tunnel or on a plain (less than {LEAST_ACROSS:.0%} across them), are "
-    "named and not judged.",
+    "named and not counted.",
 )
 MOST_MISFIT = 1.15
 """Measured: at most 0.8 over real streets, 1.1 with 8 lasers and 64 firings; from 1.3 for swapped scans."""
@@ -149,7 +149,7 @@ def _unconstrained(found: list[Registration], pair: list[str]) -> str:
     directions = [f"along {_vector(axis)}" for axis in found[most].free_shifts]
     directions += [f"turning about {_vector(axis)}" for axis in found[most].free_turns]
     return (
-        f"; in {np.count_nonzero(free)} of {len(pair)} pairs not every motion is told: of frames "
+        f"; in {np.count_nonzero(free)} of {len(pair)} pairs the scans do not fix every motion: of frames "
         f"{pair[most]} nothing can be said {', '.join(directions)} (scene axes)"
     )
 

@@ -31,7 +31,7 @@ FINITE = NamedCheck(
 WITHIN = NamedCheck(
     name="stored_views_lie_within_limits",
     description="Returns of the model lie within the sensor's greatest range (and a tenth, for lever arms "
-    "and the way driven in a turn), intensities and hit probabilities in 0..1. Value: share that does not.",
+    "and the way driven in a sweep), intensities and hit probabilities in 0..1. Value: share that does not.",
     blocking=True,
 )
 RETURNS = NamedCheck(

@@ -125,4 +125,4 @@ def test_a_drive_of_few_scans_is_not_judged_and_shows_the_field(broken: Judged) 
     field = make_fields(BROKEN, broken.recording, 0).lidar
     assert field is not None
     few = replace(broken.lidar, evidence=replace(broken.lidar.evidence, left_out=None))
-    assert choose(field, BROKEN, few) == (True, {"lidar_shows": "field: too few scans to judge it by"})
+    assert choose(field, BROKEN, few) == (True, {"lidar_shows": "field: too few scans to compare it on"})

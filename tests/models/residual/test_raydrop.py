@@ -96,7 +96,7 @@ def test_without_scans_that_judge_nothing_is_learned(drive: Drive, tmp_path: Pat
     unjudged = replace(drive.lidar, evidence=replace(drive.lidar.evidence, left_out=None))
     found = drive.train(SMALL, tmp_path / "work", unjudged)
     assert found.correct is None and not found.states
-    assert found.metadata == {"hits_shown": "ray head: too few scans to judge a network by"}
+    assert found.metadata == {"hits_shown": "ray head: too few scans to compare a network on"}
 
 
 def test_a_scan_of_which_no_laser_is_known_teaches_no_drops(drive: Drive, tmp_path: Path) -> None:
