@@ -14,14 +14,14 @@ _MOST_ANGLE_RAD = 0.1
 _MOST_RATIO = 1.5
 """and from a distance that differs by at most this factor."""
 _HOLE_PX = 5
-"""Side of the smallest square that is a hole: at depth edges no map has a surface either, but both sides do."""
+"""Side of the smallest square that is a hole: at depth edges no map has a surface, but both sides have."""
 
 
 @torch.no_grad()
 def pixel_support(view: CameraView, inverse: Tensor) -> Tensor:
     """(H, W) uint8 class of `Support` of each pixel of a view.
 
-    Guessed is where no image's depth map has a surface; seen is what one of the view's sources shows from about
+    Guessed is where no image has a surface; seen is what one of the view's sources shows from about
     the view's direction and distance; all else is extrapolated.
 
     Args:
