@@ -3,8 +3,8 @@
 ``SCENES=street python -m benchmarks.views.known_pixels`` reads what a run of RECIPE (default: quick) rendered
 of the embedded street (`NVSF_HOME`) and prints precision and recall for each view and camera, and for all
 together. The truth is the street's exact world: a pixel's surface is shown by a training image if it lies in
-that image and nothing stands in front of it there. Pixels of moving things are left out: they are elsewhere in
-every image.
+that image and nothing stands in front of it there. Pixels of moving things are left out: they are elsewhere
+in every image.
 """
 
 import os
