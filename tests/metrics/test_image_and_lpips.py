@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import ShapeError, StoreError
-from nvsf_core.metrics.image import image_metrics, missing_share
+from nvsf_core.metrics.image import image_metrics, image_part_metrics, missing_share
 from nvsf_core.metrics.lpips import find_weights, load_lpips, lpips_measure
 
 
@@ -85,3 +85,17 @@ def test_pixels_without_an_answer_are_black_where_the_truth_is_seen_and_is_not()
     measure = missing_share(predicted, truth, valid)
     assert (measure.value, measure.n_valid) == (0.5, 20)
     assert math.isnan(missing_share(predicted, truth * 0, valid).value)
+
+
+def test_part_metrics_count_the_chosen_pixels_alone_and_are_undefined_without_one() -> None:
+    truth = np.full((8, 10, 3), 100, np.uint8)
+    shown = truth.copy()
+    shown[:, 5:] += 51
+    right = np.zeros((8, 10), np.bool_)
+    right[:, 5:] = True
+    found = image_part_metrics(shown, truth, right)["image_psnr_db"]
+    assert found.value == pytest.approx(-20.0 * math.log10(0.2)) and found.n_valid == 40
+    assert image_part_metrics(shown, truth, ~right)["image_psnr_db"].value == 80.0
+    assert math.isnan(image_part_metrics(shown, truth, right & ~right)["image_psnr_db"].value)
+    with pytest.raises(ShapeError):
+        image_part_metrics(shown[1:], truth, right)

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
     write_boxes,
+    write_classes,
     write_fisheye,
     write_image,
     write_perspective,
@@ -72,3 +75,11 @@ def test_boxes_are_read_back(tmp_path):
     assert (parked.frame, parked.dynamic) == (-1, False)
     assert moving.object_id != parked.object_id
     assert np.allclose(moving.box_to_world, pose, atol=1e-4)
+
+
+def test_classes_of_pixels_come_back_as_they_were(tmp_path: Path) -> None:
+    classes = np.random.default_rng(0).integers(0, 3, (6, 9)).astype(np.uint8)
+    write_classes(tmp_path / "support" / "0.png", classes)
+    assert (cv2.imread(str(tmp_path / "support" / "0.png"), cv2.IMREAD_UNCHANGED) == classes).all()
+    with pytest.raises(ShapeError):
+        write_classes(tmp_path / "1.png", classes[None])
