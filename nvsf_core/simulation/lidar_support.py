@@ -24,12 +24,13 @@ _SAME_DIRECTION_COSINE = np.cos(np.deg2rad(20.0))
 _SAME_DISTANCE_RATIO = 1.5
 _SHIFT_M = 0.15
 """A field moves a return along its ray by no more than this from the surface that it was recorded on."""
+_STEPS = np.stack(np.meshgrid(*[np.arange(-1.0, 2.0)] * 3), axis=-1).reshape(-1, 3)
 _NOWHERE_M = 60.0
 """Where a ray without an end is looked up."""
 
 
 def support_of_sweep(
-    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, near: np.ndarray, *,
+    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, time_s: np.ndarray, near: np.ndarray, *,
     is_own_unit: bool, is_by_images: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Support (r,) uint8, values of `Support`, of all rays of a sweep.
@@ -38,6 +39,7 @@ def support_of_sweep(
         lidar: The recording.
         rays: All r rays.
         rendered: What they show.
+        time_s: (r,) seconds since the first frame, when each ray is fired.
         near: (k,) numbers of the training scans that are asked.
         is_own_unit: Whether the recorded unit fires them: its gaps and its own vehicle are known.
         is_by_images: (r,) bool: rays whose end is known from images alone.
@@ -55,6 +57,8 @@ def support_of_sweep(
         others += found[:, [SAME, THROUGH, EMPTY]].sum(axis=1) - same
         looked |= found.any(axis=1)
     is_known = np.where(has_end, is_by_images | _is_recorded(lidar.evidence, rays, ends_m), looked)
+    ended = np.flatnonzero(has_end & ~is_known)
+    is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended])
     support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
     support[(agreed >= min(_AGREEING_SCANS, len(near))) & (others == 0)] = Support.SEEN
     if is_own_unit:
@@ -82,6 +86,18 @@ def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -
     if evidence.unobserved is not None:
         # An unobserved voxel lies beside a surface, but nothing was recorded in it.
         found &= here | ~_holds(evidence.unobserved, ends_m)
+    return found
+
+
+def _is_on_object(lidar: LidarRecording, ends_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """Whether (n,) bool places (n, 3), scene-local, lie within a voxel of a moving object's surface then."""
+    found, moving = np.zeros(len(ends_m), bool), lidar.moving()
+    if moving is None or len(ends_m) == 0:
+        return found
+    for one in moving.at(time_s):
+        place_m = one.path.to_object(ends_m.astype(np.float64), time_s)
+        for step in _STEPS:
+            found |= _holds(one.surfels, place_m + step * one.surfels.index.voxel_m)
     return found
 
 

@@ -73,8 +73,9 @@ def _support(
     is_by_images = np.zeros(len(rays.laser), bool)
     if model.above is not None and not plan.is_recorded_sensor:
         is_by_images = _is_above(lidar, plan, rays)
+    fired_s = time_s + rays.fraction * lidar.sweeps.period_s
     return support_of_sweep(
-        lidar, rays, rendered, near, is_own_unit=plan.is_recorded_sensor, is_by_images=is_by_images
+        lidar, rays, rendered, fired_s, near, is_own_unit=plan.is_recorded_sensor, is_by_images=is_by_images
     )
 
 

@@ -67,8 +67,9 @@ def shown(rays: SweepRays, range_m: float, hit: float = 1.0) -> RenderedRays:
 def support(
     lidar: LidarRecording, rendered: RenderedRays, rays: SweepRays, *, by_images: bool = False
 ) -> np.ndarray:
+    count, at_s = len(rays.laser), np.full(len(rays.laser), PERIOD_S)
     return support_of_sweep(
-        lidar, rays, rendered, NEAR, is_own_unit=False, is_by_images=np.full(len(rays.laser), by_images)
+        lidar, rays, rendered, at_s, NEAR, is_own_unit=False, is_by_images=np.full(count, by_images)
     )
 
 
@@ -131,7 +132,8 @@ def test_of_rays_without_an_end_those_are_guessed_where_no_scan_looked() -> None
 def test_without_a_neighbour_one_scan_is_enough() -> None:
     _, rays = standing()
     alone = support_of_sweep(
-        recorded(all_hit()), rays, shown(rays, WALL_M), NEAR[:1], is_own_unit=False,
+        recorded(all_hit()), rays, shown(rays, WALL_M), np.full(len(rays.laser), PERIOD_S), NEAR[:1],
+        is_own_unit=False,
         is_by_images=np.zeros(len(rays.laser), bool),
     )  # fmt: skip
     assert (alone == Support.SEEN).all()
