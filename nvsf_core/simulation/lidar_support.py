@@ -3,8 +3,8 @@
 A ray shows a return or none. Of the nearest scans those tell that looked at its end and were not kept from it
 by something nearer. The ray is *seen* if two recorded the same there, from about the same direction and
 distance, and none something else: agreement says most about a ray's error. It is *guessed* if its end is
-where no return was ever recorded and no image shows it, or, of a ray without an end, if no scan looked that
-way. All else is *extrapolated*.
+where no return was ever recorded, be it that images or unobserved voxels answer; or, of a ray without an end,
+if no scan looked that way. All else is *extrapolated*.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ _NOWHERE_M = 60.0
 
 def support_of_sweep(
     lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, time_s: np.ndarray, near: np.ndarray, *,
-    is_own_unit: bool, is_by_images: np.ndarray,
+    is_own_unit: bool,
 ) -> np.ndarray:  # fmt: skip
     """Support (r,) uint8, values of `Support`, of all rays of a sweep.
 
@@ -42,7 +42,6 @@ def support_of_sweep(
         time_s: (r,) seconds since the first frame, when each ray is fired.
         near: (k,) numbers of the training scans that are asked.
         is_own_unit: Whether the recorded unit fires them: its gaps and its own vehicle are known.
-        is_by_images: (r,) bool: rays whose end is known from images alone.
     """
     has_end = np.isfinite(rendered.range_m)
     ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
@@ -56,7 +55,7 @@ def support_of_sweep(
         agreed += same * is_alike
         others += found[:, [SAME, THROUGH, EMPTY]].sum(axis=1) - same
         looked |= found.any(axis=1)
-    is_known = np.where(has_end, is_by_images | _is_recorded(lidar.evidence, rays, ends_m), looked)
+    is_known = np.where(has_end, _is_recorded(lidar.evidence, rays, ends_m), looked)
     ended = np.flatnonzero(has_end & ~is_known)
     is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended])
     support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
