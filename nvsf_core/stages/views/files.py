@@ -11,7 +11,8 @@ from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.kitti360.writer import write_image, write_scan
 from nvsf_core.errors import DataError
-from nvsf_core.reporting.previews import image_preview, range_preview
+from nvsf_core.reporting.previews import image_preview, range_preview, support_preview
+from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.support import Support
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
 from nvsf_core.stages.runner.record import read_record
@@ -175,6 +176,11 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
     for support in Support if "support" in arrays else ():
         share = float(np.mean(arrays["support"] == support))
         output.metadata[f"{view}_{support.region}_share"] = share
+    if "grid_support" in arrays:
+        rays = slice(None), slice(int(arrays["grid_firings"][0]))
+        picture = support_preview(arrays["grid_support"][0][rays], rays_return(arrays["grid_hit"][0][rays]))
+        (folder / "support.png").write_bytes(picture)
+        output.previews[f"{view} support"] = f"{view}/support.png"
     (folder / "range.png").write_bytes(range_preview(arrays["pano_range_m"][0]))
     output.previews[f"{view} range"] = f"{view}/range.png"
     output.checks.append(
