@@ -9,7 +9,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
-from nvsf_core.simulation.hits_elsewhere import hit_prior_elsewhere
+from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.lidar_support import support_of_sweep
 from nvsf_core.simulation.ray_renderers import render_in_chunks
 from nvsf_core.simulation.scan import (
@@ -108,7 +108,8 @@ def fire_sweep(
     if is_in_place:
         hit_prior = evidence.prior.hit_prior_of_sweep(lasers, rays.fraction[:firings], near).reshape(-1)
     else:
-        hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, near, is_own_unit=plan.is_recorded_sensor)
+        asked = evidence.prior.nearest_scans(time_s, SCANS, leave_out_s=leave_out_s)
+        hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, asked, is_own_unit=plan.is_recorded_sensor)
     columns = (rays.origin_m, rays.direction, hit_prior, fired_s)
     rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
