@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.evidence.raydrop.prior import DropPrior, find_cells
 from nvsf_core.evidence.raydrop.unit_gaps import cells_of
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.kernels.scan_lookup import EMPTY, SAME, Lasers, SweepGrid, look_up_scans
+from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, Lasers, SweepGrid, look_up_scans
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
@@ -57,13 +57,16 @@ class RecordedSweeps:
         """Share (r,) float32 of the scans that looked at points (r, 3) float32, scene-local, with a return.
 
         Only scans (k,) count that met a point's surface or nothing on the way there; what hid it, or a gap of
-        the unit, tells nothing. 1 where no scan tells: all that is known of the surface are its returns.
+        the unit, tells nothing. A scan's share is that of its firing and those beside it, as 1 : 2 : 1. Where
+        no scan tells it is 1: all that is known of the surface are its returns.
         """
-        found = np.zeros((len(points_m), 5), np.float32)
+        told, returned = np.zeros((2, len(points_m)), np.float32)
         for scan in scans.tolist():
-            found += self.look(points_m, scan, gaps_hide=True)
-        told = found[:, SAME] + found[:, EMPTY]
-        return np.where(told > 0, found[:, SAME] / np.maximum(told, 1.0), 1.0).astype(np.float32)
+            found = self.look(points_m, scan, gaps_hide=True)
+            tells = found[:, SAME] + found[:, EMPTY]
+            told += tells
+            returned += tells * found[:, BESIDE]
+        return np.where(told > 0, returned / np.maximum(told, 1.0), 1.0).astype(np.float32)
 
     def look(self, points_m: np.ndarray, scan: int, *, gaps_hide: bool) -> np.ndarray:
         """What one scan recorded towards points (r, 3) float32, scene-local: (r, 5) float32.

@@ -7,7 +7,8 @@ class Support(IntEnum):
     """How well recorded data support a rendered return or pixel; ordered, stored as uint8."""
 
     GUESSED = 0
-    """No observation: nothing was recorded of the place that is shown."""
+    """No observation: no sensor of this kind recorded the place that is shown. So are a LiDAR's returns from
+    surfaces that only images show: their ranges are those of depths from images."""
     EXTRAPOLATED = 1
     """The place was recorded, but from elsewhere: along directions or from distances unlike this ray's."""
     SEEN = 2

@@ -11,6 +11,8 @@ from PIL import Image
 
 MAX_BYTES = 100_000
 MAX_RANGE_M = 80.0
+_SUPPORT_COLOURS = ((214, 62, 50), (240, 190, 60), (48, 120, 190))
+"""Of guessed, extrapolated and seen returns; rays without a return have a third of the brightness."""
 _SPLIT_COLOURS = {"train": "#2a6f97", "test": "#d9822b"}
 _SPLIT_WORDS = {"train": "training", "test": "held out"}
 _USE_MARKS = {"whole": ("o", True), "part": ("o", False), "none": ("x", True)}
@@ -24,6 +26,19 @@ def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_rep
     # Square root: half of the returns lie within 15 m and would share two colours otherwise.
     level = np.sqrt(np.clip(near / max_range_m, 0.0, 1.0))
     return indexed_png(np.where(valid, 1 + np.rint(level * 254), 0), "turbo", row_repeat)
+
+
+def support_preview(support: np.ndarray, returned: np.ndarray, row_repeat: int = 4) -> bytes:
+    """PNG of rays or pixels by support: guessed red, extrapolated yellow, seen blue; dark without a return.
+
+    Args:
+        support: (L, F) 0 guessed, 1 extrapolated, 2 seen; lasers from the top, in order of firing, or pixels.
+        returned: (L, F) bool, whether the ray shows a return.
+        row_repeat: Pixels that a row is high.
+    """
+    colours = np.array(_SUPPORT_COLOURS)
+    palette = np.concatenate([colours // 3, colours])
+    return palette_png(np.where(returned, 3 + support, support), palette, row_repeat)
 
 
 def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> bytes:

@@ -12,6 +12,9 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.simulation.ray_renderers import evidence_renderer, render_in_chunks
 from nvsf_core.simulation.scan import SweepRays
 
+SCANS = 12
+"""Nearest scans that are asked: of some of them the place is hidden, and each single return is chance."""
+
 
 def hit_prior_elsewhere(
     lidar: LidarRecording, rays: SweepRays, time_s: np.ndarray, near: np.ndarray, *, is_own_unit: bool

@@ -3,8 +3,8 @@
 A ray shows a return or none. Of the nearest scans those tell that looked at its end and were not kept from it
 by something nearer. The ray is *seen* if two recorded the same there, from about the same direction and
 distance, and none something else: agreement says most about a ray's error. It is *guessed* if its end is
-where no return was ever recorded and no image shows it, or, of a ray without an end, if no scan looked that
-way. All else is *extrapolated*.
+where no return was ever recorded, be it that images or unobserved voxels answer; or, of a ray without an end,
+if no scan looked that way. All else is *extrapolated*.
 """
 
 import numpy as np
@@ -24,13 +24,14 @@ _SAME_DIRECTION_COSINE = np.cos(np.deg2rad(20.0))
 _SAME_DISTANCE_RATIO = 1.5
 _SHIFT_M = 0.15
 """A field moves a return along its ray by no more than this from the surface that it was recorded on."""
+_STEPS = np.stack(np.meshgrid(*[np.arange(-1.0, 2.0)] * 3), axis=-1).reshape(-1, 3)
 _NOWHERE_M = 60.0
 """Where a ray without an end is looked up."""
 
 
 def support_of_sweep(
-    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, near: np.ndarray, *,
-    is_own_unit: bool, is_by_images: np.ndarray,
+    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, time_s: np.ndarray, near: np.ndarray, *,
+    is_own_unit: bool,
 ) -> np.ndarray:  # fmt: skip
     """Support (r,) uint8, values of `Support`, of all rays of a sweep.
 
@@ -38,9 +39,9 @@ def support_of_sweep(
         lidar: The recording.
         rays: All r rays.
         rendered: What they show.
+        time_s: (r,) seconds since the first frame, when each ray is fired.
         near: (k,) numbers of the training scans that are asked.
         is_own_unit: Whether the recorded unit fires them: its gaps and its own vehicle are known.
-        is_by_images: (r,) bool: rays whose end is known from images alone.
     """
     has_end = np.isfinite(rendered.range_m)
     ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
@@ -54,7 +55,9 @@ def support_of_sweep(
         agreed += same * is_alike
         others += found[:, [SAME, THROUGH, EMPTY]].sum(axis=1) - same
         looked |= found.any(axis=1)
-    is_known = np.where(has_end, is_by_images | _is_recorded(lidar.evidence, rays, ends_m), looked)
+    is_known = np.where(has_end, _is_recorded(lidar.evidence, rays, ends_m), looked)
+    ended = np.flatnonzero(has_end & ~is_known)
+    is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended])
     support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
     support[(agreed >= min(_AGREEING_SCANS, len(near))) & (others == 0)] = Support.SEEN
     if is_own_unit:
@@ -82,6 +85,18 @@ def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -
     if evidence.unobserved is not None:
         # An unobserved voxel lies beside a surface, but nothing was recorded in it.
         found &= here | ~_holds(evidence.unobserved, ends_m)
+    return found
+
+
+def _is_on_object(lidar: LidarRecording, ends_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """Whether (n,) bool places (n, 3), scene-local, lie within a voxel of a moving object's surface then."""
+    found, moving = np.zeros(len(ends_m), bool), lidar.moving()
+    if moving is None or len(ends_m) == 0:
+        return found
+    for one in moving.at(time_s):
+        place_m = one.path.to_object(ends_m.astype(np.float64), time_s)
+        for step in _STEPS:
+            found |= _holds(one.surfels, place_m + step * one.surfels.index.voxel_m)
     return found
 
 

@@ -9,7 +9,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
-from nvsf_core.simulation.hits_elsewhere import hit_prior_elsewhere
+from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.lidar_support import support_of_sweep
 from nvsf_core.simulation.ray_renderers import render_in_chunks
 from nvsf_core.simulation.scan import (
@@ -70,18 +70,8 @@ def _support(
 ) -> np.ndarray:  # fmt: skip
     """(r,) uint8 `Support` of a rendered sweep's rays."""
     near = lidar.evidence.prior.nearest_scans(time_s, model.prior_scans)
-    is_by_images = np.zeros(len(rays.laser), bool)
-    if model.above is not None and not plan.is_recorded_sensor:
-        is_by_images = _is_above(lidar, plan, rays)
-    return support_of_sweep(
-        lidar, rays, rendered, near, is_own_unit=plan.is_recorded_sensor, is_by_images=is_by_images
-    )
-
-
-def _is_above(lidar: LidarRecording, plan: SweepPlan, rays: SweepRays) -> np.ndarray:
-    """Whether (r,) bool rays look above all recorded lasers."""
-    above: np.ndarray = plan.table.elevation_rad[rays.laser] > highest_rad(lidar.sweeps.table, lidar.evidence)
-    return above
+    fired_s = time_s + rays.fraction * lidar.sweeps.period_s
+    return support_of_sweep(lidar, rays, rendered, fired_s, near, is_own_unit=plan.is_recorded_sensor)
 
 
 def fire_sweep(
@@ -118,11 +108,13 @@ def fire_sweep(
     if is_in_place:
         hit_prior = evidence.prior.hit_prior_of_sweep(lasers, rays.fraction[:firings], near).reshape(-1)
     else:
-        hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, near, is_own_unit=plan.is_recorded_sensor)
+        asked = evidence.prior.nearest_scans(time_s, SCANS, leave_out_s=leave_out_s)
+        hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, asked, is_own_unit=plan.is_recorded_sensor)
     columns = (rays.origin_m, rays.direction, hit_prior, fired_s)
     rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
-        missing = np.flatnonzero(_is_above(lidar, plan, rays) & ~np.isfinite(rendered.range_m))
+        is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
+        missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
         rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     if model.correct is not None and is_in_place:

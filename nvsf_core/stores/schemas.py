@@ -191,10 +191,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("grid_intensity", "f4", ("scans", "lasers", "firings"), "1", "0 to 1", optional=True),
             Entry("grid_azimuth_rad", "f4", ("scans", "lasers", "firings"), "rad", "own", optional=True),
             Entry("grid_elevation_rad", "f4", ("scans", "lasers", "firings"), "rad", "own", optional=True),
-            Entry(
-                "grid_support", "u1", ("scans", "lasers", "firings"), "1",
-                _SUPPORT + "; of rays without a return, whether that is known", optional=True,
-            ),
+            Entry("grid_support", "u1", ("scans", "lasers", "firings"), "1", _SUPPORT, optional=True),
             Entry("lidar_render_seconds", "f8", ("scans",), "s", "a scan", optional=True),
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
             Entry(
@@ -229,9 +226,8 @@ CONTRACT: tuple[FileSpec, ...] = (
             ("frame", "i8", "1", "frame number"),
             ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`"),
             (
-                "region", "string", "",
-                "`all`, `foreground`, `background`; of views whose truth is exact also `support_seen`,"
-                " `support_extrapolated`, `support_guessed`, and `supported`: the first two together",
+                "region", "string", "", "`all`, `foreground`, `background`; of exact truths `support_seen`,"
+                " `support_extrapolated`, `support_guessed`; `supported`: the first two",
             ),
             ("sensor", "string", "", "`lidar` or a camera's name"),
             ("metric", "string", "", "name with its unit"),
@@ -375,9 +371,8 @@ def as_markdown() -> str:
         "Internal, and not described here: all of `evidence/`, `frames/drive.json`.",
         "",
         "A data set lies in `dataset/<view>/<version>/`: scans as KITTI's `velodyne_points/data/*.bin`",
-        "(float32 x, y, z, intensity, laser by laser), `.ply`, images as PNG, and `manifest.json`; in",
-        "`velodyne_points/support/*.bin` the support of each point, uint8 in the scan's order (0 = guessed,",
-        "1 = extrapolated, 2 = seen: `nvsf_core/rendering/support.py`); what",
+        "(float32 x, y, z, intensity, laser by laser), `.ply`, images as PNG, and `manifest.json`; beside",
+        "scans and images, in folders `support`, the support of their points and pixels (uint8); what",
         "made it is recorded in `dataset/.index/<recipe>/<seed>-<draw>-<label>/`. Its hits are drawn by",
         "their probability, its ranges get noise of 1.5 cm. Beside the arrays of `novel_views` lie `.bin`",
         "and PNG files, too: nothing there is drawn, they are what is expected.",

@@ -54,8 +54,9 @@ def test_a_gap_of_the_unit_tells_nothing() -> None:
     gaps[20, 100:150] = True
     blind, rays = recorded(range_m)
     aware, _ = recorded(range_m, gaps)
-    dropped = blind.hit_prior_at(wall(rays), NEAR).reshape(64, FIRINGS) == 0.0
-    assert np.array_equal(dropped, gaps)
+    share = blind.hit_prior_at(wall(rays), NEAR).reshape(64, FIRINGS)
+    assert np.array_equal(share < 0.5, gaps)
+    assert share[20, 99:102].tolist() == [0.75, 0.25, 0.0], "firings beside count half"
     assert (aware.hit_prior_at(wall(rays), NEAR) == 1.0).all()
 
 

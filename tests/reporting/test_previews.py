@@ -29,6 +29,13 @@ def test_a_ray_without_return_is_black() -> None:
     assert (picture[0, 3:].sum(axis=1) > 0).all()
 
 
+def test_each_support_has_a_colour_that_is_dark_without_a_return() -> None:
+    support, returned = np.tile(np.arange(3), (2, 1)), np.array([[True] * 3, [False] * 3])
+    picture = _open(previews.support_preview(support, returned, row_repeat=1)).astype(int)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 6
+    assert (picture[0].sum(axis=1) > 2.5 * picture[1].sum(axis=1)).all()
+
+
 def test_from_above_forward_is_up_and_left_is_left() -> None:
     levels = previews.top_view_levels(np.array([[39.0, 0.0, 0.0], [0.0, 39.0, 0.0]]), 40.0, 80)
     assert np.argwhere(levels).tolist() == [[1, 40], [40, 1]]

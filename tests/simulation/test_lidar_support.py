@@ -64,12 +64,9 @@ def shown(rays: SweepRays, range_m: float, hit: float = 1.0) -> RenderedRays:
     )
 
 
-def support(
-    lidar: LidarRecording, rendered: RenderedRays, rays: SweepRays, *, by_images: bool = False
-) -> np.ndarray:
-    return support_of_sweep(
-        lidar, rays, rendered, NEAR, is_own_unit=False, is_by_images=np.full(len(rays.laser), by_images)
-    )
+def support(lidar: LidarRecording, rendered: RenderedRays, rays: SweepRays) -> np.ndarray:
+    at_s = np.full(len(rays.laser), PERIOD_S)
+    return support_of_sweep(lidar, rays, rendered, at_s, NEAR, is_own_unit=False)
 
 
 def test_what_the_scans_agree_on_is_seen() -> None:
@@ -106,11 +103,9 @@ def test_a_wall_seen_from_elsewhere_is_extrapolated() -> None:
     assert (found[is_close] != Support.SEEN).all()
 
 
-def test_where_nothing_was_recorded_is_guessed_unless_images_show_it() -> None:
+def test_where_nothing_was_recorded_is_guessed() -> None:
     _, rays = standing()
-    lidar, rendered = recorded(all_hit()), shown(rays, 4.0)
-    assert (support(lidar, rendered, rays) == Support.GUESSED).all()
-    assert (support(lidar, rendered, rays, by_images=True) == Support.EXTRAPOLATED).all()
+    assert (support(recorded(all_hit()), shown(rays, 4.0), rays) == Support.GUESSED).all()
 
 
 def test_of_rays_without_an_end_those_are_guessed_where_no_scan_looked() -> None:
@@ -130,8 +125,8 @@ def test_of_rays_without_an_end_those_are_guessed_where_no_scan_looked() -> None
 
 def test_without_a_neighbour_one_scan_is_enough() -> None:
     _, rays = standing()
+    at_s = np.full(len(rays.laser), PERIOD_S)
     alone = support_of_sweep(
-        recorded(all_hit()), rays, shown(rays, WALL_M), NEAR[:1], is_own_unit=False,
-        is_by_images=np.zeros(len(rays.laser), bool),
-    )  # fmt: skip
+        recorded(all_hit()), rays, shown(rays, WALL_M), at_s, NEAR[:1], is_own_unit=False
+    )
     assert (alone == Support.SEEN).all()

@@ -11,6 +11,7 @@ import pytest
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.recipe import preset
+from nvsf_core.rendering.support import Support
 from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.scan import sample_scan
 from nvsf_core.stages.dataset import STAGE
@@ -107,6 +108,31 @@ def test_every_view_becomes_a_data_set_that_reads_back(tmp_path: Path) -> None:
     assert all((tmp_path / "record" / name).is_file() for name in output.previews.values())
 
 
+def _lasers_of(scan: np.ndarray) -> np.ndarray:
+    elevation = np.arcsin(scan[:, 2] / np.linalg.norm(scan[:, :3], axis=1))
+    laser: np.ndarray = np.abs(elevation[:, None] - np.linspace(0.05, -0.4, _LASERS)).argmin(axis=1)
+    return laser
+
+
+def test_support_lies_beside_each_scan_in_the_order_of_its_points(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    by_laser = (np.arange(_LASERS) % 3).astype(np.uint8)
+    grid = _grid(2) | {"grid_support": np.tile(by_laser[None, :, None], (2, 1, _FIRINGS))}
+    _write_view(task.store, "shift_1m", [1, 4], grid)
+    _, folders = _run(task)
+    scan = np.fromfile(folders["shift_1m"] / "velodyne_points/data/0000000004.bin", "<f4").reshape(-1, 4)
+    support = np.fromfile(folders["shift_1m"] / "velodyne_points/support/0000000004.bin", np.uint8)
+    np.testing.assert_array_equal(support, by_laser[_lasers_of(scan)])
+    (row,) = [
+        row
+        for row in json.loads((folders["shift_1m"] / "manifest.json").read_text())["scans"]
+        if row["number"] == 4
+    ]
+    assert row["files"]["support"] == "velodyne_points/support/0000000004.bin"
+    assert row["support_seen"] == int((support == Support.SEEN).sum())
+    assert not (folders["test"] / "velodyne_points/support").exists(), "it was rendered without"
+
+
 def test_a_views_true_images_are_no_part_of_its_data_set(tmp_path: Path) -> None:
     task = _task(tmp_path)
     _, folders = _run(task)
@@ -191,8 +217,7 @@ def test_a_drawn_scan_is_ordered_as_a_driver_records() -> None:
     grid = {name: array[0] for name, array in _grid(1).items()}
     scan, _ = sample_scan(grid, np.random.default_rng(0))
     range_m = np.linalg.norm(scan[:, :3], axis=1)
-    elevation = np.arcsin(scan[:, 2] / range_m)
-    laser = np.abs(elevation[:, None] - np.linspace(0.05, -0.4, _LASERS)).argmin(axis=1)
+    laser = _lasers_of(scan)
     azimuth = np.mod(np.arctan2(scan[:, 1].astype(float), scan[:, 0]), 2 * np.pi)
     assert laser.min() == 1, "a laser that sees nothing returns nothing, whatever its hit probability"
     assert (np.diff(laser) >= 0).all()

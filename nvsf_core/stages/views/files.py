@@ -12,7 +12,8 @@ from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.kitti360.writer import write_classes, write_image, write_scan
 from nvsf_core.errors import DataError
 from nvsf_core.rendering.support import Support
-from nvsf_core.reporting.previews import image_preview, range_preview
+from nvsf_core.reporting.previews import image_preview, range_preview, support_preview
+from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.stages.field import STAGE as FIELD_STAGE
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
@@ -170,6 +171,10 @@ def describe_view(output: StageOutput, view: str, folder: Path, arrays: dict[str
             for support in Support:
                 share = float(np.mean(arrays[f"{name}_support"] == support))
                 output.metadata[f"{view}_{name}_{support.region}_share"] = share
+            classes = arrays[f"{name}_support"][0]
+            picture = support_preview(classes, np.ones(classes.shape, np.bool_), row_repeat=1)
+            (folder / f"{name}_support.png").write_bytes(picture)
+            output.previews[f"{view} {name} support"] = f"{view}/{name}_support.png"
         (folder / f"{name}.png").write_bytes(image_preview(arrays[f"{name}_rgb"][0]))
         output.previews[f"{view} {name}"] = f"{view}/{name}.png"
 
@@ -182,6 +187,11 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
     for support in Support if "support" in arrays else ():
         share = float(np.mean(arrays["support"] == support))
         output.metadata[f"{view}_{support.region}_share"] = share
+    if "grid_support" in arrays:
+        rays = slice(None), slice(int(arrays["grid_firings"][0]))
+        picture = support_preview(arrays["grid_support"][0][rays], rays_return(arrays["grid_hit"][0][rays]))
+        (folder / "support.png").write_bytes(picture)
+        output.previews[f"{view} support"] = f"{view}/support.png"
     (folder / "range.png").write_bytes(range_preview(arrays["pano_range_m"][0]))
     output.previews[f"{view} range"] = f"{view}/range.png"
     output.checks.append(
