@@ -12,6 +12,7 @@ from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.rendering.support import Support
 from nvsf_core.stages import Outcome, mesh, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.runner.listings import truth_listing
 from nvsf_core.stages.runner.run import SceneRun
@@ -99,8 +100,11 @@ def test_images_of_the_demos_views_are_measured_beside_their_sweeps(run: Run) ->
         assert {row["recipe"] for row in rows} == {"smoke", *METHODS - {"model"}}
         assert {row["sensor"] for row in rows} == {"image_00"}
         for metric in ("image_psnr_db", "image_ssim", "image_missing"):
-            values = [row["value"] for row in rows if row["metric"] == metric]
+            whole = [row for row in rows if row["region"] == "all"]
+            values = [row["value"] for row in whole if row["metric"] == metric]
             assert len(values) == images * len(METHODS) and np.isfinite(values).all()
+        # Where the networks are shown, also by the support of their pixels.
+        assert {row["region"] for row in rows} <= {"all", *(support.region for support in Support)}
         assert {row["protocol"] for row in run.rows(view)} == {"raw", "image"}
     assert {row["sensor"] for row in run.rows("vlp16")} == {"lidar"}
     assert any(key.startswith("shift_1m/smoke/image/") for key in run.outcomes["scene_metrics"].metadata)

@@ -115,7 +115,7 @@ def test_without_lidar_nothing_is_proven_and_only_the_camera_is_trained(camera_o
     assert "nothing is proven" in str(camera_only.outcomes["evidence"].metadata["profile"])
     tensors, facts = load_tensors(camera_only.root / "field/smoke/0/weights.safetensors")
     assert facts["has_lidar"] is False and facts["has_camera"] is True
-    assert tensors and all(name.startswith("camera.") for name in tensors)
+    assert tensors and all(name.startswith(("camera.", "depth_maps.image_00.")) for name in tensors)
 
 
 def test_a_camera_only_view_holds_poses_and_images_and_no_scan(camera_only: Run) -> None:
