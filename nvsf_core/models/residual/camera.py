@@ -88,8 +88,7 @@ def train_camera(
         wanted, lambda name, index: cameras[name].left_out_in_block(index)
     )
     preparation += time.perf_counter() - placing
-    drawing = nn.ModuleList(part for one in networks for part in (one.blend, one.refine) if part is not None)
-    both = fresh_state(drawing, recipe.camera_training, session.seed * 3 + 2)
+    both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
         lambda _, generator: _of_members(
