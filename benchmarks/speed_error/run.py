@@ -190,7 +190,9 @@ def _run_recipe(
         facts = {
             "recipe_identity": asked.identity(), "recipe_json": recipe.to_json(),
             "train_seconds": trained.seconds + before_s, "clock_seconds": marks.seconds,
-            "parameters": sum(tensor.numel() for tensor in trained.tensors.values()),
+            "parameters": trained.metadata.get(
+                "parameters", sum(tensor.numel() for tensor in trained.tensors.values())
+            ),
             "model_mb": size_mb + (0.0 if is_paper else _evidence_mb(setting)),
             "peak_memory_mb": memory_mb, "samples_a_ray": samples_a_ray(judge, recipe),
             "rays_per_s": _rays_per_s(trained), "training": trained.metadata,

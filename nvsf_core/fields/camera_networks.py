@@ -131,7 +131,7 @@ class BlendNetwork(nn.Module):
             colour: (s, 3, h, w) in 0..1, s = hypotheses x sources, hypothesis by hypothesis.
             seen: (s, h, w) bool, whether the source shows the point.
             share: (3, h, w) probability of each hypothesis, 0..1.
-            coarse: (3, h, w) mean colour over all depth planes, blurred and without holes.
+            coarse: (3, h, w) colour at the view's front surface, blurred and without holes.
             nearness: (k,) of the sources, 1 for the nearest.
         """
         height, width = coarse.shape[-2:]

@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.elementwise import psnr, same_shape
 from nvsf_core.metrics.lpips import LPIPS_ALEX, Lpips, lpips_measure
-from nvsf_core.metrics.measure import Measure, undefined
+from nvsf_core.metrics.measure import Measure, absent, undefined
 from nvsf_core.metrics.ssim import ssim
 
 NAMES = ("image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_lpips_alex")
@@ -51,7 +51,7 @@ def image_metrics(
 def image_part_metrics(
     predicted_rgb: np.ndarray, truth_rgb: np.ndarray, chosen: np.ndarray
 ) -> Mapping[str, Measure]:
-    """PSNR (peak 1) over some pixels of an image; undefined without one.
+    """PSNR (peak 1) over some pixels of an image; absent without one.
 
     Args:
         predicted_rgb: (H, W, 3) uint8.
@@ -63,7 +63,7 @@ def image_part_metrics(
     """
     same_shape(predicted_rgb, truth_rgb)
     if not chosen.any():
-        return {"image_psnr_db": undefined("the image has no such pixel")}
+        return {"image_psnr_db": absent("the image has no such pixel")}
     predicted, truth = predicted_rgb[chosen] / 255.0, truth_rgb[chosen] / 255.0
     return {"image_psnr_db": Measure(psnr(predicted, truth, 1.0).value, int(np.count_nonzero(chosen)))}
 

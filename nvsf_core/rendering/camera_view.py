@@ -24,8 +24,10 @@ from nvsf_core.rendering.view_depth_maps import (
 from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
 
 _DISTANCE_FLOOR_M = 0.05
-_DEPTH = 4
-"""Channel of the images' inverse depths, see `Sources.image`."""
+_SHOWN, _DEPTH, _MOVING = 3, 4, 5
+"""Channels of the images, see `Sources.image`."""
+_IN_FRONT = 1e3
+"""Inverse depth, 1/m, of pixels that show nothing static: it hides everything."""
 _REACH_PX = 6.0
 """Pixels within this distance of a moving object's return are labelled as the object."""
 _SHADOW_PX = 10.0
@@ -47,11 +49,12 @@ class ShownImages:
     small: Tensor
     """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
     depths: DepthMaps | None = None
-    """What the images' channel of inverse depths is made from; None = not known yet, the channel is 0."""
+    """What the images' channel of inverse depths is made from, on the CPU; None = not known yet, the channel
+    is 0."""
 
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
-        static = torch.where(maps.mover == 0, maps.inverse, 0.0)
+        static = maps.static.to(self.full.device)
 
         def with_it(images: Tensor) -> Tensor:
             images = images.clone()
@@ -62,8 +65,9 @@ class ShownImages:
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
-        depths = None if self.depths is None else self.depths.to(device)
-        return ShownImages(self.full.to(device), self.middle.to(device), self.small.to(device), depths)
+        return ShownImages(
+            self.full.to(device), self.middle.to(device), self.small.to(device), self.depths
+        )
 
     def mirrored(self) -> "ShownImages":
         """The images with left and right exchanged."""
@@ -98,7 +102,8 @@ class CameraView:
     images: ShownImages
     """All images of the camera."""
     chosen: list[int]
-    """Indices of the k source images, the nearest first. If there are fewer, the last is repeated."""
+    """Indices of the k source images, the nearest first; in a view of an image itself that one, then others
+    at growing distances. If there are fewer, the last is repeated."""
     motion: Tensor
     """(k, 4, 4), see `Sources`."""
     nearness: Tensor
@@ -246,7 +251,10 @@ def camera_view(
     """
     clouds = [points_m, *(each.points_m for each in moving)]
     depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
-    label = torch.from_numpy(view_label(pose, pinhole, clouds, _REACH_PX)) if moving else None
+    label = None
+    if images.full.shape[1] > _MOVING:
+        # Where nothing moves now, sources may still show what did: their pixels of it are no static surface.
+        label = torch.from_numpy(view_label(pose, pinhole, clouds, _REACH_PX))
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
     surfaces, chosen = None, known[: spec.sources]
@@ -258,8 +266,9 @@ def camera_view(
         if label is not None:
             surfaces = surfaces.completed(label, torch.from_numpy(1.0 / depth_m))
             label = surfaces.label
-        maps = images.full[:, _DEPTH].cpu()
-        chosen = covering_sources(pose, pinhole, surfaces.inverse[0], maps, poses, near, spec.sources)
+        fronts = _fronts(images, images.depths, near)
+        places = covering_sources(pose, pinhole, surfaces.inverse[0], fronts, poses[near], spec.sources)
+        chosen = [near[place] for place in places]
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
@@ -285,15 +294,25 @@ def _surfaces(
     moving: Sequence[MovingPoints],
 ) -> ViewDepth:
     """What the depth maps of the images `near` show in a view; labels are places in `moving`, from 1."""
+    inverse, mover = (torch.stack([x[k] for k in near]).numpy() for x in (maps.inverse, maps.mover))
     # An object that is not in the view has the last motion, of zeros.
     still, absent = (np.tile(one, (len(near), 1, 1)) for one in (np.eye(4), np.zeros((4, 4))))
     moved = np.stack([still, *(each.moved[near] for each in moving), absent])
-    place = np.full(256, len(moving) + 1, np.uint8)
+    most = max(int(mover.max()), *(each.number for each in moving), 0)
+    place = np.full(most + 1, len(moving) + 1, np.uint8)
     place[0] = 0
     for number, each in enumerate(moving, start=1):
         place[each.number] = number
-    inverse, mover = (torch.stack([x[k] for k in near]).cpu().numpy() for x in (maps.inverse, maps.mover))
     return depth_in_view(pose, pinhole, inverse, place[mover], poses[near], moved)
+
+
+def _fronts(images: ShownImages, maps: DepthMaps, near: Sequence[int]) -> Tensor:
+    """Inverse depths (k, H, W), 1/m, on the CPU, that hide what is behind them in the images `near`."""
+    nothing_static = torch.stack([images.full[k, _SHOWN] < 0.999 for k in near])
+    if images.full.shape[1] > _MOVING:
+        nothing_static = nothing_static | torch.stack([images.full[k, _MOVING] > 0.5 for k in near])
+    static = torch.stack([maps.static[k] for k in near])
+    return torch.where(nothing_static.cpu(), _IN_FRONT, static)
 
 
 def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:

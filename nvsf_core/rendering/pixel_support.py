@@ -31,18 +31,27 @@ def pixel_support(view: CameraView, inverse: Tensor) -> Tensor:
     assert view.surfaces is not None
     rays, sources = plane_rays(view.pinhole, view.device), view.sources(view.images.full)
     point = rays / inverse[..., None].clamp_min(1e-4)
-    away_m = torch.linalg.vector_norm(point, dim=-1)
     seen = torch.zeros_like(inverse, dtype=torch.bool)
     for number, motion in enumerate(view.motion):
         _, shown = look_up(sources, number, rays, inverse[None], view.pinhole, view.label)
-        from_source = point + motion[:3, :3].T @ motion[:3, 3]
-        other_m = torch.linalg.vector_norm(from_source, dim=-1)
-        angle = torch.arccos(((point * from_source).sum(dim=-1) / (away_m * other_m)).clamp(-1.0, 1.0))
-        ratio = torch.maximum(away_m / other_m, other_m / away_m)
-        seen |= shown[0] & (angle <= _MOST_ANGLE_RAD) & (ratio <= _MOST_RATIO)
+        alike = _looked_at_alike(point, motion)
+        for mover in range(0 if view.moved is None or view.label is None else len(view.moved)):
+            assert view.moved is not None and view.label is not None
+            own = _looked_at_alike(point, view.moved[mover, number])
+            alike = torch.where(view.label == mover + 1, own, alike)
+        seen |= shown[0] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
     is_hole = _holes((view.surfaces.support[0] == 0.0) & (view.surfaces.label == 0))
     return torch.where(is_hole, int(Support.GUESSED), support).to(torch.uint8)
+
+
+def _looked_at_alike(point_m: Tensor, motion: Tensor) -> Tensor:
+    """(H, W) bool: points (H, W, 3) of a view at which a source, `motion` (4, 4) away, looks as it does."""
+    from_source = point_m + motion[:3, :3].T @ motion[:3, 3]
+    near_m, far_m = (torch.linalg.vector_norm(x, dim=-1) for x in (point_m, from_source))
+    angle = torch.arccos(((point_m * from_source).sum(dim=-1) / (near_m * far_m)).clamp(-1.0, 1.0))
+    ratio = torch.maximum(near_m / far_m, far_m / near_m)
+    return (angle <= _MOST_ANGLE_RAD) & (ratio <= _MOST_RATIO)
 
 
 def _holes(unknown: Tensor) -> Tensor:

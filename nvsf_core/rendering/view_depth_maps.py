@@ -37,11 +37,12 @@ class DepthMaps:
     inverse: Tensor
     """(j, H, W) float32 inverse depths along z, 1/m; 0 = unknown."""
     mover: Tensor
-    """(j, H, W) uint8: number of the moving object that a pixel shows, 0 = static."""
+    """(j, H, W) int16: number of the moving object that a pixel shows, 0 = static."""
 
-    def to(self, device: torch.device) -> "DepthMaps":
-        """The same maps on `device`."""
-        return DepthMaps(self.inverse.to(device), self.mover.to(device))
+    @property
+    def static(self) -> Tensor:
+        """(j, H, W) inverse depths of static surfaces alone, 1/m; else 0."""
+        return torch.where(self.mover == 0, self.inverse, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class ViewDepth:
 
     inverse: Tensor
     """(2, H, W) float32, 1/m, positive: the front surface and the best supported other one. Where no image
-    shows the front, that of the nearest pixel where one does; where there is no other, the front again."""
+    shows the front, that of the nearest pixel with a static one; where there is no other, the front again."""
     support: Tensor
     """(2, H, W) float32, 0..1: weight of the maps that agree on each; 0 where no image shows it."""
     label: Tensor
@@ -113,11 +114,13 @@ def depth_in_view(
         weight.astype(np.float32), _LEAST_SHARE,
     )  # fmt: skip
     known = support[0] > 0.0
-    if not known.any():
-        depths[0] = 1.0 / FAR_M
+    # What a moving object uncovers is static, however near the object is in the image.
+    static = known & (labels[0] == 0)
+    if not static.any():
+        depths[0] = np.where(known, depths[0], 1.0 / FAR_M)
     elif not known.all():
-        where = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        depths[0], labels[0] = depths[0][where[0], where[1]], labels[0][where[0], where[1]]
+        where = distance_transform_edt(~static, return_distances=False, return_indices=True)
+        depths[0] = np.where(known, depths[0], depths[0][where[0], where[1]])
     # A pixel is looked up as one thing: another one behind a moving object is left out.
     is_other = (support[1] > 0.0) & (labels[0] == labels[1])
     depths[1], support[1] = np.where(is_other, depths[1], depths[0]), np.where(is_other, support[1], 0.0)
@@ -150,8 +153,7 @@ def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: in
 
 
 def covering_sources(
-    pose: np.ndarray, pinhole: Pinhole, inverse: Tensor, maps: Tensor, poses: np.ndarray,
-    known: Sequence[int], most: int,
+    pose: np.ndarray, pinhole: Pinhole, inverse: Tensor, fronts: Tensor, poses: np.ndarray, most: int
 ) -> list[int]:
     """Images that together see most of a view, near ones preferred; the nearest is always one of them.
 
@@ -159,26 +161,25 @@ def covering_sources(
         pose: (4, 4) camera to scene-local frame, of the view.
         pinhole: Intrinsics of the view and of all images.
         inverse: (H, W) inverse depth of the view, 1/m, positive.
-        maps: (j, H, W) inverse depths of all images, 1/m; 0 = unknown.
-        poses: (j, 4, 4) camera to scene-local frame of all images.
-        known: Numbers of the images to choose from, the nearest first.
+        fronts: (k, H, W) inverse depths that hide what is behind them in k images, the nearest first, 1/m.
+        poses: (k, 4, 4) camera to scene-local frame of these images.
         most: How many are chosen.
 
     Returns:
-        Their numbers, the nearest first.
+        Places of the chosen among the k, ascending.
     """
     half = _THINNED // 2
     rays = plane_rays(pinhole)[half::_THINNED, half::_THINNED]
     wanted = inverse[half::_THINNED, half::_THINNED]
     worth = torch.stack(
         [
-            _seen(relative_motion(pose, poses[number]), rays, wanted, maps[number], pinhole).float()
-            / (float(np.linalg.norm(poses[number][:3, 3] - pose[:3, 3])) + _DISTANCE_FLOOR_M)
-            for number in known
+            _seen(relative_motion(pose, at), rays, wanted, front, pinhole).float()
+            / (float(np.linalg.norm(at[:3, 3] - pose[:3, 3])) + _DISTANCE_FLOOR_M)
+            for at, front in zip(poses, fronts, strict=True)
         ]
     )
     chosen = [0]
-    while len(chosen) < min(most, len(known)):
+    while len(chosen) < min(most, len(poses)):
         best, second = _two_best(worth[chosen])
         # What each further image would add to the sum of the best and half of the second best of each pixel.
         gain = torch.where(
@@ -186,7 +187,7 @@ def covering_sources(
         ).sum(dim=(1, 2))
         gain[chosen] = -1.0
         chosen.append(int(gain.argmax()))
-    return [known[place] for place in sorted(chosen)]
+    return sorted(chosen)
 
 
 def _seen(motion: Tensor, rays: Tensor, inverse: Tensor, own: Tensor, pinhole: Pinhole) -> Tensor:

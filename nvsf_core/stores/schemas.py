@@ -238,7 +238,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             ("seed", "i8", "1", "of training"),
             ("train_seconds", "f8", "s", "evidence, training and refinement together"),
             ("render_seconds", "f8", "s", "of that frame and sensor"),
-            ("parameters", "i8", "1", "numbers in the safetensors"),
+            ("parameters", "i8", "1", "of all networks"),
             ("model_mb", "f8", "MB", "all that rendering needs, evidence included"),
             ("peak_memory_mb", "f8", "MB", "of the training process"),
             ("commit", "string", "", "of this project"),

@@ -87,7 +87,7 @@ def test_pixels_without_an_answer_are_black_where_the_truth_is_seen_and_is_not()
     assert math.isnan(missing_share(predicted, truth * 0, valid).value)
 
 
-def test_part_metrics_count_the_chosen_pixels_alone_and_are_undefined_without_one() -> None:
+def test_part_metrics_count_the_chosen_pixels_alone_and_are_absent_without_one() -> None:
     truth = np.full((8, 10, 3), 100, np.uint8)
     shown = truth.copy()
     shown[:, 5:] += 51
@@ -96,6 +96,6 @@ def test_part_metrics_count_the_chosen_pixels_alone_and_are_undefined_without_on
     found = image_part_metrics(shown, truth, right)["image_psnr_db"]
     assert found.value == pytest.approx(-20.0 * math.log10(0.2)) and found.n_valid == 40
     assert image_part_metrics(shown, truth, ~right)["image_psnr_db"].value == 80.0
-    assert math.isnan(image_part_metrics(shown, truth, right & ~right)["image_psnr_db"].value)
+    assert image_part_metrics(shown, truth, right & ~right)["image_psnr_db"].is_absent
     with pytest.raises(ShapeError):
         image_part_metrics(shown[1:], truth, right)

@@ -58,7 +58,7 @@ VALID = np.ones((64, 128), np.bool_)
 
 def wall_maps(images: int = 4) -> DepthMaps:
     shape = (images, CAMERA.height, CAMERA.width)
-    return DepthMaps(torch.full(shape, 1.0 / WALL_M), torch.zeros(shape, dtype=torch.uint8))
+    return DepthMaps(torch.full(shape, 1.0 / WALL_M), torch.zeros(shape, dtype=torch.int16))
 
 
 def view(points: np.ndarray, *, images: int = 4, depths: DepthMaps | None = None) -> CameraView:
@@ -216,7 +216,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     is_plate = torch.from_numpy((images == np.uint8([255, 0, 255])).all(axis=-1))
     # As `image_depths` gives it: unknown around the plate.
     inverse = torch.where(is_plate, 1.0 / THING_M, torch.where(torch.from_numpy(shadows), 0.0, 1.0 / WALL_M))
-    maps = DepthMaps(inverse, is_plate.to(torch.uint8) * 7)
+    maps = DepthMaps(inverse, is_plate.to(torch.int16) * 7)
     shown = shown_images(images, VALID, 2, shadows).with_depths(maps)
     one = camera_view(
         pose(0.0), CAMERA, wall_points(), shown, PLACES, SPEC, leave_out=(1,),

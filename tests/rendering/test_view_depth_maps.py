@@ -5,8 +5,9 @@ import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
+from nvsf_core.rendering.camera_view import CameraView, MovingPoints, camera_view, shown_images
 from nvsf_core.rendering.hole_filling import without_holes
+from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.pixel_support import pixel_support
 from nvsf_core.rendering.support import Support
 from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources, covering_sources, spread_ranks
@@ -34,7 +35,7 @@ def depth_map(place: np.ndarray) -> np.ndarray:
 def view(at: np.ndarray, places: list[np.ndarray], sources: int = 3) -> CameraView:
     images = np.full((len(places), 32, 64, 3), 100, np.uint8)
     inverse = torch.from_numpy(np.stack([depth_map(place) for place in places]))
-    maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.uint8))
+    maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
     shown = shown_images(images, np.ones((32, 64), np.bool_), 1).with_depths(maps)
     return camera_view(
         at, CAMERA, np.zeros((0, 3), np.float32), shown, np.stack(places),
@@ -69,13 +70,53 @@ def test_what_no_image_shows_is_guessed_and_what_one_shows_from_elsewhere_extrap
 
 def test_sources_are_those_that_see_most_together_with_the_nearest_among_them() -> None:
     # Three images beside each other see the same; the last sees around the post.
-    places = np.stack([pose(x) for x in (2.0, 1.9, 1.8, -2.0)])
-    maps = torch.from_numpy(np.stack([depth_map(place) for place in places]))
-    at = pose(1.0)
+    places = np.stack([pose(x) for x in (1.8, 1.9, 2.0, -2.0)])
+    fronts = torch.from_numpy(np.stack([depth_map(place) for place in places]))
     inverse = torch.full((32, 64), 1.0 / WALL_M)
-    known = [2, 1, 0, 3]
-    assert covering_sources(at, CAMERA, inverse, maps, places, known, 3) == [2, 1, 3]
-    assert covering_sources(at, CAMERA, inverse, maps, places, known, 9) == known
+    assert covering_sources(pose(1.0), CAMERA, inverse, fronts, places, 3) == [0, 1, 3]
+    assert covering_sources(pose(1.0), CAMERA, inverse, fronts, places, 9) == [0, 1, 2, 3]
+    # What shows nothing is no use, however near it is.
+    fronts[1] = 1e3
+    assert covering_sources(pose(1.0), CAMERA, inverse, fronts, places, 3) == [0, 2, 3]
+
+
+def test_what_moved_through_a_source_leaves_no_ghost_in_a_view_without_it() -> None:
+    places = [pose(-0.2), pose(0.0), pose(0.2)]
+    images = np.full((3, 32, 64, 3), 100, np.uint8)
+    images[:, 10:20, 40:50] = 250
+    moving = np.zeros((3, 32, 64), np.bool_)
+    moving[:, 8:22, 38:52] = True
+    inverse = torch.full((3, 32, 64), 1.0 / WALL_M)
+    inverse[torch.from_numpy(moving)] = 0.0
+    maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
+    shown = shown_images(images, np.ones((32, 64), np.bool_), 1, moving).with_depths(maps)
+    one = camera_view(pose(0.1), CAMERA, np.zeros((0, 3), np.float32), shown, np.stack(places), SPEC)
+    assert coarse_colour(one).max() < 0.5
+
+
+def test_what_a_moving_object_uncovers_is_static_and_its_own_pixels_are_seen_as_it_moves() -> None:
+    """A plate 1 m wide, 5 m ahead, and unknown pixels beside it."""
+    places = np.stack([pose(0.0), pose(0.1)])
+    inverse = np.full((2, 32, 64), 1.0 / WALL_M, np.float32)
+    mover = np.zeros((2, 32, 64), np.int16)
+    inverse[:, 10:20, 20:28], mover[:, 10:20, 20:28] = 1.0 / 5.0, 300
+    inverse[:, :, 27:33] = np.where(mover[:, :, 27:33] > 0, inverse[:, :, 27:33], 0.0)
+    maps = DepthMaps(torch.from_numpy(inverse), torch.from_numpy(mover))
+    shadow = mover > 0
+    shown = shown_images(np.full((2, 32, 64, 3), 90, np.uint8), np.ones((32, 64), np.bool_), 1, shadow)
+    moving = [MovingPoints(300, np.array([[-1.0, -0.1, 5.0]], np.float32), np.tile(np.eye(4), (2, 1, 1)))]
+    one = camera_view(
+        pose(0.1), CAMERA, np.array([[3.0, 0.0, WALL_M]], np.float32), shown.with_depths(maps), places, SPEC,
+        moving=moving,
+    )  # fmt: skip
+    assert one.surfaces is not None and one.label is not None
+    unknown = (one.surfaces.support[0] == 0.0) & (one.label == 0)
+    assert unknown.any() and (one.surfaces.inverse[0][unknown] < 0.06).all()
+    assert (one.label == 1).sum() >= 60
+    classes = pixel_support(one, one.surfaces.inverse[0])
+    on_plate = torch.zeros(32, 64, dtype=torch.bool)
+    on_plate[11:19, 21:27] = True
+    assert (one.label[on_plate] == 1).all() and (classes[on_plate] == Support.SEEN).all()
 
 
 def test_depths_are_found_with_images_at_growing_distances() -> None:

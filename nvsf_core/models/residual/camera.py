@@ -81,9 +81,12 @@ def train_camera(
             [partial(depth_step, one.depth, examples, recipe) for one in networks],
         ),
     )  # fmt: skip
+    count = len(examples)
+    # They hold all images without depths.
+    examples.clear()
     placing = time.perf_counter()
     maps = {name: image_depths(networks, one) for name, one in cameras.items()}
-    cameras = {name: one.with_depths(maps[name].to(device)) for name, one in cameras.items()}
+    cameras = {name: one.with_depths(maps[name]) for name, one in cameras.items()}
     views = _each(wanted, lambda name, index: cameras[name].left_out(index)) + _each(
         wanted, lambda name, index: cameras[name].left_out_in_block(index)
     )
@@ -101,7 +104,7 @@ def train_camera(
     preparation += time.perf_counter() - validating
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
-        metadata={"left_out_images": len(examples)} | verdict,
+        metadata={"left_out_images": count} | verdict,
         facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
         tensors={key: value for name, one in maps.items() for key, value in stored_maps(name, one).items()},
     )  # fmt: skip
@@ -193,7 +196,8 @@ def camera_renderer(
 
 def stored_maps(camera: str, maps: DepthMaps) -> dict[str, Tensor]:
     """A camera's depth maps as tensors to store; half precision is exact to 0.05 %."""
-    return {f"{_MAPS}.{camera}.inverse": maps.inverse.half(), f"{_MAPS}.{camera}.mover": maps.mover}
+    mover = {f"{_MAPS}.{camera}.mover": maps.mover} if maps.mover.any() else {}
+    return {f"{_MAPS}.{camera}.inverse": maps.inverse.half(), **mover}
 
 
 def maps_from(weights: Weights, camera: str) -> DepthMaps:
@@ -202,8 +206,9 @@ def maps_from(weights: Weights, camera: str) -> DepthMaps:
     Raises:
         StoreError: They are absent.
     """
-    inverse, mover = (weights.tensor(f"{_MAPS}.{camera}.{part}") for part in ("inverse", "mover"))
-    return DepthMaps(inverse.float(), mover)
+    inverse, mover = weights.tensor(f"{_MAPS}.{camera}.inverse").float(), f"{_MAPS}.{camera}.mover"
+    has_movers = weights.has(mover)
+    return DepthMaps(inverse, weights.tensor(mover) if has_movers else torch.zeros(inverse.shape).short())
 
 
 def _by_networks(networks: CameraEnsemble, camera: ShownCamera) -> Callable[[int], list[float]]:

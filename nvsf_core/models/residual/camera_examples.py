@@ -61,7 +61,7 @@ class ShownCamera:
         return self._with_truth(self.view(index, block), index)
 
     def view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
-        """The view of a training image by the others, without the scan of its instant.
+        """The view of a training image by the others; the scan of its instant is known to their depths alone.
 
         Args:
             index: Number of the image.
@@ -91,6 +91,7 @@ class ShownCamera:
         """Numbers of the images within a distance of one of them, which is one; at least two are left."""
         position_m = self.drive.world.recording.cameras[self.name].training.pose[:, :3, 3]
         distance_m = np.linalg.norm(position_m - position_m[index], axis=1)
+        distance_m[index] = -1.0
         order = np.argsort(distance_m, kind="stable")
         inside = int(np.count_nonzero(distance_m <= radius_m))
-        return {index, *order[: min(inside, len(order) - _FEWEST_SOURCES)].tolist()}
+        return set(order[: max(1, min(inside, len(order) - _FEWEST_SOURCES))].tolist())

@@ -38,6 +38,7 @@ def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession
     for sensor, state in states.items():
         metadata[f"{sensor}_seconds"] = state.seconds
     tensors = fields.tensors()
+    metadata["parameters"] = sum(value.numel() for value in tensors.values())
     for part in parts:
         tensors |= part.tensors
     return Trained(

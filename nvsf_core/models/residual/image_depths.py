@@ -6,7 +6,7 @@ import torch
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.depth_splat import without_edges
-from nvsf_core.kernels.threads import in_parts
+from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.rendering.camera_view import MovingPoints, camera_view
 from nvsf_core.rendering.plane_depth import image_inverse_depth
@@ -20,7 +20,8 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     """Depth maps of a camera's training images.
 
     Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth
-    depends on an image for validation but its own, so a rendered one knows nothing of its own pixels.
+    depends on an image for validation but its own: rendered, such an image knows nothing of its own pixels.
+    Of the scan of its instant it knows what its neighbours' maps do.
 
     Args:
         networks: Whose depth networks compare the images.
@@ -39,7 +40,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
             camera.spec, leave_out=set(camera.validation) - {number}, own=number, moving=moving,
         )  # fmt: skip
         inverse = image_inverse_depth(networks, view.to(images.full.device), camera.spec).cpu().numpy()
-        mover = np.zeros(inverse.shape, np.uint8)
+        mover = np.zeros(inverse.shape, np.int16)
         for place, each in enumerate(moving, start=1):
             assert view.label is not None
             mover[(view.label.numpy() == place) & _is_at(inverse, each, shown.pose[number])] = each.number
@@ -48,7 +49,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
             known = known & ((mover > 0) | ~around_movers[number])
         return np.where(known, without_edges(inverse), np.float32(0.0)), mover
 
-    inverse, mover = zip(*in_parts(depth, len(time_s)), strict=True)
+    inverse, mover = zip(*in_parts(depth, len(time_s), MOST_VIEWS), strict=True)
     return DepthMaps(torch.from_numpy(np.stack(inverse)), torch.from_numpy(np.stack(mover)))
 
 

@@ -13,10 +13,10 @@ _GAINS = (0.7, 1.3)
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A training image, and the view of it that is rendered from the other images."""
+    """A training image, and the view of it that is compared with, or rendered from, the other images."""
 
     view: CameraView
-    """The inputs of the view, without the image itself and without the scan of its instant."""
+    """The inputs of the view, without the scan of its instant, and to draw it without the image itself."""
     truth: Tensor
     """(3, H, W) uint8."""
     middle_truth: Tensor

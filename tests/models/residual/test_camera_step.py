@@ -38,7 +38,7 @@ def example(spec: CameraSpec = RECIPE.camera, *, itself: bool = False) -> LeftOu
     rays = CAMERA.rays(CAMERA.pixels())
     x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
-    maps = DepthMaps(torch.full((3, 32, 64), 0.2), torch.zeros(3, 32, 64, dtype=torch.uint8))
+    maps = DepthMaps(torch.full((3, 32, 64), 0.2), torch.zeros(3, 32, 64, dtype=torch.int16))
     shown = shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec))
     view = camera_view(
         poses()[1], CAMERA, np.zeros((0, 3), np.float32), shown if itself else shown.with_depths(maps),
