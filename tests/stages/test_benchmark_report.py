@@ -69,7 +69,7 @@ def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> 
 def test_a_view_that_images_answered_in_part_says_so(tmp_path: Path) -> None:
     store = write_street(tmp_path, "street")
     view = store.path("novel_views/quick/0") / "shift_1m" / "model.zarr"
-    told = "is told by images"
+    told = "is shown by images"
     assert told not in _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1]
     arrays, attrs = read_arrays(view), read_attrs(view)
     shutil.rmtree(view)
