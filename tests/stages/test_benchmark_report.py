@@ -69,13 +69,13 @@ def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> 
 def test_a_view_that_images_answered_in_part_says_so(tmp_path: Path) -> None:
     store = write_street(tmp_path, "street")
     view = store.path("novel_views/quick/0") / "shift_1m" / "model.zarr"
-    told = "is shown by images"
-    assert told not in _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1]
+    shown = "images show the surface"
+    assert shown not in _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1]
     arrays, attrs = read_arrays(view), read_attrs(view)
     shutil.rmtree(view)
     write_arrays(view, arrays, attrs | {"above_lasers_by_images": True})
     shutil.rmtree(tmp_path / "benchmark_report")  # nothing was published, so it would be kept
-    assert _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1].count(told) == 1
+    assert _read(make_benchmark_report(tmp_path, ["street"], {}, []))[1].count(shown) == 1
 
 
 def test_a_view_with_known_truth_is_shown_beside_it_with_the_best_baseline_and_the_error(
