@@ -311,7 +311,7 @@ def _fronts(images: ShownImages, maps: DepthMaps, near: Sequence[int]) -> Tensor
     nothing_static = torch.stack([images.full[k, _SHOWN] < 0.999 for k in near])
     if images.full.shape[1] > _MOVING:
         nothing_static = nothing_static | torch.stack([images.full[k, _MOVING] > 0.5 for k in near])
-    static = torch.stack([maps.static[k] for k in near])
+    static = torch.stack([torch.where(maps.mover[k] == 0, maps.inverse[k], 0.0) for k in near])
     return torch.where(nothing_static.cpu(), _IN_FRONT, static)
 
 
