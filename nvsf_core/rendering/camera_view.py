@@ -266,7 +266,7 @@ def camera_view(
         if label is not None:
             surfaces = surfaces.completed(label, torch.from_numpy(1.0 / depth_m))
             label = surfaces.label
-        fronts = _fronts(images, images.depths, near)
+        fronts = _fronts(images, near)
         places = covering_sources(pose, pinhole, surfaces.inverse[0], fronts, poses[near], spec.sources)
         chosen = [near[place] for place in places]
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
@@ -306,13 +306,13 @@ def _surfaces(
     return depth_in_view(pose, pinhole, inverse, place[mover], poses[near], moved)
 
 
-def _fronts(images: ShownImages, maps: DepthMaps, near: Sequence[int]) -> Tensor:
+def _fronts(images: ShownImages, near: Sequence[int]) -> Tensor:
     """Inverse depths (k, H, W), 1/m, on the CPU, that hide what is behind them in the images `near`."""
-    nothing_static = torch.stack([images.full[k, _SHOWN] < 0.999 for k in near])
-    if images.full.shape[1] > _MOVING:
-        nothing_static = nothing_static | torch.stack([images.full[k, _MOVING] > 0.5 for k in near])
-    static = torch.stack([torch.where(maps.mover[k] == 0, maps.inverse[k], 0.0) for k in near])
-    return torch.where(nothing_static.cpu(), _IN_FRONT, static)
+    shown = torch.stack([images.full[k] for k in near])
+    nothing_static = shown[:, _SHOWN] < 0.999
+    if shown.shape[1] > _MOVING:
+        nothing_static = nothing_static | (shown[:, _MOVING] > 0.5)
+    return torch.where(nothing_static, _IN_FRONT, shown[:, _DEPTH]).cpu()
 
 
 def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:

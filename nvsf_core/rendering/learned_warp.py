@@ -11,13 +11,11 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_factor, places_of
 from nvsf_core.rendering.hole_filling import without_holes
 from nvsf_core.rendering.pixel_support import pixel_support
-from nvsf_core.rendering.plane_depth import plane_step, resized
+from nvsf_core.rendering.plane_depth import FULL_TRUST_PX, plane_step, resized
 from nvsf_core.rendering.plane_volume import plane_volume
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
-_TRUST_PX = 12.0
-"""Distance from a return in the image over which the trust in its depth falls to 1/e."""
 _FINER = 0.25
 """Step between refined depths, in steps between planes."""
 
@@ -69,7 +67,7 @@ def hypotheses(view: CameraView, factor: int, window: Window) -> Hypotheses:
     inverse, gap_px = (view.thinned(x, factor)[window] for x in (view.inverse, view.gap_px))
     found, support = surfaces
     return Hypotheses(
-        torch.cat([found, inverse[None]]), torch.cat([support, torch.exp(-gap_px / _TRUST_PX)[None]])
+        torch.cat([found, inverse[None]]), torch.cat([support, torch.exp(-gap_px / FULL_TRUST_PX)[None]])
     )
 
 

@@ -13,7 +13,7 @@ from nvsf_core.rendering.warping import plane_rays, sample
 _WINDOW_PX = 5
 _TRUST_PX = 3.0
 """Distance from a return in the shrunk image over which the trust in its depth falls to 1/e."""
-_FULL_TRUST_PX = 12.0
+FULL_TRUST_PX = 12.0
 """The same in the full image, where the return's depth replaces that of the planes."""
 _CLAMP_PLANES = 8.0
 _MODE_PLANES = 2
@@ -111,7 +111,7 @@ def image_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: Camera
         view: Of the image, which is its first source.
         spec: Recipe of the camera networks.
     """
-    trust = torch.exp(-view.gap_px / _FULL_TRUST_PX)
+    trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_of(view, 1, view.factor)
     depths = []
     for member in networks:
