@@ -17,6 +17,8 @@ HYPOTHESES = 3
 """Depths a pixel at which colours are looked up: the two where the images agree best, and the LiDAR's."""
 VOLUME_FEATURES = 12
 """Channels that describe a depth plane of a pixel."""
+_PLANE_PRIOR = (-4.0, -2.0, -8.0, -4.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Weights of a plane's features in its logit before training: where images agree, and returns lie."""
 _RESIDUAL_MOST = 0.25
 """Largest difference of a colour from the blend of recorded colours; colours are 0..1."""
 _UNSEEN_LOGIT = -30.0
@@ -47,17 +49,21 @@ class DepthNetwork(nn.Module):
         self.join = _layer(generator, nn.Conv3d, a, a, 3, padding=1)
         self.raise_join = _layer(generator, nn.Conv3d, a, 8, 1)
         self.logit = _layer(generator, nn.Conv3d, 8, 1, 1)
+        self.prior = _layer(generator, nn.Conv3d, VOLUME_FEATURES, 1, 1)
+        with torch.no_grad():
+            self.logit.weight.zero_()
+            self.prior.weight[0, :, 0, 0, 0] = torch.tensor(_PLANE_PRIOR)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Logits (d, h, w) of d planes from their `features` (VOLUME_FEATURES, d, h, w)."""
-        volume = features.transpose(0, 1).contiguous(memory_format=torch.channels_last)
+        """Logits (d, h, w) of d planes from their `features` (d, VOLUME_FEATURES, h, w)."""
+        volume = features.contiguous(memory_format=torch.channels_last)
         wide = functional.relu(_by_plane(self.down, volume))
         deep = functional.relu(_by_plane(self.deepest, functional.relu(_by_plane(self.deep, wide))))
         raised = _resized_planes(_by_plane(self.raise_deep, deep), wide)
         wide = functional.relu(_by_plane(self.join, wide + raised))
         raised = _resized_planes(_by_plane(self.raise_join, wide), volume)
         full = functional.relu(_by_plane(self.near, volume) + raised)
-        return _by_plane(self.logit, full)[:, 0]
+        return (_by_plane(self.logit, full) + _by_plane(self.prior, volume))[:, 0]
 
 
 class RefineNetwork(nn.Module):

@@ -31,7 +31,7 @@ _LEAN = replace(
     hits=HitsSpec(training=TrainingSpec(steps=600, rays=17_000)),
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, sources=6, refinements=5, aligned=True, varied=True, members=3),
-    depth_training=replace(_QUICK.depth_training, steps=400),
+    depth_training=replace(_QUICK.depth_training, steps=120),
     camera_training=replace(_QUICK.camera_training, steps=800),
     losses=replace(_QUICK.losses, colour_distance=0.1, structure=0.1),
 )
@@ -40,7 +40,7 @@ _SHORT = replace(
     _QUICK,
     name="short",
     lidar_training=replace(_QUICK.lidar_training, steps=700),
-    depth_training=replace(_QUICK.depth_training, steps=90),
+    depth_training=replace(_QUICK.depth_training, steps=40),
     camera_training=replace(_QUICK.camera_training, steps=150),
 )
 _SMOKE = replace(

@@ -168,7 +168,7 @@ class ResidualRecipe(Recipe):
     lidar_field: FieldSpec = FieldSpec()
     camera: CameraSpec = CameraSpec()
     lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
-    depth_training: TrainingSpec = TrainingSpec(steps=240, rays=8064, network_rate=5e-3)
+    depth_training: TrainingSpec = TrainingSpec(steps=60, rays=8064, network_rate=5e-3)
     camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None

@@ -11,7 +11,8 @@ from torch.nn import functional
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.reproject_camera import nearest_sources, view_depth, view_label
+from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
+from nvsf_core.rendering.reproject_camera import nearest_sources
 from nvsf_core.rendering.sources import Sources
 from nvsf_core.rendering.view_depth_maps import (
     DepthMaps,
@@ -25,13 +26,9 @@ from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
 
 _DISTANCE_FLOOR_M = 0.05
 _SHOWN, _DEPTH, _MOVING = 3, 4, 5
-"""Channels of the images, see `Sources.image`."""
+"""Channels of the images, see `Sources.images`."""
 _IN_FRONT = 1e3
 """Inverse depth, 1/m, of pixels that show nothing static: it hides everything."""
-_REACH_PX = 6.0
-"""Pixels within this distance of a moving object's return are labelled as the object."""
-_SHADOW_PX = 10.0
-"""The same distance in source images, where such pixels must not be used for static surfaces."""
 
 Window = tuple[slice, slice]
 """Rows and columns of an image."""
@@ -40,7 +37,7 @@ WHOLE: Window = (slice(None), slice(None))
 
 @dataclass(frozen=True, slots=True)
 class ShownImages:
-    """All j images of a camera in three sizes, with the channels of `Sources.image`."""
+    """All j images of a camera in three sizes, with the channels of `Sources.images`."""
 
     full: Tensor
     """(j, c, H, W) float32, as recorded."""
@@ -51,6 +48,9 @@ class ShownImages:
     depths: DepthMaps | None = None
     """What the images' channel of inverse depths is made from, on the CPU; None = not known yet, the channel
     is 0."""
+    fronts: Tensor | None = None
+    """(j, H, W) inverse depths, 1/m, on the CPU, that hide what is behind them in each image; None as
+    above."""
 
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
@@ -61,30 +61,18 @@ class ShownImages:
             images[:, _DEPTH] = functional.avg_pool2d(static, static.shape[-1] // images.shape[-1])
             return images
 
-        return ShownImages(with_it(self.full), with_it(self.middle), with_it(self.small), maps)
+        full = with_it(self.full)
+        nothing_static = full[:, _SHOWN] < 0.999
+        if full.shape[1] > _MOVING:
+            nothing_static = nothing_static | (full[:, _MOVING] > 0.5)
+        fronts = torch.where(nothing_static, _IN_FRONT, full[:, _DEPTH]).cpu()
+        return ShownImages(full, with_it(self.middle), with_it(self.small), maps, fronts)
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
         return ShownImages(
-            self.full.to(device), self.middle.to(device), self.small.to(device), self.depths
+            self.full.to(device), self.middle.to(device), self.small.to(device), self.depths, self.fronts
         )
-
-    def mirrored(self) -> "ShownImages":
-        """The images with left and right exchanged."""
-        return ShownImages(self.full.flip(-1), self.middle.flip(-1), self.small.flip(-1))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MovingPoints:
-    """Points of a moving object at a view's instant, and its motion to each image's instant."""
-
-    number: int
-    """Of the object, from 1, the same in all views and in `DepthMaps.mover`."""
-
-    points_m: np.ndarray
-    """(m, 3) float32, scene-local, metres, at the view's instant."""
-    moved: np.ndarray
-    """(j, 4, 4) rigid motion in the scene from that instant to each image's; zeros where it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,23 +134,7 @@ class CameraView:
 
     def sources(self, images: Tensor) -> Sources:
         """The chosen ones of all images (j, c, h, w), of any size, as sources of this view."""
-        chosen = tuple(images[index] for index in self.chosen)
-        return Sources(chosen, self.motion, self.nearness, self.moved)
-
-    def mirrored(self) -> "CameraView":
-        """The view of the mirrored scene: x becomes -x in every camera's frame."""
-        flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0], device=self.device))
-        return replace(
-            self,
-            pinhole=replace(self.pinhole, cx=self.pinhole.width - 1 - self.pinhole.cx),
-            inverse=self.inverse.flip(-1),
-            gap_px=self.gap_px.flip(-1),
-            surfaces=None if self.surfaces is None else self.surfaces.mirrored(),
-            images=self.images.mirrored(),
-            motion=flip @ self.motion @ flip,
-            moved=None if self.moved is None else flip @ self.moved @ flip,
-            label=None if self.label is None else self.label.flip(-1),
-        )
+        return Sources(images, self.chosen, self.motion, self.nearness, self.moved)
 
     def thinned(self, image: Tensor, factor: int) -> Tensor:
         """The middle pixel of each block of factor x factor pixels of an image (..., H, W)."""
@@ -200,33 +172,17 @@ def shown_images(
     parts = [to_float(images), shown, torch.zeros_like(shown)]
     if moving is not None:
         parts.append(torch.from_numpy(moving).float()[:, None])
-    full = torch.cat(parts, dim=1)
+    # A pixel's channels beside each other, as looked up.
+    full = torch.cat(parts, dim=1).contiguous(memory_format=torch.channels_last)
     middle, small = (functional.avg_pool2d(full, by) for by in (middle_factor(factor), factor))
     return ShownImages(full, middle, small)
 
 
-def moving_pixels(
-    pose: np.ndarray, pinhole: Pinhole, static_m: np.ndarray, moving_m: Sequence[np.ndarray]
-) -> np.ndarray:
-    """Which pixels of a recorded image may show a moving object.
-
-    Args:
-        pose: (4, 4) camera to scene-local frame.
-        pinhole: Intrinsics of the image.
-        static_m: (m, 3) float32 static points, scene-local, metres.
-        moving_m: (m, 3) float32 points of each moving object at the image's instant.
-
-    Returns:
-        (H, W) bool.
-    """
-    return view_label(pose, pinhole, [static_m, *moving_m], _SHADOW_PX) > 0
-
-
-# Wide: the view (pose, pinhole), the points and the source images are independent inputs.
+# Wide: the view (pose, pinhole), its returns and the source images are independent inputs.
 def camera_view(
     pose: np.ndarray,
     pinhole: Pinhole,
-    points_m: np.ndarray,
+    lidar: LidarView,
     images: ShownImages,
     poses: np.ndarray,
     spec: CameraSpec,
@@ -235,38 +191,34 @@ def camera_view(
     own: int | None = None,
     moving: Sequence[MovingPoints] = (),
 ) -> CameraView:
-    """Choose the source images of a view and render the LiDAR's depth into it.
+    """Choose the source images of a view and carry their depths into it.
 
     Args:
         pose: (4, 4) camera to scene-local frame.
         pinhole: Intrinsics of the view and of all images.
-        points_m: (m, 3) float32 static points for depth, scene-local, metres.
+        lidar: What returns show in the view.
         images: All j images of the camera, shrunk by `shrinking`.
         poses: (j, 4, 4) camera to scene-local frame of each image.
         spec: Recipe of the camera networks.
         leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
         own: Number of the image that the view is of, whose depth is wanted: it is the first source; others
             are chosen at several distances from it.
-        moving: Moving objects that may be visible.
+        moving: Moving objects that may be visible, as `lidar` was made with.
     """
-    clouds = [points_m, *(each.points_m for each in moving)]
-    depth_m, gap_px = view_depth(pose, pinhole, np.concatenate(clouds))
-    label = None
-    if images.full.shape[1] > _MOVING:
-        # Where nothing moves now, sources may still show what did: their pixels of it are no static surface.
-        label = torch.from_numpy(view_label(pose, pinhole, clouds, _REACH_PX))
+    # Where nothing moves now, sources may still show what did: their pixels of it are no static surface.
+    label = lidar.label if images.full.shape[1] > _MOVING else None
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
     surfaces, chosen = None, known[: spec.sources]
     if own is not None:
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
-    elif images.depths is not None:
+    elif images.depths is not None and images.fronts is not None:
         near = [known[rank] for rank in spread_ranks(len(known))]
         surfaces = _surfaces(pose, pinhole, images.depths, poses, near, moving)
         if label is not None:
-            surfaces = surfaces.completed(label, torch.from_numpy(1.0 / depth_m))
+            surfaces = surfaces.completed(label, lidar.inverse)
             label = surfaces.label
-        fronts = _fronts(images, near)
+        fronts = [images.fronts[k] for k in near]
         places = covering_sources(pose, pinhole, surfaces.inverse[0], fronts, poses[near], spec.sources)
         chosen = [near[place] for place in places]
     distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
@@ -276,8 +228,8 @@ def camera_view(
     return CameraView(
         pinhole=pinhole,
         factor=shrinking(pinhole, spec),
-        inverse=torch.from_numpy(1.0 / depth_m),
-        gap_px=torch.from_numpy(gap_px),
+        inverse=lidar.inverse,
+        gap_px=lidar.gap_px,
         surfaces=surfaces,
         images=images,
         chosen=chosen,
@@ -290,29 +242,25 @@ def camera_view(
 
 # Wide: the view (pose, pinhole), the maps with their poses and numbers, and what moves are independent.
 def _surfaces(
-    pose: np.ndarray, pinhole: Pinhole, maps: DepthMaps, poses: np.ndarray, near: Sequence[int],
+    pose: np.ndarray,
+    pinhole: Pinhole,
+    maps: DepthMaps,
+    poses: np.ndarray,
+    near: Sequence[int],
     moving: Sequence[MovingPoints],
 ) -> ViewDepth:
     """What the depth maps of the images `near` show in a view; labels are places in `moving`, from 1."""
-    inverse, mover = (torch.stack([x[k] for k in near]).numpy() for x in (maps.inverse, maps.mover))
+    inverse, mover = ([x[k].numpy() for k in near] for x in (maps.inverse, maps.mover))
     # An object that is not in the view has the last motion, of zeros.
     still, absent = (np.tile(one, (len(near), 1, 1)) for one in (np.eye(4), np.zeros((4, 4))))
     moved = np.stack([still, *(each.moved[near] for each in moving), absent])
-    most = max(int(mover.max()), *(each.number for each in moving), 0)
+    most = max(*(int(one.max()) for one in mover), *(each.number for each in moving), 0)
     place = np.full(most + 1, len(moving) + 1, np.uint8)
     place[0] = 0
     for number, each in enumerate(moving, start=1):
         place[each.number] = number
-    return depth_in_view(pose, pinhole, inverse, place[mover], poses[near], moved)
-
-
-def _fronts(images: ShownImages, near: Sequence[int]) -> Tensor:
-    """Inverse depths (k, H, W), 1/m, on the CPU, that hide what is behind them in the images `near`."""
-    shown = torch.stack([images.full[k] for k in near])
-    nothing_static = shown[:, _SHOWN] < 0.999
-    if shown.shape[1] > _MOVING:
-        nothing_static = nothing_static | (shown[:, _MOVING] > 0.5)
-    return torch.where(nothing_static, _IN_FRONT, shown[:, _DEPTH]).cpu()
+    labels = [place[one] for one in mover]
+    return depth_in_view(pose, pinhole, inverse, labels, poses[near], moved)
 
 
 def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:

@@ -12,8 +12,10 @@ from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, middle_fa
 from nvsf_core.rendering.hole_filling import without_holes
 from nvsf_core.rendering.pixel_support import pixel_support
 from nvsf_core.rendering.plane_depth import FULL_TRUST_PX, plane_step, resized
-from nvsf_core.rendering.plane_volume import plane_volume
+from nvsf_core.rendering.plane_volume import agreement
 from nvsf_core.rendering.rendered import RenderedImage
+from nvsf_core.rendering.sources import SeenPoints, look_up
+from nvsf_core.rendering.variation import AS_RECORDED, Variation
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
 _FINER = 0.25
@@ -74,11 +76,11 @@ def hypotheses(view: CameraView, factor: int, window: Window) -> Hypotheses:
 @torch.no_grad()
 def coarse_colour(view: CameraView) -> Tensor:
     """Colours (3, h, w) of a view's shrunk pixels on the front surface, without holes."""
-    small, sources = view.small, view.sources(view.images.small)
+    small = view.small
     surface = hypotheses(view, view.factor, WHOLE).inverse[:1]
-    label = view.label_of(view.factor, WHOLE)
-    volume = plane_volume(sources, plane_rays(small, view.device), small, surface, label)
-    return without_holes(volume.mean_colour()[0], volume.seen.any(dim=0)[0].float())
+    points = SeenPoints(plane_rays(small, view.device), surface, view.label_of(view.factor, WHOLE))
+    agreed = agreement(view.sources(view.images.small), points, small)
+    return without_holes(agreed.colour[0], (agreed.share[0] > 0.0).float())
 
 
 def _likeliest(found: Hypotheses) -> Tensor:
@@ -87,7 +89,12 @@ def _likeliest(found: Hypotheses) -> Tensor:
 
 
 def refine(
-    network: RefineNetwork, view: CameraView, coarse: Hypotheses, spec: CameraSpec, window: Window = WHOLE
+    network: RefineNetwork,
+    view: CameraView,
+    coarse: Hypotheses,
+    spec: CameraSpec,
+    window: Window = WHOLE,
+    shown_as: Variation = AS_RECORDED,
 ) -> Refinement:
     """Compare depths around each hypothesis on images of the middle size.
 
@@ -97,38 +104,44 @@ def refine(
         coarse: Hypotheses of the window's pixels.
         spec: Recipe of the camera networks.
         window: Part of the image of the middle size.
+        shown_as: Variation of all images.
     """
     count = spec.refinements
     offsets = (torch.arange(count, device=view.device) - count // 2) * _FINER * plane_step(spec)
     depths = (coarse.inverse.detach()[:, None] + offsets[:, None, None]).clamp_min(0.0).flatten(0, 1)
     middle = view.middle
     label = view.label_of(middle_factor(view.factor), window)
-    rays = plane_rays(middle, view.device)[window]
-    volume = plane_volume(view.sources(view.images.middle), rays, middle, depths, label)
-    spread, pair, shown, _ = volume.agreement()
-    probability = network(spread, pair, shown, coarse.share)
+    points = SeenPoints(plane_rays(middle, view.device)[window], depths, label)
+    agreed = agreement(view.sources(view.images.middle), points, middle, shown_as)
+    compared = (agreed.spread, agreed.pair, agreed.share, coarse.share)
+    probability = shown_as.turned(network(*(shown_as.turned(x) for x in compared)))
     each = probability.reshape(-1, count, *probability.shape[1:])
     share = each.sum(dim=1)
     steps = depths.reshape(each.shape) - coarse.inverse.detach()[:, None]
     moved = (each * steps).sum(dim=1) / share.clamp_min(1e-6)
-    return Refinement(Hypotheses(coarse.inverse + moved, share), probability, volume.mean_colour())
+    return Refinement(Hypotheses(coarse.inverse + moved, share), probability, agreed.colour)
 
 
+# Wide: what is rendered (view, coarse, the two windows) and how (networks, spec, variation).
 def blend_sources(
     networks: CameraNetworks,
     view: CameraView,
+    coarse: Tensor,
     spec: CameraSpec,
     window: Window = WHOLE,
     around: Window = WHOLE,
+    shown_as: Variation = AS_RECORDED,
 ) -> Blend:
     """Render a window of a view.
 
     Args:
         networks: For blending and, if the recipe has it, refinement.
         view: The view; its images have depths.
+        coarse: (3, h, w) of `coarse_colour`.
         spec: Recipe of the camera networks.
         window: Part of the view.
         around: Part of the shrunk view, around the window, where depths are refined.
+        shown_as: Variation of all images.
     """
     refinement = None
     if networks.refine is None:
@@ -136,21 +149,22 @@ def blend_sources(
     else:
         middle = middle_factor(view.factor)
         part = scaled(around, view.factor // middle)
-        refinement = refine(networks.refine, view, hypotheses(view, middle, part), spec, part)
+        refinement = refine(networks.refine, view, hypotheses(view, middle, part), spec, part, shown_as)
         places = places_of(view, 1, middle, part)[window]
         layers = torch.cat([refinement.hypotheses.inverse, refinement.hypotheses.share])
         found = Hypotheses(*resized(layers, places, plane_step(spec)).chunk(2))
-    coarse = sample(coarse_colour(view), places_of(view, 1, view.factor)[window])
-    sources, rays = view.sources(view.images.full), plane_rays(view.pinhole, view.device)[window]
-    volume = plane_volume(sources, rays, view.pinhole, found.inverse, view.label_of(1, window))
-    colour = networks.blend(
-        volume.colour.permute(2, 0, 1, 3, 4).flatten(0, 1),
-        volume.seen.transpose(0, 1).flatten(0, 1),
+    around_colour = sample(shown_as.colours(coarse), places_of(view, 1, view.factor)[window])
+    rays = plane_rays(view.pinhole, view.device)[window]
+    points = SeenPoints(rays, found.inverse, view.label_of(1, window))
+    colour, seen = look_up(view.sources(view.images.full), points, view.pinhole)
+    inputs = (
+        shown_as.colours(colour.permute(2, 0, 1, 3, 4).flatten(0, 1)),
+        seen.transpose(0, 1).flatten(0, 1),
         found.share,
-        coarse,
-        view.nearness,
+        around_colour,
     )
-    return Blend(colour, found, refinement)
+    shown = networks.blend(*(shown_as.turned(x) for x in inputs), view.nearness)
+    return Blend(shown_as.turned(shown), found, refinement)
 
 
 @torch.no_grad()
@@ -159,11 +173,11 @@ def render_view(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) ->
 
     A member's depth of a pixel is its hypothesis of most trust.
     """
-    members = list(networks)
+    members, coarse = list(networks), coarse_colour(view)
 
     def seen_by(number: int) -> tuple[Tensor, Tensor]:
         member = members[number]
-        blend = blend_sources(member, view, spec)
+        blend = blend_sources(member, view, coarse, spec)
         return blend.colour, _likeliest(blend.hypotheses)
 
     colours, depths = zip(*in_parts(seen_by, len(members)), strict=True)

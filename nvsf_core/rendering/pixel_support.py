@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.rendering.camera_view import CameraView
-from nvsf_core.rendering.sources import look_up
+from nvsf_core.rendering.sources import SeenPoints, look_up
 from nvsf_core.rendering.support import Support
 from nvsf_core.rendering.warping import plane_rays
 
@@ -29,17 +29,18 @@ def pixel_support(view: CameraView, inverse: Tensor) -> Tensor:
         inverse: (H, W) inverse depth of what is shown, 1/m.
     """
     assert view.surfaces is not None
-    rays, sources = plane_rays(view.pinhole, view.device), view.sources(view.images.full)
+    rays = plane_rays(view.pinhole, view.device)
+    points = SeenPoints(rays, inverse[None], view.label)
+    _, shown = look_up(view.sources(view.images.full), points, view.pinhole)
     point = rays / inverse[..., None].clamp_min(1e-4)
     seen = torch.zeros_like(inverse, dtype=torch.bool)
     for number, motion in enumerate(view.motion):
-        _, shown = look_up(sources, number, rays, inverse[None], view.pinhole, view.label)
         alike = _looked_at_alike(point, motion)
         for mover in range(0 if view.moved is None or view.label is None else len(view.moved)):
             assert view.moved is not None and view.label is not None
             own = _looked_at_alike(point, view.moved[mover, number])
             alike = torch.where(view.label == mover + 1, own, alike)
-        seen |= shown[0] & alike
+        seen |= shown[number, 0] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
     is_hole = _holes((view.surfaces.support[0] == 0.0) & (view.surfaces.label == 0))
     return torch.where(is_hole, int(Support.GUESSED), support).to(torch.uint8)

@@ -7,7 +7,9 @@ from torch.nn import functional
 from nvsf_core.fields.camera_networks import CameraEnsemble, DepthNetwork
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_of
-from nvsf_core.rendering.plane_volume import PlaneVolume, plane_volume
+from nvsf_core.rendering.plane_volume import Agreement, agreement
+from nvsf_core.rendering.sources import SeenPoints
+from nvsf_core.rendering.variation import AS_RECORDED, Variation
 from nvsf_core.rendering.warping import plane_rays, sample
 
 _WINDOW_PX = 5
@@ -32,7 +34,11 @@ def plane_inverses(spec: CameraSpec, device: torch.device | None = None) -> Tens
 
 
 def planes_of(
-    network: DepthNetwork, view: CameraView, spec: CameraSpec, window: Window = WHOLE
+    network: DepthNetwork,
+    view: CameraView,
+    spec: CameraSpec,
+    window: Window = WHOLE,
+    shown_as: Variation = AS_RECORDED,
 ) -> tuple[Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of a recorded image's d depth planes, at shrunk pixels.
 
@@ -43,46 +49,46 @@ def planes_of(
         view: Of the image.
         spec: Recipe of the camera networks.
         window: Part of the shrunk image.
+        shown_as: Variation of all images.
     """
     inverses, small = plane_inverses(spec, view.device), view.small
-    label = view.label_of(view.factor, window)
-    sources = view.sources(view.images.small)
-    rays = plane_rays(small, view.device)[window]
-    volume = plane_volume(sources, rays, small, inverses[:, None, None], label)
+    points = SeenPoints(
+        plane_rays(small, view.device)[window], inverses[:, None, None], view.label_of(view.factor, window)
+    )
+    agreed = agreement(view.sources(view.images.small), points, small, shown_as, first=1)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
-    features = volume_features(volume, prior, gap_px / view.factor, inverses)
-    return network(features).softmax(dim=0), volume.without_first().mean_colour()
+    features = plane_features(agreed, prior, gap_px / view.factor, inverses)
+    logits = shown_as.turned(network(shown_as.turned(features)))
+    return logits.softmax(dim=0), agreed.colour
 
 
-def volume_features(volume: PlaneVolume, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
-    """Input (VOLUME_FEATURES, d, h, w) of the depth network.
+def plane_features(agreed: Agreement, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
+    """Input (d, VOLUME_FEATURES, h, w) of the depth network, channels last in memory.
 
     Args:
-        volume: Colours on d planes.
+        agreed: How well the sources agree on d planes.
         prior: (h, w) inverse depth from the LiDAR, 1/m.
         gap_px: (h, w) distance to the nearest return in shrunk pixels; inf where there is no return.
         inverses: (d,) inverse depths of the planes, 1/m.
     """
-    spread, pair, share, mean = volume.agreement()
     # Without any return the prior is only a placeholder.
     is_known = torch.isfinite(gap_px).float()
     trust = torch.exp(-gap_px / _TRUST_PX)
     offset = (inverses[:, None, None] - prior) / (inverses[1] - inverses[0]) * is_known
     at_prior = torch.exp(-0.5 * offset**2) * is_known
-    return torch.stack(
-        [
-            4.0 * spread,
-            4.0 * pair,
-            4.0 * _window_mean(spread),
-            4.0 * _window_mean(pair),
-            share,
-            at_prior * trust,
-            at_prior * (1.0 - trust),
-            offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,
-            trust.expand_as(spread),
-            *mean.unbind(dim=1),
-        ]
-    )
+    features = [
+        4.0 * agreed.spread,
+        4.0 * agreed.pair,
+        4.0 * _window_mean(agreed.spread),
+        4.0 * _window_mean(agreed.pair),
+        agreed.share,
+        at_prior * trust,
+        at_prior * (1.0 - trust),
+        offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,
+        trust.expand_as(offset),
+        *agreed.mean.unbind(dim=1),
+    ]
+    return torch.stack(features, dim=-1).permute(0, 3, 1, 2)
 
 
 def likeliest_depth(probability: Tensor, inverses: Tensor) -> tuple[Tensor, Tensor]:
@@ -92,9 +98,10 @@ def likeliest_depth(probability: Tensor, inverses: Tensor) -> tuple[Tensor, Tens
         probability: (d, h, w) of the planes.
         inverses: (d,) inverse depths of the planes, 1/m.
     """
-    planes = probability.argmax(dim=0) + torch.arange(
-        -_MODE_PLANES, _MODE_PLANES + 1, device=probability.device
-    )[:, None, None]
+    planes = (
+        probability.argmax(dim=0)
+        + torch.arange(-_MODE_PLANES, _MODE_PLANES + 1, device=probability.device)[:, None, None]
+    )
     inside = (planes >= 0) & (planes < len(inverses))
     planes = planes.clamp(0, len(inverses) - 1)
     near = probability.gather(0, planes) * inside
@@ -140,4 +147,4 @@ def resized(layers: Tensor, places: Tensor, jump: float) -> Tensor:
 def _window_mean(costs: Tensor) -> Tensor:
     """Mean of costs (d, h, w) over a square window."""
     half = _WINDOW_PX // 2
-    return functional.avg_pool2d(costs[None], _WINDOW_PX, 1, half, count_include_pad=False)[0]
+    return functional.avg_pool2d(costs[:, None], _WINDOW_PX, 1, half, count_include_pad=False)[:, 0]

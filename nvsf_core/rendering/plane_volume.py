@@ -6,68 +6,72 @@ import torch
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.rendering.sources import Sources, look_up
+from nvsf_core.kernels.source_lookup import agreement as cpu_agreement
+from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look_up
+from nvsf_core.rendering.variation import AS_RECORDED, Variation
 
 _UNSEEN_DIFFERENCE = 0.25
-"""Colour difference that is assumed where fewer than two sources show a plane."""
+"""Colour difference that is assumed where fewer than two sources show a point."""
 _NEAREST = 2
-"""This many nearest sources have weight 1 in a plane's colour."""
+"""This many nearest sources have weight 1 in a point's colour."""
 _FARTHER_WEIGHT = 0.3
-"""Weight of the other sources in a plane's colour."""
+"""Weight of the other sources in a point's colour."""
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneVolume:
-    """Colours of k sources on d depth planes of a view."""
+class Agreement:
+    """How well the sources agree at d depths of each pixel."""
 
+    spread: Tensor
+    """(d, h, w) mean difference of all sources to their mean, 0..1."""
+    pair: Tensor
+    """(d, h, w) difference of the two nearest sources, 0..1."""
+    share: Tensor
+    """(d, h, w) share of the sources that show the point."""
+    mean: Tensor
+    """(d, 3, h, w) mean colour; 0 where no source shows the point."""
     colour: Tensor
-    """(k, 3, d, h, w) in 0..1."""
-    seen: Tensor
-    """(k, d, h, w) bool: the source shows the pixel at this depth."""
-
-    def agreement(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """How well the sources agree on each plane.
-
-        Returns:
-            Mean difference of all sources to their mean (d, h, w), 0..1; difference of the two nearest ones
-            (d, h, w), 0..1; share of sources that show the plane (d, h, w); mean colour (d, 3, h, w).
-        """
-        shown = self.seen[:, None].float()
-        count = shown.sum(dim=0)
-        mean = (self.colour * shown).sum(dim=0) / count.clamp_min(1e-6)
-        spread = ((self.colour - mean).abs().mean(dim=1) * shown[:, 0]).sum(dim=0)
-        count = count[0]
-        spread = torch.where(count > 1.5, spread / count.clamp_min(1e-6), _UNSEEN_DIFFERENCE)
-        pair = spread
-        if len(shown) > 1:
-            difference = (self.colour[0] - self.colour[1]).abs().mean(dim=0)
-            pair = torch.where(self.seen[0] & self.seen[1], difference, _UNSEEN_DIFFERENCE)
-        return spread, pair, count / len(shown), mean.transpose(0, 1)
-
-    def without_first(self) -> "PlaneVolume":
-        """The volume of all sources but the first."""
-        return PlaneVolume(self.colour[1:], self.seen[1:])
-
-    def mean_colour(self) -> Tensor:
-        """Mean colour (d, 3, h, w), mostly of the two nearest sources; 0 where none shows the plane."""
-        weight = torch.full((len(self.seen), 1, 1, 1, 1), _FARTHER_WEIGHT, device=self.seen.device)
-        weight[:_NEAREST] = 1.0
-        weight = weight * self.seen[:, None]
-        mean = (weight * self.colour).sum(dim=0) / weight.sum(dim=0).clamp_min(1e-6)
-        return mean.transpose(0, 1)
+    """(d, 3, h, w) colour, mostly of the nearest two of the sources that count for it; else 0."""
 
 
-def plane_volume(
-    sources: Sources, rays: Tensor, pinhole: Pinhole, inverses: Tensor, label: Tensor | None = None
-) -> PlaneVolume:
-    """Look up every plane in every source.
+@torch.no_grad()
+def agreement(
+    sources: Sources, points: SeenPoints, pinhole: Pinhole, shown_as: Variation = AS_RECORDED, first: int = 0
+) -> Agreement:
+    """Compare the sources at points of a view.
 
     Args:
         sources: Source images of the view.
-        rays: (h, w, 3) directions (x, y, 1) of the view's pixels, all or a window.
+        points: What is compared.
         pinhole: Intrinsics of the source images.
-        inverses: (d, 1, 1) inverse depths of planes, or (d, h, w) of each pixel, 1/m.
-        label: (h, w) number of the moving object that a pixel shows, 0 = static; None = nothing moves.
+        shown_as: Variation of all colours.
+        first: The first source that counts for the colour.
     """
-    found = [look_up(sources, k, rays, inverses, pinhole, label) for k in range(len(sources.image))]
-    return PlaneVolume(torch.stack([colour for colour, _ in found]), torch.stack([seen for _, seen in found]))
+    weight = torch.full((len(sources.chosen),), _FARTHER_WEIGHT)
+    weight[: first + _NEAREST] = 1.0
+    weight[:first] = 0.0
+    if sources.images.device.type != "cpu":
+        return _agreement(*look_up(sources, points, pinhole), weight, shown_as)
+    agreed, colour = cpu_agreement(
+        kernel_inputs(sources, points, pinhole), shown_as.gain, _UNSEEN_DIFFERENCE, weight.numpy()
+    )
+    found, blended = (torch.from_numpy(x).permute(3, 0, 1, 2) for x in (agreed, colour))
+    mean, blended = (torch.stack([x[i] for i in shown_as.channels], dim=1) for x in (found[3:], blended))
+    return Agreement(found[0], found[1], found[2], mean, blended)
+
+
+def _agreement(colour: Tensor, seen: Tensor, weight: Tensor, shown_as: Variation) -> Agreement:
+    """The same, from colours (k, 3, d, h, w) and whether they are shown (k, d, h, w), on any device."""
+    colour = shown_as.colours(colour.transpose(1, 2)).transpose(1, 2)
+    shown = seen[:, None].float()
+    count = shown.sum(dim=0)
+    mean = (colour * shown).sum(dim=0) / count.clamp_min(1e-6)
+    spread = ((colour - mean).abs().mean(dim=1) * shown[:, 0]).sum(dim=0)
+    count = count[0]
+    spread = torch.where(count > 1.5, spread / count.clamp_min(1e-6), _UNSEEN_DIFFERENCE)
+    pair = spread
+    if len(shown) > 1:
+        pair = torch.where(seen[0] & seen[1], (colour[0] - colour[1]).abs().mean(dim=0), _UNSEEN_DIFFERENCE)
+    share = weight.to(colour.device)[:, None, None, None, None] * shown
+    blended = (share * colour).sum(dim=0) / share.sum(dim=0).clamp_min(1e-6)
+    return Agreement(spread, pair, count / len(shown), mean.transpose(0, 1), blended.transpose(0, 1))

@@ -1,11 +1,15 @@
 """Source images of a view, and their colours at its pixels for given depths, moving objects included."""
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.source_lookup import LookUp, look_up_points
+from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.warping import sample, source_pixels
 
 STATIC = 0
@@ -19,10 +23,12 @@ this share of the point's plus so much, 1/m."""
 class Sources:
     """Recorded images around a view, the nearest first."""
 
-    image: tuple[Tensor, ...]
-    """k images (c, H, W) float32. Channels: colour in 0..1; 1 where the pixel shows anything; inverse depth
-    of the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving objects, 1 where the
-    pixel shows one."""
+    images: Tensor
+    """(j, c, H, W) float32, all images of the camera. Channels: colour in 0..1; 1 where the pixel shows
+    anything; inverse depth of the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving
+    objects, 1 where the pixel shows one."""
+    chosen: list[int]
+    """Which k of them are the sources."""
     motion: Tensor
     """(k, 4, 4) float32 from the view's camera frame to the source's."""
     nearness: Tensor
@@ -32,36 +38,95 @@ class Sources:
     its pose at the source's instant is unknown. None = nothing moves."""
 
 
+@dataclass(frozen=True, slots=True)
+class SeenPoints:
+    """Points of a view's pixels: d depths of each, all pixels or those of a window."""
+
+    rays: Tensor
+    """(h, w, 3) float32 directions (x, y, 1) of the pixels."""
+    inverse: Tensor
+    """(d, h, w), or (d, 1, 1) the same for all pixels, inverse depths, 1/m."""
+    label: Tensor | None = None
+    """(h, w) uint8 number of the moving object that a pixel shows, 0 = static; None = nothing moves."""
+
+
 def hides(own: Tensor, inverse: Tensor) -> Tensor:
     """Whether a surface of inverse depth `own` hides a point of inverse depth `inverse`, 1/m; bool."""
     return own > inverse * (1.0 + _HIDDEN_SHARE) + _HIDDEN_PER_M
 
 
-def look_up(
-    sources: Sources, number: int, rays: Tensor, inverse: Tensor, pinhole: Pinhole, label: Tensor | None
-) -> tuple[Tensor, Tensor]:
-    """Colour (3, d, h, w) of a source at a view's pixels, and whether it shows them (d, h, w) bool.
+def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
+    """Colours (k, 3, d, h, w) of the sources at points, and whether they show them (k, d, h, w) bool.
 
     A static pixel is not shown where the source's own depth map has a surface in front of it, or where a
-    moving object hid it when the source image was taken.
+    moving object hid it when the source image was taken. What is not shown has any colour. Gradients flow to
+    the inverse depths.
 
     Args:
         sources: Source images of the view.
-        number: Index of the source.
-        rays: (h, w, 3) directions (x, y, 1) of the pixels.
-        inverse: (d, h, w) or (d, 1, 1) inverse depths, 1/m.
+        points: What is looked up.
         pinhole: Intrinsics of the sources.
-        label: (h, w) number of the moving object that a pixel shows, 0 = static; None = nothing moves.
+
+    Raises:
+        DivergedError: An inverse depth is not finite.
     """
-    image = sources.image[number]
-    grid, inside, there = source_pixels(sources.motion[number], rays, inverse, pinhole)
+    if sources.images.device.type == "cpu":
+        require_finite("inverse depths", points.inverse)
+        found: tuple[Tensor, Tensor] = _LookUp.apply(  # type: ignore[no-untyped-call]
+            points.inverse, kernel_inputs(sources, points, pinhole)
+        )
+        return found
+    each = [_look_up_one(sources, k, points, pinhole) for k in range(len(sources.chosen))]
+    return torch.stack([colour for colour, _ in each]), torch.stack([seen for _, seen in each])
+
+
+def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> LookUp:
+    """Sources and points, on the CPU, as the kernels take them."""
+    motions = sources.motion[None]
+    if points.label is not None and sources.moved is not None:
+        motions = torch.cat([motions, sources.moved])
+    matrix = torch.tensor([[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]])
+    # A placeholder shows nothing: with zeros every point is behind it.
+    motions = (matrix @ motions[..., :3, :]) * (sources.nearness > 0.0)[:, None, None]
+    shape = points.rays.shape[:2]
+    label = np.zeros(shape, np.uint8) if len(motions) == 1 or points.label is None else points.label.numpy()
+    return LookUp(
+        np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen),
+        motions.numpy(), np.ascontiguousarray(points.rays.numpy()), np.ascontiguousarray(label),
+        np.ascontiguousarray(points.inverse.detach().numpy()),
+        (np.float32(_HIDDEN_SHARE), np.float32(_HIDDEN_PER_M)),
+    )  # fmt: skip
+
+
+class _LookUp(torch.autograd.Function):
+    """`look_up_points`, with the colours' gradient by the inverse depths."""
+
+    @staticmethod
+    def forward(ctx: Any, inverse: Tensor, where: LookUp) -> tuple[Tensor, Tensor]:
+        colour, seen, slope = look_up_points(where, with_slope=ctx.needs_input_grad[0])
+        ctx.slope = torch.from_numpy(slope)
+        shown = torch.from_numpy(seen)
+        ctx.mark_non_differentiable(shown)
+        return torch.from_numpy(colour), shown
+
+    @staticmethod
+    def backward(ctx: Any, by_colour: Tensor, _: Tensor) -> tuple[Tensor, None]:
+        return (by_colour * ctx.slope).sum(dim=(0, 1)), None
+
+
+def _look_up_one(
+    sources: Sources, number: int, points: SeenPoints, pinhole: Pinhole
+) -> tuple[Tensor, Tensor]:
+    """Colour (3, d, h, w) of a source, and whether it shows the points (d, h, w) bool."""
+    image, label, inverse = sources.images[sources.chosen[number]], points.label, points.inverse
+    grid, inside, there = source_pixels(sources.motion[number], points.rays, inverse, pinhole)
     if label is not None and sources.moved is not None:
         for mover in torch.unique(label[label > STATIC]).tolist():
             where = label == mover
             depths = inverse.expand(len(inverse), *label.shape)[:, where]
             moved = sources.moved[mover - 1, number]
             grid[:, where], inside[:, where], there[:, where] = source_pixels(
-                moved, rays[where], depths, pinhole
+                moved, points.rays[where], depths, pinhole
             )
     found = sample(image, grid.flatten(0, 1)).reshape(-1, *inside.shape)
     seen = inside & (found[3] > 0.999) & (sources.nearness[number] > 0)

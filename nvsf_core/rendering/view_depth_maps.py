@@ -61,10 +61,6 @@ class ViewDepth:
         """The same depth on `device`."""
         return ViewDepth(self.inverse.to(device), self.support.to(device), self.label.to(device))
 
-    def mirrored(self) -> "ViewDepth":
-        """The depth of the view with left and right exchanged."""
-        return ViewDepth(self.inverse.flip(-1), self.support.flip(-1), self.label.flip(-1))
-
     def completed(self, label: Tensor, inverse: Tensor) -> "ViewDepth":
         """The same depth; where no image shows a surface but a LiDAR return a moving object, the return's.
 
@@ -89,7 +85,11 @@ def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
 
 
 def depth_in_view(
-    pose: np.ndarray, pinhole: Pinhole, inverse: np.ndarray, label: np.ndarray, poses: np.ndarray,
+    pose: np.ndarray,
+    pinhole: Pinhole,
+    inverse: Sequence[np.ndarray],
+    label: Sequence[np.ndarray],
+    poses: np.ndarray,
     moved: np.ndarray,
 ) -> ViewDepth:
     """The surfaces that the depth maps of images around a view agree on.
@@ -97,8 +97,8 @@ def depth_in_view(
     Args:
         pose: (4, 4) camera to scene-local frame, of the view.
         pinhole: Intrinsics of the view and of all images.
-        inverse: (k, H, W) float32 inverse depths of the images, 1/m; 0 = unknown.
-        label: (k, H, W) uint8: what each pixel shows, an index of `moved`.
+        inverse: (H, W) float32 inverse depths of each of k images, 1/m; 0 = unknown.
+        label: (H, W) uint8: what each of their pixels shows, an index of `moved`.
         poses: (k, 4, 4) camera to scene-local frame of each image.
         moved: (o, k, 4, 4) motion in the scene from the view's instant to each image's: the identity for what
             is static, then of each moving object; zeros where it is unknown.
@@ -153,7 +153,12 @@ def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: in
 
 
 def covering_sources(
-    pose: np.ndarray, pinhole: Pinhole, inverse: Tensor, fronts: Tensor, poses: np.ndarray, most: int
+    pose: np.ndarray,
+    pinhole: Pinhole,
+    inverse: Tensor,
+    fronts: Sequence[Tensor],
+    poses: np.ndarray,
+    most: int,
 ) -> list[int]:
     """Images that together see most of a view, near ones preferred; the nearest is always one of them.
 
@@ -161,7 +166,7 @@ def covering_sources(
         pose: (4, 4) camera to scene-local frame, of the view.
         pinhole: Intrinsics of the view and of all images.
         inverse: (H, W) inverse depth of the view, 1/m, positive.
-        fronts: (k, H, W) inverse depths that hide what is behind them in k images, the nearest first, 1/m.
+        fronts: (H, W) inverse depths that hide what is behind them in each of k images, the nearest first.
         poses: (k, 4, 4) camera to scene-local frame of these images.
         most: How many are chosen.
 

@@ -15,6 +15,8 @@ from nvsf_core.numerics import require_finite
 _CPU = torch.device("cpu")
 _NEAREST_Z = 1e-3
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
+_RIM_PX = 0.01
+"""An image shows points that lie outside its outermost pixel centres by no more than rounding may do."""
 
 
 def source_pixels(
@@ -49,7 +51,7 @@ def source_pixels(
     x, y, z = (turned[..., axis] + inverse * shift[axis] for axis in range(3))
     scale = z.clamp_min(_NEAREST_Z).reciprocal()
     x, y = x * scale, y * scale
-    most_x, most_y = 1.0 - 1.0 / width, 1.0 - 1.0 / height
+    most_x, most_y = (1.0 - (1.0 - 2.0 * _RIM_PX) / side for side in (width, height))
     seen = (z > _NEAREST_Z) & (x.abs() <= most_x) & (y.abs() <= most_y)
     return torch.stack([x, y], dim=-1), seen, inverse * scale
 

@@ -26,25 +26,34 @@ def inputs() -> dict[str, torch.Tensor]:
     }
 
 
+def features(shape: tuple[int, int, int], seed: int) -> torch.Tensor:
+    """Of (d, h, w) planes of pixels, as `plane_features` gives them: (d, VOLUME_FEATURES, h, w)."""
+    return torch.rand(shape[0], VOLUME_FEATURES, *shape[1:], generator=seeded(seed))
+
+
 def test_depth_logits_have_the_shape_of_the_planes_whatever_the_window() -> None:
     network = DepthNetwork(SPEC, seeded())
     for shape in ((48, 12, 17), (7, 5, 5)):
-        assert network(torch.rand(VOLUME_FEATURES, *shape, generator=seeded(1))).shape == shape
+        assert network(features(shape, 1)).shape == shape
 
 
 def test_depths_are_compared_as_by_3d_convolutions() -> None:
     network = DepthNetwork(SPEC, seeded())
     for shape in ((7, 6, 9), (8, 5, 4)):
-        given = torch.rand(VOLUME_FEATURES, *shape, generator=seeded(2))
+        given = features(shape, 2)
+        with torch.no_grad():
+            network.logit.weight.normal_(0.0, 0.05, generator=seeded(4))
+        volume = given.transpose(0, 1)[None]
 
         def raised(x: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
             return functional.interpolate(x, like.shape[2:], mode="nearest")
 
-        wide = network.down(given[None]).relu()
+        wide = network.down(volume).relu()
         deep = network.deepest(network.deep(wide).relu()).relu()
         wide = network.join(wide + raised(network.raise_deep(deep), wide)).relu()
-        full = (network.near(given[None]) + raised(network.raise_join(wide), given[None])).relu()
-        torch.testing.assert_close(network(given), network.logit(full)[0, 0], atol=1e-5, rtol=1e-5)
+        full = (network.near(volume) + raised(network.raise_join(wide), volume)).relu()
+        logits = (network.logit(full) + network.prior(volume))[0, 0]
+        torch.testing.assert_close(network(given), logits, atol=1e-5, rtol=1e-5)
 
 
 def test_an_untrained_blend_lies_between_the_colours_that_it_blends() -> None:
@@ -76,8 +85,9 @@ def test_every_weight_of_both_networks_learns() -> None:
     blend, depth = BlendNetwork(SPEC, seeded()), DepthNetwork(SPEC, seeded())
     with torch.no_grad():
         blend.out.weight.normal_(0.0, 0.05, generator=seeded(4))
+        depth.logit.weight.normal_(0.0, 0.05, generator=seeded(4))
     blend(**inputs()).square().sum().backward()
-    depth(torch.rand(VOLUME_FEATURES, 8, 12, 16, generator=seeded(1))).square().sum().backward()
+    depth(features((8, 12, 16), 1)).square().sum().backward()
     for network in (blend, depth):
         for name, parameter in network.named_parameters():
             assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name

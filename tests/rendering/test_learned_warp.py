@@ -12,16 +12,16 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import (
     WHOLE,
     CameraView,
-    MovingPoints,
     camera_view,
     middle_factor,
-    moving_pixels,
     shown_images,
     shrinking,
 )
-from nvsf_core.rendering.learned_warp import blend_sources, hypotheses, refine, render_view
-from nvsf_core.rendering.plane_depth import likeliest_depth, plane_inverses, resized, volume_features
-from nvsf_core.rendering.plane_volume import plane_volume
+from nvsf_core.rendering.learned_warp import blend_sources, coarse_colour, hypotheses, refine, render_view
+from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view, moving_pixels
+from nvsf_core.rendering.plane_depth import likeliest_depth, plane_features, plane_inverses, resized
+from nvsf_core.rendering.plane_volume import agreement
+from nvsf_core.rendering.sources import SeenPoints
 from nvsf_core.rendering.support import Support
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import plane_rays
@@ -65,8 +65,8 @@ def view(points: np.ndarray, *, images: int = 4, depths: DepthMaps | None = None
     """The second photograph, left out: by the others, and by their depths if they are given."""
     shown = shown_images(PHOTOGRAPHS[:images], VALID, 2)
     return camera_view(
-        pose(0.0), CAMERA, points, shown if depths is None else shown.with_depths(depths), PLACES[:images],
-        SPEC, leave_out=(1,),
+        pose(0.0), CAMERA, lidar_view(pose(0.0), CAMERA, points, ()),
+        shown if depths is None else shown.with_depths(depths), PLACES[:images], SPEC, leave_out=(1,),
     )  # fmt: skip
 
 
@@ -79,14 +79,14 @@ def test_a_left_out_image_is_no_source_and_missing_sources_have_no_weight() -> N
 
 def test_sources_agree_best_on_the_plane_of_the_wall() -> None:
     one, inverses = view(NOTHING), plane_inverses(SPEC)
-    planes = inverses[:, None, None]
-    volume = plane_volume(one.sources(one.images.small), plane_rays(one.small), one.small, planes)
+    points = SeenPoints(plane_rays(one.small), inverses[:, None, None])
+    agreed = agreement(one.sources(one.images.small), points, one.small)
     size = (one.small.height, one.small.width)
-    features = volume_features(volume, torch.full(size, 1 / 300.0), torch.full(size, torch.inf), inverses)
-    assert features.shape == (VOLUME_FEATURES, SPEC.planes, *size)
+    features = plane_features(agreed, torch.full(size, 1 / 300.0), torch.full(size, torch.inf), inverses)
+    assert features.shape == (SPEC.planes, VOLUME_FEATURES, *size)
     assert torch.isfinite(features).all()
-    agreement = features[2, :, 8:-8, 16:-16].mean(dim=(1, 2))
-    assert abs(int(agreement.argmin()) - int((inverses - 1 / WALL_M).abs().argmin())) <= 1
+    disagreement = features[:, 2, 8:-8, 16:-16].mean(dim=(1, 2))
+    assert abs(int(disagreement.argmin()) - int((inverses - 1 / WALL_M).abs().argmin())) <= 1
 
 
 def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surface() -> None:
@@ -136,8 +136,9 @@ def test_a_window_shows_what_the_whole_view_shows_there() -> None:
     networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
     one = view(wall_points(), depths=wall_maps())
     window = (slice(8, 40), slice(16, 80))
-    part = blend_sources(networks, one, SPEC, window).colour
-    whole = blend_sources(networks, one, SPEC).colour
+    coarse = coarse_colour(one)
+    part = blend_sources(networks, one, coarse, SPEC, window).colour
+    whole = blend_sources(networks, one, coarse, SPEC).colour
     torch.testing.assert_close(part, whole[:, *window])
 
 
@@ -218,10 +219,9 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     inverse = torch.where(is_plate, 1.0 / THING_M, torch.where(torch.from_numpy(shadows), 0.0, 1.0 / WALL_M))
     maps = DepthMaps(inverse, is_plate.to(torch.int16) * 7)
     shown = shown_images(images, VALID, 2, shadows).with_depths(maps)
-    one = camera_view(
-        pose(0.0), CAMERA, wall_points(), shown, PLACES, SPEC, leave_out=(1,),
-        moving=[MovingPoints(7, plate(0.0), moved)],
-    )  # fmt: skip
+    moving = [MovingPoints(7, plate(0.0), moved)]
+    lidar = lidar_view(pose(0.0), CAMERA, wall_points(), moving)
+    one = camera_view(pose(0.0), CAMERA, lidar, shown, PLACES, SPEC, leave_out=(1,), moving=moving)
     assert one.label is not None and (one.label.numpy() > 0)[28:36, 60:68].all()
     networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
     error = np.abs(render_view(networks, one, SPEC).rgb.astype(float) - images[1]).max(axis=-1)

@@ -5,9 +5,10 @@ import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import CameraView, MovingPoints, camera_view, shown_images
+from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
 from nvsf_core.rendering.hole_filling import without_holes
 from nvsf_core.rendering.learned_warp import coarse_colour
+from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.pixel_support import pixel_support
 from nvsf_core.rendering.support import Support
 from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources, covering_sources, spread_ranks
@@ -37,8 +38,9 @@ def view(at: np.ndarray, places: list[np.ndarray], sources: int = 3) -> CameraVi
     inverse = torch.from_numpy(np.stack([depth_map(place) for place in places]))
     maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
     shown = shown_images(images, np.ones((32, 64), np.bool_), 1).with_depths(maps)
+    nothing = lidar_view(at, CAMERA, np.zeros((0, 3), np.float32), ())
     return camera_view(
-        at, CAMERA, np.zeros((0, 3), np.float32), shown, np.stack(places),
+        at, CAMERA, nothing, shown, np.stack(places),
         CameraSpec(sources=sources, plane_px=64 * 32),
     )  # fmt: skip
 
@@ -90,7 +92,8 @@ def test_what_moved_through_a_source_leaves_no_ghost_in_a_view_without_it() -> N
     inverse[torch.from_numpy(moving)] = 0.0
     maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
     shown = shown_images(images, np.ones((32, 64), np.bool_), 1, moving).with_depths(maps)
-    one = camera_view(pose(0.1), CAMERA, np.zeros((0, 3), np.float32), shown, np.stack(places), SPEC)
+    nothing = lidar_view(pose(0.1), CAMERA, np.zeros((0, 3), np.float32), ())
+    one = camera_view(pose(0.1), CAMERA, nothing, shown, np.stack(places), SPEC)
     assert coarse_colour(one).max() < 0.5
 
 
@@ -105,10 +108,8 @@ def test_what_a_moving_object_uncovers_is_static_and_its_own_pixels_are_seen_as_
     shadow = mover > 0
     shown = shown_images(np.full((2, 32, 64, 3), 90, np.uint8), np.ones((32, 64), np.bool_), 1, shadow)
     moving = [MovingPoints(300, np.array([[-1.0, -0.1, 5.0]], np.float32), np.tile(np.eye(4), (2, 1, 1)))]
-    one = camera_view(
-        pose(0.1), CAMERA, np.array([[3.0, 0.0, WALL_M]], np.float32), shown.with_depths(maps), places, SPEC,
-        moving=moving,
-    )  # fmt: skip
+    lidar = lidar_view(pose(0.1), CAMERA, np.array([[3.0, 0.0, WALL_M]], np.float32), moving)
+    one = camera_view(pose(0.1), CAMERA, lidar, shown.with_depths(maps), places, SPEC, moving=moving)
     assert one.surfaces is not None and one.label is not None
     unknown = (one.surfaces.support[0] == 0.0) & (one.label == 0)
     assert unknown.any() and (one.surfaces.inverse[0][unknown] < 0.06).all()

@@ -29,6 +29,7 @@ from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
 from nvsf_core.rendering.image_alignment import PoseCorrection
 from nvsf_core.rendering.learned_warp import render_view
+from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.view_depth_maps import DepthMaps
@@ -143,7 +144,7 @@ def _verdict(
             "reproject": _by_warping(recording, name),
         }
         if name in aligned.corrections:
-            candidates["aligned"] = _by_networks(networks, replace(camera, drive=aligned))
+            candidates["aligned"] = _by_networks(networks, replace(camera, drive=aligned, returns={}))
         found, ours = compare(_METRICS, left_out[name], candidates), "learned"
         if "aligned" in candidates:
             gain_db = found.of("aligned", "psnr_db") - found.of("learned", "psnr_db")
@@ -185,10 +186,9 @@ def camera_renderer(
         if camera not in maps:
             return warp(camera, pinhole, pose, time_s)
         one = world.recording.cameras[camera]
-        view = camera_view(
-            drive.pose_at(camera, pose, time_s), pinhole, world.static_points(time_s), shown[camera],
-            one.training.pose, spec, moving=world.moving(time_s, one.training_time_s),
-        )  # fmt: skip
+        at, moving = drive.pose_at(camera, pose, time_s), world.moving(time_s, one.training_time_s)
+        lidar = lidar_view(at, pinhole, world.static_points(time_s), moving)
+        view = camera_view(at, pinhole, lidar, shown[camera], one.training.pose, spec, moving=moving)
         return render_view(networks, view.to(device), spec)
 
     return render

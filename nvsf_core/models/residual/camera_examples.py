@@ -1,7 +1,7 @@
 """Training images of a camera as views that its other images render."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -12,6 +12,8 @@ from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.models.selection.holdout import validation_numbers
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view, middle_factor
+from nvsf_core.rendering.learned_warp import coarse_colour
+from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import to_float
 
@@ -32,6 +34,8 @@ class ShownCamera:
     """All training images, as sources."""
     spec: CameraSpec
     """Of the recipe."""
+    returns: dict[int, tuple[list[MovingPoints], LidarView]] = field(default_factory=dict)
+    """What is known already of `_returns`, for all views of an image by this drive's poses."""
 
     @property
     def validation(self) -> range:
@@ -68,15 +72,27 @@ class ShownCamera:
             leave_out: Numbers of images that are no sources.
             own: As in `camera_view`.
         """
-        world = self.drive.world
-        one = world.recording.cameras[self.name]
-        shown, time_s = one.training, float(one.training_time_s[index])
+        shown = self.drive.world.recording.cameras[self.name].training
+        pose = self.drive.left_out_pose(self.name, index)
+        moving, lidar = self._returns(index)
         view = camera_view(
-            self.drive.left_out_pose(self.name, index), shown.pinhole,
-            world.static_points(time_s, leave_out=True), self.images, shown.pose, self.spec,
-            leave_out=leave_out, own=own, moving=world.moving(time_s, one.training_time_s, leave_out=True),
+            pose, shown.pinhole, lidar, self.images, shown.pose, self.spec, leave_out=leave_out, own=own,
+            moving=moving,
         )  # fmt: skip
         return view.to(self.images.full.device)
+
+    def _returns(self, index: int) -> tuple[list[MovingPoints], LidarView]:
+        """Moving objects at an image's instant, and what returns show in it; computed once."""
+        found = self.returns.get(index)
+        if found is None:
+            world = self.drive.world
+            one = world.recording.cameras[self.name]
+            time_s, pose = float(one.training_time_s[index]), self.drive.left_out_pose(self.name, index)
+            moving = world.moving(time_s, one.training_time_s, leave_out=True)
+            static_m = world.static_points(time_s, leave_out=True)
+            found = moving, lidar_view(pose, one.training.pinhole, static_m, moving)
+            self.returns[index] = found
+        return found
 
     def _with_truth(self, view: CameraView, index: int) -> LeftOut:
         truth = self.drive.given.cameras[self.name].training.rgb[index]
@@ -84,7 +100,8 @@ class ShownCamera:
             functional.avg_pool2d(to_float(truth[None]), by)[0]
             for by in (middle_factor(view.factor), view.factor)
         )
-        example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), middle, small)
+        coarse = None if view.surfaces is None else coarse_colour(view)
+        example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), middle, small, coarse)
         return example.to(self.images.full.device)
 
     def _block(self, index: int, radius_m: float) -> set[int]:

@@ -9,7 +9,7 @@ from nvsf_core.models.baselines.reproject import depth_scans, returns_of_scan
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.camera_view import MovingPoints, moving_pixels
+from nvsf_core.rendering.lidar_view import MovingPoints, moving_pixels
 
 _MARGIN_M = 0.1
 _SHADOW_SCANS = 4

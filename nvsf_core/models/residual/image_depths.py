@@ -8,7 +8,8 @@ from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.depth_splat import without_edges
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.residual.camera_examples import ShownCamera
-from nvsf_core.rendering.camera_view import MovingPoints, camera_view
+from nvsf_core.rendering.camera_view import camera_view
+from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.plane_depth import image_inverse_depth
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 
@@ -35,9 +36,10 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
         instant_s = float(time_s[number])
         moving = world.moving(instant_s, time_s)
+        lidar = lidar_view(shown.pose[number], shown.pinhole, world.static_points(instant_s), moving)
         view = camera_view(
-            shown.pose[number], shown.pinhole, world.static_points(instant_s), images, shown.pose,
-            camera.spec, leave_out=set(camera.validation) - {number}, own=number, moving=moving,
+            shown.pose[number], shown.pinhole, lidar, images, shown.pose, camera.spec,
+            leave_out=set(camera.validation) - {number}, own=number, moving=moving,
         )  # fmt: skip
         inverse = image_inverse_depth(networks, view.to(images.full.device), camera.spec).cpu().numpy()
         mover = np.zeros(inverse.shape, np.int16)

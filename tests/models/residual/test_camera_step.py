@@ -12,6 +12,8 @@ from nvsf_core.models.residual.camera_step import camera_step, depth_step, sampl
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.recipe import CameraSpec, LossWeights, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
+from nvsf_core.rendering.learned_warp import coarse_colour
+from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_inverses, planes_of
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import to_float
@@ -40,13 +42,15 @@ def example(spec: CameraSpec = RECIPE.camera, *, itself: bool = False) -> LeftOu
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
     maps = DepthMaps(torch.full((3, 32, 64), 0.2), torch.zeros(3, 32, 64, dtype=torch.int16))
     shown = shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec))
+    nothing = lidar_view(poses()[1], CAMERA, np.zeros((0, 3), np.float32), ())
     view = camera_view(
-        poses()[1], CAMERA, np.zeros((0, 3), np.float32), shown if itself else shown.with_depths(maps),
-        poses(), spec, leave_out=() if itself else (1,), own=1 if itself else None,
+        poses()[1], CAMERA, nothing, shown if itself else shown.with_depths(maps), poses(), spec,
+        leave_out=() if itself else (1,), own=1 if itself else None,
     )  # fmt: skip
     truth = torch.from_numpy(images[1]).permute(2, 0, 1)
     full = to_float(images[1:2])
-    return LeftOut(view, truth, full[0], functional.avg_pool2d(full, view.factor)[0])
+    coarse = None if itself else coarse_colour(view)
+    return LeftOut(view, truth, full[0], functional.avg_pool2d(full, view.factor)[0], coarse)
 
 
 def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall() -> None:

@@ -77,7 +77,7 @@ def test_camera_networks_train_and_render_elsewhere_as_on_the_cpu() -> None:
         losses, shown = learned(recipe, example(recipe.camera), torch.device("cpu"))
         with other_device() as device:
             found, image = learned(recipe, example(recipe.camera), device)
-        assert np.allclose(found, losses, rtol=1e-3)
+        assert np.allclose(found, losses, rtol=5e-3)
         assert np.abs(image.astype(float) - shown).max() <= 2.0
 
 

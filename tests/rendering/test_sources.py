@@ -1,0 +1,86 @@
+"""Sources of a view: kernels and torch's operations give the same colours, agreement and gradients."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from nvsf_core.errors import DivergedError
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.rendering import plane_volume
+from nvsf_core.rendering.plane_volume import Agreement, agreement
+from nvsf_core.rendering.sources import SeenPoints, Sources, _look_up_one, look_up
+from nvsf_core.rendering.variation import AS_RECORDED, Variation
+from nvsf_core.rendering.warping import plane_rays
+
+CAMERA = Pinhole(fx=40.0, fy=41.0, cx=23.0, cy=16.0, width=48, height=32)
+DEPTHS = 5
+
+
+def scene(channels: int, *, label: bool) -> tuple[Sources, SeenPoints]:
+    """Smooth random images, hidden parts, a placeholder source, and, with labels, something that moves."""
+    g = torch.Generator().manual_seed(3)
+    images = torch.nn.functional.interpolate(
+        torch.rand(4, channels, 8, 12, generator=g), (32, 48), mode="bilinear", align_corners=False
+    )
+    images[:, 3] = 1.0
+    images[:, 3, :4, :6] = 0.0
+    images[:, 4] *= 0.2
+    motion = torch.eye(4).repeat(3, 1, 1)
+    motion[:, :3, 3] = 0.4 * torch.randn(3, 3, generator=g)
+    moved = motion.clone()[None]
+    moved[0, :, 0, 3] += 0.5
+    moved[0, 1] = 0.0
+    where = torch.zeros(32, 48, dtype=torch.uint8)
+    where[10:20, 12:30] = 1
+    points = SeenPoints(
+        plane_rays(CAMERA), 0.02 + 0.2 * torch.rand(DEPTHS, 32, 48, generator=g), where if label else None
+    )
+    nearness = torch.tensor([1.0, 0.5, 0.0])
+    return Sources(images, [3, 0, 1], motion, nearness, moved if label else None), points
+
+
+def by_torch(sources: Sources, points: SeenPoints) -> tuple[Tensor, Tensor]:
+    found = [_look_up_one(sources, k, points, CAMERA) for k in range(3)]
+    return torch.stack([colour for colour, _ in found]), torch.stack([seen for _, seen in found])
+
+
+@pytest.mark.parametrize(("channels", "label"), [(5, False), (6, True)])
+def test_the_kernel_sees_what_torch_sees_with_the_same_gradients(channels: int, label: bool) -> None:
+    sources, points = scene(channels, label=label)
+    gradients = []
+    results = []
+    for function in (lambda s, p: look_up(s, p, CAMERA), by_torch):
+        inverse = points.inverse.clone().requires_grad_()
+        colour, seen = function(sources, replace(points, inverse=inverse))
+        (colour * seen[:, None]).square().sum().backward()
+        gradients.append(inverse.grad)
+        results.append((colour.detach(), seen))
+    (ours, seen), (theirs, also) = results
+    # At a threshold the last bit may decide.
+    assert (seen == also).float().mean() > 0.999 and 0.1 < seen.float().mean() < 0.9
+    assert not seen[2].any()
+    both = (seen & also)[:, None].expand_as(ours)
+    torch.testing.assert_close(ours[both], theirs[both], atol=1e-4, rtol=0.0)
+    alike = (seen == also).all(dim=0)
+    torch.testing.assert_close(gradients[0][alike], gradients[1][alike], atol=2e-2, rtol=1e-2)
+
+
+@pytest.mark.parametrize("shown_as", [AS_RECORDED, Variation((2, 0, 1), 1.3)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_sources_agree_as_torch_says(shown_as: Variation, first: int) -> None:
+    sources, points = scene(6, label=True)
+    weight = torch.tensor([1.0, 1.0, 0.3] if first == 0 else [0.0, 1.0, 1.0])
+    ours = agreement(sources, points, CAMERA, shown_as, first)
+    theirs = plane_volume._agreement(*by_torch(sources, points), weight, shown_as)
+    for name in Agreement.__dataclass_fields__:
+        apart = (getattr(ours, name) - getattr(theirs, name)).abs()
+        assert (apart > 1e-4).float().mean() < 2e-3, name
+
+
+def test_a_depth_that_is_not_finite_is_refused() -> None:
+    sources, points = scene(5, label=False)
+    points.inverse[0, 3, 4] = torch.nan
+    with pytest.raises(DivergedError, match="inverse depths"):
+        look_up(sources, points, CAMERA)
