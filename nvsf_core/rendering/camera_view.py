@@ -63,10 +63,15 @@ class ShownImages:
 
         full = with_it(self.full)
         nothing_static = full[:, _SHOWN] < 0.999
-        if full.shape[1] > _MOVING:
-            nothing_static = nothing_static | (full[:, _MOVING] > 0.5)
+        if self.moving is not None:
+            nothing_static = nothing_static | self.moving
         fronts = torch.where(nothing_static, _IN_FRONT, full[:, _DEPTH]).cpu()
         return ShownImages(full, with_it(self.middle), with_it(self.small), maps, fronts)
+
+    @property
+    def moving(self) -> Tensor | None:
+        """(j, H, W) bool: pixels that may show moving objects; None = nothing moves."""
+        return self.full[:, _MOVING] > 0.5 if self.full.shape[1] > _MOVING else None
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""

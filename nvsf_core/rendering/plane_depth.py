@@ -42,10 +42,30 @@ def planes_of(
 ) -> tuple[Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of a recorded image's d depth planes, at shrunk pixels.
 
+    Args:
+        network: Gives the probabilities.
+        view: Of the image.
+        spec: Recipe of the camera networks.
+        window: Part of the shrunk image.
+        shown_as: Variation of all images.
+    """
+    features, colour = compared_planes(view, spec, window, shown_as)
+    return probabilities(network, features, shown_as), colour
+
+
+def probabilities(network: DepthNetwork, features: Tensor, shown_as: Variation = AS_RECORDED) -> Tensor:
+    """Probability (d, h, w) of depth planes by their features, see `plane_features`."""
+    return shown_as.turned(network(shown_as.turned(features))).softmax(dim=0)
+
+
+def compared_planes(
+    view: CameraView, spec: CameraSpec, window: Window = WHOLE, shown_as: Variation = AS_RECORDED
+) -> tuple[Tensor, Tensor]:
+    """Features of a recorded image's depth planes, see `plane_features`, and their colours (d, 3, h, w).
+
     The image itself is the first source: planes are compared with it, but their colours are the others'.
 
     Args:
-        network: Gives the probabilities.
         view: Of the image.
         spec: Recipe of the camera networks.
         window: Part of the shrunk image.
@@ -57,9 +77,7 @@ def planes_of(
     )
     agreed = agreement(view.sources(view.images.small), points, small, shown_as, first=1)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
-    features = plane_features(agreed, prior, gap_px / view.factor, inverses)
-    logits = shown_as.turned(network(shown_as.turned(features)))
-    return logits.softmax(dim=0), agreed.colour
+    return plane_features(agreed, prior, gap_px / view.factor, inverses), agreed.colour
 
 
 def plane_features(agreed: Agreement, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
@@ -120,10 +138,10 @@ def image_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: Camera
     """
     trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_of(view, 1, view.factor)
+    features, _ = compared_planes(view, spec)
     depths = []
     for member in networks:
-        probability, _ = planes_of(member.depth, view, spec)
-        both = torch.stack(likeliest_depth(probability, inverses))
+        both = torch.stack(likeliest_depth(probabilities(member.depth, features), inverses))
         inverse, mass = resized(both, places, plane_step(spec))
         depths.append(torch.where(trust > mass * (1.0 - trust), view.inverse, inverse))
     return torch.stack(depths).median(dim=0).values

@@ -5,6 +5,7 @@ import numpy as np
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.geometry.se3 import transform_points
+from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.baselines.reproject import depth_scans, returns_of_scan
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.images import CameraRecording
@@ -71,13 +72,16 @@ class MovingWorld:
         if not self._objects:
             return None
         images, times = camera.training, camera.training_time_s
-        found = np.zeros(images.rgb.shape[:3], np.bool_)
-        for number, instant_s in enumerate(times.tolist()):
-            points = [one.points_m for one in self.moving(instant_s, times)]
-            if points:
-                static = self.static_points(instant_s, most=_SHADOW_SCANS)
-                found[number] = moving_pixels(images.pose[number], images.pinhole, static, points)
-        return found
+        nothing = np.zeros(images.rgb.shape[1:3], np.bool_)
+
+        def shadow(number: int) -> np.ndarray:
+            points = [one.points_m for one in self.moving(times[number], times)]
+            if not points:
+                return nothing
+            static = self.static_points(times[number], most=_SHADOW_SCANS)
+            return moving_pixels(images.pose[number], images.pinhole, static, points)
+
+        return np.stack(in_parts(shadow, len(times), MOST_VIEWS))
 
     def _scan_at(self, instant_s: float) -> int | None:
         """Number of the training scan that is nearest in time; None without a LiDAR."""

@@ -31,7 +31,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     world, images = camera.drive.world, camera.images
     one = world.recording.cameras[camera.name]
     shown, time_s = one.training, one.training_time_s
-    around_movers = world.shadows(one)
+    around_movers = images.moving
 
     def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
         instant_s = float(time_s[number])
@@ -48,7 +48,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
             mover[(view.label.numpy() == place) & _is_at(inverse, each, shown.pose[number])] = each.number
         known = shown.valid
         if around_movers is not None:
-            known = known & ((mover > 0) | ~around_movers[number])
+            known = known & ((mover > 0) | ~around_movers[number].cpu().numpy())
         return np.where(known, without_edges(inverse), np.float32(0.0)), mover
 
     inverse, mover = zip(*in_parts(depth, len(time_s), MOST_VIEWS), strict=True)
