@@ -3,6 +3,7 @@
 A learned part is used only where it beats its baseline here. Test frames are never among the data.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -13,6 +14,8 @@ from nvsf_core._types import Scalar
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 
 Left = TypeVar("Left")
+_LEAST_ERROR = 1e-9
+"""For ratios of errors."""
 _SURE = 2.0
 """Standard errors by which a mean gain must exceed zero."""
 
@@ -22,7 +25,7 @@ class Comparison:
     """Mean scores of candidates on the same validation data."""
 
     metrics: tuple[str, ...]
-    """Names, with their units."""
+    """Names, with their units: `_db` of a PSNR; else, if higher is better, a share."""
     higher_is_better: tuple[bool, ...]
     means: Mapping[str, tuple[float, ...]]
     """The means of each candidate, in the order of the metrics."""
@@ -37,9 +40,21 @@ class Comparison:
         return ours > theirs if self.higher_is_better[self.metrics.index(metric)] else ours < theirs
 
     def wins(self, candidate: str, other: str) -> bool:
-        """Whether a candidate is better than another in most metrics."""
-        better = sum(self.is_better(candidate, metric, other) for metric in self.metrics)
-        return better > len(self.metrics) // 2
+        """Whether a candidate's errors are smaller than another's, in the geometric mean of all metrics.
+
+        So a large gain in one metric counts for more than small losses in others. A metric in which either is
+        undefined does not count.
+        """
+        gains = [math.log(self._error(other, m) / self._error(candidate, m)) for m in self.metrics]
+        defined = [gain for gain in gains if not math.isnan(gain)]
+        return sum(defined) > 0.0
+
+    def _error(self, candidate: str, metric: str) -> float:
+        """A mean as an error, positive: of a PSNR the root mean square, of a share (0..1) what is missing."""
+        value = self.of(candidate, metric)
+        if metric.endswith("_db"):
+            return float(10.0 ** (-value / 20.0))
+        return max(1.0 - value if self.higher_is_better[self.metrics.index(metric)] else value, _LEAST_ERROR)
 
     def figures(self, prefixes: Mapping[str, str]) -> dict[str, Scalar]:
         """Means as metadata, under the metric's name after the candidate's prefix in `prefixes`."""

@@ -23,13 +23,18 @@ def test_scores_are_means_over_the_left_out_data():
     ("ours", "wins"),
     [
         ((0.5, 30.0, 0.9), True),
-        ((2.0, 30.0, 0.9), True),
-        ((2.0, 30.0, 0.1), False),
+        ((1.1, 19.5, 0.8), True),
+        ((0.9, 20.5, 0.1), False),
         ((1.0, 20.0, 0.5), False),
+        ((2.0, 20.0, 0.76), True),
+        ((2.0, 20.0, 0.74), False),
+        ((2.0, 26.1, 0.5), True),
+        ((2.0, 25.9, 0.5), False),
+        ((1.0, math.nan, 0.6), True),
+        ((math.nan, math.nan, math.nan), False),
     ],
-    ids=["all better", "two of three", "one of three", "all equal"],
 )
-def test_most_metrics_decide_and_a_tie_is_no_win(ours, wins):
+def test_errors_are_compared_by_their_ratios_and_a_tie_is_no_win(ours, wins):
     assert _compared([ours] * 2, [(1.0, 20.0, 0.5)] * 2).wins("ours", "theirs") is wins
 
 
