@@ -135,9 +135,9 @@ def _measure_trust(task: Task, views: Path, ledger: Ledger) -> None:
             _method(task, path)[0],
             partial(measure_trust, path, sensor),
         )
-        for sensor in recorded_sensors(task, views)
+        for sensor in recorded_sensors(task, paths)
         for path in paths
-        if shows(path, sensor)
+        if shows(path, sensor.name)
     ]
     _measure(task, parts, ledger)
 
@@ -206,6 +206,6 @@ STAGE = Stage(
     per_recipe=True,
     reads_truth=True,
     check=check_metrics,
-    check_version="1",
+    check_version="2",
     named_checks=NAMED_CHECKS,
 )

@@ -80,6 +80,11 @@ class Verdict:
     bands: Mapping[str, Band]
     """Metric to its band."""
 
+    @property
+    def score(self) -> float:
+        """Its score; NaN if that is not known."""
+        return self.values.get(SCORE, math.nan)
+
 
 def score_of(cues: Mapping[str, float], sensor: str) -> float:
     """A scan's or an image's score from its cues; NaN if one of those that it is made from is missing."""

@@ -49,8 +49,8 @@ class _HeldOut:
 class RecordedCamera:
     """The training images of one camera, and what recorded images have among themselves."""
 
-    def __init__(self, task: Task, camera: str, held_out: Path) -> None:
-        """Read a camera's recorded images, and its depths of held-out frames from the group `held_out`."""
+    def __init__(self, task: Task, camera: str, held_out: Path | None) -> None:
+        """Read a camera's recorded images, and the depths of held-out frames from the group `held_out`."""
         folder = task.store.require("undistorted") / "images.zarr"
         a = read_arrays(
             folder, *(f"{camera}_{part}" for part in ("rgb", "valid", "frame", "camera_to_world"))
@@ -104,13 +104,11 @@ class RecordedCamera:
         order = [k for k in np.argsort(away, kind="stable").tolist() if k != leave_out][:_NEIGHBOURS]
         return np.concatenate([self.patches[k] for k in order]) if order else None
 
-    def _carried_back(self, path: Path) -> _HeldOut:
+    def _carried_back(self, path: Path | None) -> _HeldOut:
         found = _HeldOut([], [], [], [])
-        if not path.is_dir() or self.name not in read_attrs(path).get("cameras", []):
+        if path is None:
             return found
         a = _view_arrays(path, self.name)
-        if a is None:
-            return found
         for i, frame in enumerate(a["frame"].tolist()):
             for k in np.flatnonzero(self.frame == frame)[:1].tolist():
                 look = look_back(self._rgb[k], a["range_m"][i], a["camera_to_world"][i], self.images)
@@ -132,18 +130,16 @@ def image_cues(
         is_held_out: Whether the view is of held-out frames: no image then measures itself.
     """
     a = _view_arrays(path, camera.name)
-    if a is None:
-        return
     for i, frame in enumerate(a["frame"].tolist()):
         curve = camera.curve(frame if is_held_out else None)
         yield frame, camera.cues({name: values[i] for name, values in a.items()}, frame, curve)
 
 
-def _view_arrays(path: Path, camera: str) -> dict[str, np.ndarray] | None:
-    """Arrays of a camera's images in a view, `support` where it is stored; None where depths are not."""
+def _view_arrays(path: Path, camera: str) -> dict[str, np.ndarray]:
+    """Arrays of a camera's images in a view, `support` where it is stored; empty without depths."""
     parts = ["rgb", "range_m", "frame", "camera_to_world"]
     if f"{camera}_range_m" not in array_names(path, "f"):
-        return None
+        return {"frame": np.zeros(0, np.int64)}
     if f"{camera}_support" in array_names(path, "u"):
         parts.append("support")
     a = read_arrays(path, *(f"{camera}_{part}" for part in parts))

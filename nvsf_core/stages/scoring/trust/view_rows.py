@@ -32,33 +32,34 @@ class RecordedSensor:
     """Metric to its band; without those that are not known."""
 
 
-def recorded_sensors(task: Task, views: Path) -> list[RecordedSensor]:
+def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
     """The drive's sensors whose views can be compared with what they recorded.
 
     Args:
         task: Task of the stage.
-        views: Folder of the rendered views.
+        paths: Zarr groups of the model's views; what none of them shows is not read.
     """
-    found = []
-    scans = read_training_scans(task)
+    found = list[RecordedSensor]()
+    scans = read_training_scans(task) if any(shows(path, LIDAR) for path in paths) else None
     if scans is not None:
-        band = _band(scans.band(), LIDAR)
-        found.append(RecordedSensor(LIDAR, partial(scan_cues, recorded=scans), band))
-    images = task.store.path("undistorted") / "images.zarr"
-    for name in read_attrs(images)["cameras"] if images.is_dir() else ():
-        camera = RecordedCamera(task, name, views / HELD_OUT / "model.zarr")
-        if len(camera.training):
+        task.progress(f"[{task.scene.name}] scene_metrics: how far recorded scans are apart")
+        found.append(RecordedSensor(LIDAR, partial(scan_cues, recorded=scans), _band(scans.band(), LIDAR)))
+    held_out = next((path for path in paths if path.parent.name == HELD_OUT), None)
+    for name in sorted({name for path in paths for name in read_attrs(path).get("cameras", [])}):
+        if any(shows(path, name) for path in paths):
+            task.progress(f"[{task.scene.name}] scene_metrics: how far recorded images of {name} are apart")
+            camera = RecordedCamera(task, name, held_out)
             band = _band(camera.band(), name)
             found.append(RecordedSensor(name, partial(_image_cues, camera=camera), band))
-        task.progress(f"[{task.scene.name}] scene_metrics: what {name} recorded, for the verdict on views")
     return found
 
 
-def shows(path: Path, sensor: RecordedSensor) -> bool:
+def shows(path: Path, sensor: str) -> bool:
     """Whether the Zarr group of a view has what a verdict on its scans, or a camera's images, needs."""
-    if sensor.name == LIDAR:
-        return "grid_hit" in array_names(path, "f") and "grid_support" in array_names(path, "u")
-    return f"{sensor.name}_range_m" in array_names(path, "f")
+    floating = array_names(path, "f")
+    if sensor == LIDAR:
+        return "grid_hit" in floating and "grid_support" in array_names(path, "u")
+    return {f"{sensor}_range_m", f"{sensor}_camera_to_world"} <= set(floating)
 
 
 def measure_trust(path: Path, sensor: RecordedSensor, ledger: Ledger) -> Iterator[str]:
