@@ -222,7 +222,7 @@ CONTRACT: tuple[FileSpec, ...] = (
         "One row a frame and metric; means are made by the reader.",
         _columns(
             ("scene", "string", "", "name"),
-            ("split", "string", "", "`test` (held out), or a view: whose truth is known, or protocol `trust`"),
+            ("split", "string", "", "`test` (held out), or a view: of known truth, or protocol `trust`"),
             ("frame", "i8", "1", "frame number"),
             ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`, `trust`"),
             (

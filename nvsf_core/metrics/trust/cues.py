@@ -42,7 +42,7 @@ DENSITY = Cue(
 )  # fmt: skip
 LASERS = Cue(
     "trust_hits_by_laser", "1", "returns by laser",
-    "its lasers return as often as none of the recorded scans near by",
+    "its lasers return much more or less often than in the recorded scans near by",
 )  # fmt: skip
 RANGES = Cue(
     "trust_ranges_apart_m", "m", "returns by range",
@@ -66,7 +66,7 @@ DISAGREES = Cue(
 )  # fmt: skip
 PARALLAX = Cue(
     "trust_parallax_error", "1", "expected so far from images",
-    "it looks from places where no recorded image looks from near by",
+    "it looks at much of the scene from where no recorded image shows it",
 )  # fmt: skip
 IMAGE_PATCHES = Cue(
     SCAN_PATCHES.name, "1", SCAN_PATCHES.title,

@@ -146,7 +146,7 @@ def _why(
     reasons = []
     if values.get(GUESSED, 0.0) > LITTLE_GUESSED:
         share = f"{100.0 * values[GUESSED]:.0f} % of its {parts} look at what nobody recorded"
-        reasons.append(f"{share} (they are marked as guessed)")
+        reasons.append(f"{share} (marked as guessed, and can be left out)")
     if strange:
         reasons.append(max(strange, key=lambda cue: values[cue.name] / _safe(bands[cue.name].high)).reason)
     else:

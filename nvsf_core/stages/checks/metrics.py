@@ -52,9 +52,9 @@ INTENSITY = NamedCheck(
 )
 TRUSTED = NamedCheck(
     name="views_can_be_trusted",
-    description="No view is so far from the recorded data, or so much of it guessed, that it must not be used. "
-    "The verdict needs no truth; its limits stand in the report. Value: how many views, by one sensor each, "
-    "must not be used.",
+    description="No view is so far from the recorded data, or so much of it guessed, that it must not be "
+    "used. The verdict needs no truth; its limits stand in the report. Value: how many views, by one sensor "
+    "each, must not be used.",
 )
 NAMED_CHECKS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY, TRUSTED)
 
