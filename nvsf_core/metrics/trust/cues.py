@@ -1,4 +1,4 @@
-"""The cues from which a view is judged without its truth: their names, units and words.
+"""The cues to how far a view can be trusted, without its truth: their names, units and words.
 
 Every cue is larger the farther a view is from recorded data, so that a band has an upper end only.
 """
@@ -57,8 +57,8 @@ INTENSITY = Cue(
     "its returns are brighter or darker than recorded ones of the same range and angle",
 )  # fmt: skip
 SCAN_PATCHES = Cue(
-    "trust_patches_told_apart", "1", "patches told apart",
-    "a small classifier easily tells its patches from recorded ones",
+    "trust_patches_distinguished", "1", "patches distinguished",
+    "a small classifier easily distinguishes its patches from recorded ones",
 )  # fmt: skip
 DISAGREES = Cue(
     "trust_images_disagree", "1", "differs from the nearest image",
@@ -70,7 +70,7 @@ PARALLAX = Cue(
 )  # fmt: skip
 IMAGE_PATCHES = Cue(
     SCAN_PATCHES.name, "1", SCAN_PATCHES.title,
-    "a small classifier easily tells its patches from recorded ones: it is more blurred, for example",
+    "a small classifier easily distinguishes its patches from recorded ones: it is more blurred, for example",
 )  # fmt: skip
 GUESSED_SHARE = Cue(GUESSED, "1", "guessed", "it shows what nobody recorded")
 

@@ -1,9 +1,9 @@
-"""Whether patches of two kinds of data can be told apart: a small classifier, scored where it did not learn.
+"""Whether patches of two kinds of data differ: a small classifier, scored where it did not learn.
 
 Features of a patch are its statistics; a logistic regression (Newton's steps, a small ridge) learns from one
 half of the patches and is scored on the other, both ways. The score is the area under the ROC curve: the
-chance that of two patches, one of each kind, the right one is called rendered. 0.5 = they cannot be told
-apart, 1 = always.
+chance that of two patches, one of each kind, the right one is called rendered. 0.5 = the
+kinds cannot be distinguished, 1 = always.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ _SCAN_PATCH = (8, 32)
 _SCAN_BLOCK = (2, 8)
 
 
-def told_apart(one: np.ndarray, other: np.ndarray) -> float:
+def distinguished(one: np.ndarray, other: np.ndarray) -> float:
     """Area under the ROC curve, 0.5..1, of a classifier of two sets of features; NaN for too few.
 
     Args:
@@ -67,7 +67,7 @@ def scan_features(range_m: np.ndarray, intensity: np.ndarray) -> np.ndarray:
     """(n, 6) features of the patches of a scan (8 lasers x 32 firings) that hold returns.
 
     The means of blocks are compared, not single returns: the noise of ranges, which recorded scans have and
-    rendered ones get where a data set is sampled, must not tell them apart.
+    rendered ones get where a data set is sampled, must not distinguish them.
 
     Args:
         range_m: (L, F) metres, 0 = no return.

@@ -2,27 +2,27 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.metrics.trust.likeness_classifier import image_features, scan_features, told_apart
+from nvsf_core.metrics.trust.likeness_classifier import distinguished, image_features, scan_features
 
 
 def _textured(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 255, (64, 128, 3)).astype(np.uint8)
 
 
-def test_two_samples_of_one_kind_cannot_be_told_apart_and_shifted_ones_can() -> None:
+def test_two_samples_of_one_kind_cannot_be_distinguished_and_shifted_ones_can() -> None:
     draws = np.random.default_rng(0)
     one, other = draws.normal(size=(2, 400, 3))
-    assert told_apart(one, other) < 0.6
-    assert told_apart(one, np.add(other, [0.0, 4.0, 0.0])) > 0.98
-    assert 0.7 < told_apart(one, np.add(other, [0.0, 1.0, 0.0])) < 0.9
+    assert distinguished(one, other) < 0.6
+    assert distinguished(one, np.add(other, [0.0, 4.0, 0.0])) > 0.98
+    assert 0.7 < distinguished(one, np.add(other, [0.0, 1.0, 0.0])) < 0.9
     # The same mean, another spread.
-    assert told_apart(one, 4.0 * other) > 0.9
+    assert distinguished(one, 4.0 * other) > 0.9
 
 
 def test_the_score_is_of_patches_that_were_not_learned_from() -> None:
     draws = np.random.default_rng(1)
     one, other = draws.normal(size=(2, 40, 12))
-    assert told_apart(one, other) < 0.75
+    assert distinguished(one, other) < 0.75
 
 
 def test_a_blurred_image_is_told_from_sharp_ones_and_a_sharp_one_is_not() -> None:
@@ -30,8 +30,8 @@ def test_a_blurred_image_is_told_from_sharp_ones_and_a_sharp_one_is_not() -> Non
     recorded, again = (image_features(_textured(seed), valid) for seed in (1, 2))
     image = _textured(3).astype(np.float64)
     blurred = np.mean([np.roll(image, (k, j), (0, 1)) for k in range(3) for j in range(3)], axis=0)
-    assert told_apart(again, recorded) < 0.7
-    assert told_apart(image_features(blurred.astype(np.uint8), valid), recorded) > 0.99
+    assert distinguished(again, recorded) < 0.7
+    assert distinguished(image_features(blurred.astype(np.uint8), valid), recorded) > 0.99
 
 
 def test_patches_outside_the_lens_and_without_returns_are_left_out() -> None:
@@ -46,6 +46,6 @@ def test_patches_outside_the_lens_and_without_returns_are_left_out() -> None:
 
 
 def test_too_few_patches_tell_nothing_and_a_nan_is_refused() -> None:
-    assert np.isnan(told_apart(np.zeros((3, 2)), np.zeros((100, 2))))
+    assert np.isnan(distinguished(np.zeros((3, 2)), np.zeros((100, 2))))
     with pytest.raises(DataError, match="finite features, 1 are not"):
-        told_apart(np.full((20, 1), 0.0), np.r_[np.nan, np.zeros(19)][:, None])
+        distinguished(np.full((20, 1), 0.0), np.r_[np.nan, np.zeros(19)][:, None])

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.metrics.trust.cues import DISAGREES, GUESSED, IMAGE_PATCHES, PARALLAX
-from nvsf_core.metrics.trust.likeness_classifier import image_features, told_apart
+from nvsf_core.metrics.trust.likeness_classifier import distinguished, image_features
 from nvsf_core.metrics.trust.photo_consistency import (
     LookBack,
     ParallaxCurve,
@@ -80,7 +80,7 @@ class RecordedCamera:
         for k, patches in enumerate(self.patches):
             others = self._neighbours(float(self.frame[self.training[k]]), leave_out=k)
             if others is not None:
-                found.append({IMAGE_PATCHES.name: told_apart(patches, others)})
+                found.append({IMAGE_PATCHES.name: distinguished(patches, others)})
         return found
 
     def cues(
@@ -92,7 +92,7 @@ class RecordedCamera:
             found[GUESSED] = float(np.mean(guessed[self.valid]))
         others = self._neighbours(float(frame))
         if others is not None:
-            found[IMAGE_PATCHES.name] = told_apart(image_features(image["rgb"], self.valid), others)
+            found[IMAGE_PATCHES.name] = distinguished(image_features(image["rgb"], self.valid), others)
         if curve is not None:
             look = look_back(image["rgb"], image["range_m"], image["camera_to_world"], self.images)
             found |= _differences(look, guessed, curve)

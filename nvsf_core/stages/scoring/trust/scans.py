@@ -25,7 +25,7 @@ from nvsf_core.metrics.trust.cues import (
     WRONG,
 )
 from nvsf_core.metrics.trust.drive_distance import DriveCloud
-from nvsf_core.metrics.trust.likeness_classifier import scan_features, told_apart
+from nvsf_core.metrics.trust.likeness_classifier import distinguished, scan_features
 from nvsf_core.metrics.trust.scan_statistics import (
     ScanGrid,
     hit_rate_by_laser,
@@ -91,7 +91,7 @@ class ScanTraits:
             RANGES.name: range_distance_m(self.by_range, mean["by_range"]),
             INCIDENCE.name: incidence_distance_deg(self.by_incidence, mean["by_incidence"]),
             INTENSITY.name: float(np.mean(tables)),
-            SCAN_PATCHES.name: told_apart(self.patches, patches),
+            SCAN_PATCHES.name: distinguished(self.patches, patches),
         }
 
 
