@@ -12,7 +12,7 @@ from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.metrics.table import mean_rows
-from nvsf_core.metrics.trust.cues import AWAY, DENSITY, LASERS, PROTOCOL, SCORE, WRONG
+from nvsf_core.metrics.trust.cues import AWAY, DENSITY, LASERS, ODOMETRY, PROTOCOL, SCORE, WRONG
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.rendering.support import Support
@@ -189,6 +189,13 @@ def test_other_sensors_are_compared_with_the_drive_but_not_laser_by_laser(run: R
     rows = [row for row in run.rows("vlp16") if row["protocol"] == PROTOCOL and row["region"] == "all"]
     known = {row["metric"] for row in rows if np.isfinite(row["value"])}
     assert known >= {SCORE, WRONG.name, AWAY.name, DENSITY.name} and LASERS.name not in known
+
+
+def test_the_path_of_a_few_scans_is_not_measured_and_the_reason_is_said(run: Run) -> None:
+    rows = [row for row in run.rows("shift_1m") if row["metric"] == ODOMETRY.name]
+    assert [row["region"] for row in rows] == ["all"] and np.isnan(rows[0]["value"])
+    said = str(run.outcomes["scene_metrics"].metadata["not_measured_reasons"])
+    assert "trust_odometry_m: a path needs 8 or more consecutive scans" in said
 
 
 def _scores(run: Run, view: Path) -> dict[str, float]:

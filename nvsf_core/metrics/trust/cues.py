@@ -60,6 +60,10 @@ SCAN_PATCHES = Cue(
     "trust_patches_distinguished", "1", "patches distinguished",
     "a small classifier easily distinguishes its patches from recorded ones",
 )  # fmt: skip
+ODOMETRY = Cue(
+    "trust_odometry_m", "m", "error of a step by KISS-ICP",
+    "the path that its scans show is not the one that was asked for",
+)  # fmt: skip
 DISAGREES = Cue(
     "trust_images_disagree", "1", "differs from the nearest image",
     "carried back by its own depth, it does not match the recorded images",
@@ -76,7 +80,7 @@ GUESSED_SHARE = Cue(GUESSED, "1", "guessed", "it shows what nobody recorded")
 
 SCAN_SCORE = (WRONG, AWAY, DENSITY)
 IMAGE_SCORE = (DISAGREES, PARALLAX)
-SCAN_CUES = (*SCAN_SCORE, LASERS, RANGES, INCIDENCE, INTENSITY, SCAN_PATCHES)
+SCAN_CUES = (*SCAN_SCORE, LASERS, RANGES, INCIDENCE, INTENSITY, SCAN_PATCHES, ODOMETRY)
 IMAGE_CUES = (*IMAGE_SCORE, IMAGE_PATCHES)
 UNITS = {cue.name: cue.unit for cue in (*SCAN_CUES, *IMAGE_CUES, GUESSED_SHARE)} | {SCORE: "1"}
 """Unit of each metric of the protocol."""

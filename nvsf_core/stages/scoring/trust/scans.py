@@ -111,7 +111,7 @@ class RecordedScans:
 
     def __init__(self, sweeps: Sweeps) -> None:
         """Take the drive's scans; some of those for training are left out of the cloud."""
-        self._sweeps, self._traits = sweeps, dict[int, ScanTraits]()
+        self.sweeps, self._traits = sweeps, dict[int, ScanTraits]()
         lengths = np.diff(sweeps.arrays["offsets"])
         self.scans: list[int] = np.flatnonzero(sweeps.is_training & (lengths > 0)).tolist()
         count = min(_LEFT_OUT, len(self.scans) // 3)
@@ -121,13 +121,13 @@ class RecordedScans:
     @property
     def sensor(self) -> str:
         """Name of the recording sensor."""
-        return self._sweeps.table.name
+        return self.sweeps.table.name
 
     @cached_property
     def has_grid(self) -> bool:
         """Whether it is known which firing of which laser each return of the training scans belongs to."""
-        a = self._sweeps.arrays
-        returns = [self._sweeps.returns_of(k) for k in self.scans]
+        a = self.sweeps.arrays
+        returns = [self.sweeps.returns_of(k) for k in self.scans]
         known = all((a["firing"][cut] >= 0).all() and (a["laser"][cut] >= 0).all() for cut in returns)
         return known and bool((a["firings"][self.scans] > 0).all())
 
@@ -145,7 +145,7 @@ class RecordedScans:
     def neighbours(self, time_s: float, *, leave_out: int | None = None) -> list[ScanTraits]:
         """Traits of the training scans nearest in time."""
         others = [k for k in self.scans if k != leave_out]
-        others.sort(key=lambda k: abs(float(self._sweeps.arrays["time_s"][k]) - time_s))
+        others.sort(key=lambda k: abs(float(self.sweeps.arrays["time_s"][k]) - time_s))
         return [self.traits(k) for k in others[:_NEIGHBOURS]]
 
     def band(self) -> list[dict[str, float]]:
@@ -155,7 +155,7 @@ class RecordedScans:
             points_m = self._points(scan)
             cues = {AWAY.name: self.cloud.away(points_m), DENSITY.name: self.cloud.density_aware(points_m)}
             if self.has_grid:
-                others = self.neighbours(float(self._sweeps.arrays["time_s"][scan]), leave_out=scan)
+                others = self.neighbours(float(self.sweeps.arrays["time_s"][scan]), leave_out=scan)
                 mine = self.traits(scan)
                 cues |= mine.apart(others)
                 cues[WRONG.name] = float(np.mean([hits_differ(mine.grid, one.grid) for one in others]))
@@ -164,7 +164,7 @@ class RecordedScans:
 
     def placed(self, scan: _Rendered) -> np.ndarray:
         """(n, 3) scene-local points, metres, of a rendered scan, each moved by the pose of its own time."""
-        sweeps = self._sweeps
+        sweeps = self.sweeps
         kept = _is_counted(scan.points_m)
         points_m, laser = scan.points_m[kept].astype(np.float64), scan.laser[kept]
         rotation, position_m = sweeps.trajectory.at(np.array([scan.time_s]))
@@ -184,19 +184,19 @@ class RecordedScans:
 
     def _points(self, scan: int) -> np.ndarray:
         """(n, 3) scene-local returns of a scan, metres, without the own vehicle."""
-        a, cut = self._sweeps.arrays, self._sweeps.returns_of(scan)
+        a, cut = self.sweeps.arrays, self.sweeps.returns_of(scan)
         along = a["direction"][cut].astype(np.float64) * a["range_m"][cut, None] + a["origin_m"][cut]
         return np.asarray(along[self._is_counted(cut)])
 
     def _is_counted(self, cut: slice) -> np.ndarray:
-        a = self._sweeps.arrays
+        a = self.sweeps.arrays
         return ~a["is_own_vehicle"][cut] & _is_counted(a["points_m"][cut])
 
     def _grid(self, scan: int) -> ScanGrid:
-        a, cut = self._sweeps.arrays, self._sweeps.returns_of(scan)
+        a, cut = self.sweeps.arrays, self.sweeps.returns_of(scan)
         kept = self._is_counted(cut)
         place = a["laser"][cut][kept], a["firing"][cut][kept]
-        shape = (self._sweeps.table.laser_count, int(a["firings"][scan]))
+        shape = (self.sweeps.table.laser_count, int(a["firings"][scan]))
         points_m, intensity = np.zeros((*shape, 3)), np.zeros(shape)
         points_m[place], intensity[place] = a["points_m"][cut][kept], a["intensity"][cut][kept]
         return scan_grid(points_m[self._lasers], intensity[self._lasers])
@@ -204,7 +204,7 @@ class RecordedScans:
     @cached_property
     def _lasers(self) -> np.ndarray:
         """Lasers that ever returned, from the top: the rows of a rendered grid."""
-        laser = self._sweeps.arrays["laser"]
+        laser = self.sweeps.arrays["laser"]
         return np.unique(laser[laser >= 0])
 
 

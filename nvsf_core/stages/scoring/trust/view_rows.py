@@ -8,11 +8,13 @@ from pathlib import Path
 
 from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.table import HELD_OUT
-from nvsf_core.metrics.trust.cues import BAND, GUESSED, IMAGE_CUES, PROTOCOL, SCAN_CUES, SCORE
+from nvsf_core.metrics.trust.cues import BAND, GUESSED, IMAGE_CUES, ODOMETRY, PROTOCOL, SCAN_CUES, SCORE
 from nvsf_core.metrics.trust.verdict import LIDAR, Band, score_of
+from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues
+from nvsf_core.stages.scoring.trust.odometry import odometry_errors
 from nvsf_core.stages.scoring.trust.scans import read_training_scans, scan_cues
 from nvsf_core.stores.arrays import array_names, read_attrs
 
@@ -30,6 +32,8 @@ class RecordedSensor:
     """Frame and cues of each scan or image in the Zarr group of a view."""
     band: Mapping[str, Band]
     """Metric to its band; without those that are not known."""
+    sweeps: Sweeps | None = None
+    """The recorded scans, of a LiDAR."""
 
 
 def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
@@ -43,7 +47,8 @@ def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
     scans = read_training_scans(task) if any(shows(path, LIDAR) for path in paths) else None
     if scans is not None:
         task.progress(f"[{task.scene.name}] scene_metrics: how far recorded scans are apart")
-        found.append(RecordedSensor(LIDAR, partial(scan_cues, recorded=scans), _band(scans.band(), LIDAR)))
+        band = _band(scans.band(), LIDAR)
+        found.append(RecordedSensor(LIDAR, partial(scan_cues, recorded=scans), band, scans.sweeps))
     held_out = next((path for path in paths if path.parent.name == HELD_OUT), None)
     for name in sorted({name for path in paths for name in read_attrs(path).get("cameras", [])}):
         if any(shows(path, name) for path in paths):
@@ -70,18 +75,27 @@ def measure_trust(path: Path, sensor: RecordedSensor, ledger: Ledger) -> Iterato
         sensor: The sensor, and what it recorded.
         ledger: Receives the rows.
     """
-    view, band_row = path.parent.name, -1
-    wanted = [SCORE, GUESSED, *(cue.name for cue in (SCAN_CUES if sensor.name == LIDAR else IMAGE_CUES))]
+    view, first = path.parent.name, -1
+    cues_of_kind = SCAN_CUES if sensor.name == LIDAR else IMAGE_CUES
+    wanted = [SCORE, GUESSED, *(cue.name for cue in cues_of_kind if cue != ODOMETRY)]
     for frame, cues in sensor.cues_of(path):
         values = {**cues, SCORE: score_of(cues, sensor.name)}
         measures = {name: _measure(values.get(name, math.nan)) for name in wanted}
         _add(ledger, measures, view, sensor.name, "all", frame)
-        band_row = frame if band_row < 0 else band_row
+        first = frame if first < 0 else first
         yield f"trust, frame {frame}"
-    for region in BAND if band_row >= 0 else ():
-        part = region.removeprefix("recorded_")
-        measures = {name: _measure(getattr(band, part)) for name, band in sensor.band.items()}
-        _add(ledger, measures, view, sensor.name, region, band_row)
+    if first < 0:
+        return
+    for region in BAND:
+        one = region.removeprefix("recorded_")
+        measures = {name: _measure(getattr(band, one)) for name, band in sensor.band.items()}
+        _add(ledger, measures, view, sensor.name, region, first)
+    if sensor.sweeps is not None:
+        mine, recorded = odometry_errors(path, sensor.sweeps)
+        _add(ledger, {ODOMETRY.name: mine}, view, sensor.name, "all", first)
+        for region in BAND if not recorded.reason else ():
+            _add(ledger, {ODOMETRY.name: recorded}, view, sensor.name, region, first)
+        yield "trust, odometry"
 
 
 def _add(
