@@ -30,7 +30,7 @@ def odometry_path(scans: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         if len(points_m) < _LEAST_POINTS or not np.isfinite(points_m).all():
             raise DataError(
                 f"odometry: expected {_LEAST_POINTS} or more finite points a scan, found {len(points_m)}, "
-                f"{int((~np.isfinite(points_m)).sum())} coordinates not finite, in scan {number}; leave it out"
+                f"{int((~np.isfinite(points_m)).sum())} numbers not finite, in scan {number}; leave it out"
             )
     odometry = _kiss_icp()
     poses = []

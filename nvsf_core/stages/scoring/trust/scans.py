@@ -199,13 +199,14 @@ class RecordedScans:
         shape = (self.sweeps.table.laser_count, int(a["firings"][scan]))
         points_m, intensity = np.zeros((*shape, 3)), np.zeros(shape)
         points_m[place], intensity[place] = a["points_m"][cut][kept], a["intensity"][cut][kept]
-        return scan_grid(points_m[self._lasers], intensity[self._lasers])
+        return scan_grid(points_m[self.lasers], intensity[self.lasers])
 
     @cached_property
-    def _lasers(self) -> np.ndarray:
-        """Lasers that ever returned, from the top: the rows of a rendered grid."""
-        laser = self.sweeps.arrays["laser"]
-        return np.unique(laser[laser >= 0])
+    def lasers(self) -> np.ndarray:
+        """Lasers that ever returned in training, from the top: the rows of a rendered grid."""
+        parts = [np.unique(self.sweeps.arrays["laser"][self.sweeps.returns_of(k)]) for k in self.scans]
+        found = np.unique(np.concatenate(parts))
+        return np.asarray(found[found >= 0])
 
 
 def read_training_scans(task: Task) -> RecordedScans | None:
@@ -223,6 +224,8 @@ def scan_cues(path: Path, recorded: RecordedScans) -> Iterator[tuple[int, Mappin
         recorded: The drive's training scans.
     """
     a, sensor = read_arrays(path, *_VIEW), str(read_attrs(path)["sensor"])
+    is_comparable = sensor == recorded.sensor and recorded.has_grid
+    is_comparable = is_comparable and a["grid_hit"].shape[1] == len(recorded.lasers)
     for i, frame in enumerate(a["frame"].tolist()):
         own, firings, time_s = part(a["offsets"], i), int(a["grid_firings"][i]), float(a["time_s"][i])
         scan = _Rendered(a["points_m"][own], a["laser"][own], sensor, time_s, a["lidar_to_world"][i])
@@ -235,7 +238,7 @@ def scan_cues(path: Path, recorded: RecordedScans) -> Iterator[tuple[int, Mappin
             AWAY.name: recorded.cloud.away(points_m),
             DENSITY.name: recorded.cloud.density_aware(points_m),
         }
-        if recorded.has_grid and sensor == recorded.sensor:
+        if is_comparable:
             cues |= ScanTraits.of(_rendered_grid(a, i, firings)).apart(recorded.neighbours(time_s))
         yield frame, cues
 
