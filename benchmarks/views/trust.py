@@ -24,13 +24,13 @@ from nvsf_core.rendering.support import Support
 from nvsf_core.stores.tables import read_rows
 
 _SCENES = "street kitti0005_van_cyclist"
-_PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
-_ERRORS = {
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
+ERRORS = {
     "scans": (("raw", "f_score"), ("raw", "hit_accuracy"), ("raw", "chamfer_m2")),
     "images": (("image", "image_psnr_db"), ("image", "image_lpips_squeeze")),
 }
 """Protocol and metric of what truth says."""
-_HEADS = {
+HEADS = {
     "f_score": "F", "hit_accuracy": "hit acc.", "chamfer_m2": "CD m²", "image_psnr_db": "PSNR dB",
     "image_lpips_squeeze": "LPIPS",
 }  # fmt: skip
@@ -47,6 +47,7 @@ class ScoredView:
     view: str
     sensor: str
     words: str
+    """The verdict; of a baseline's view its name."""
     score: float
     errors: Mapping[str, float]
     """Metric to its true value, means over frames and cameras; empty if nobody knows the truth."""
@@ -67,7 +68,7 @@ def main() -> None:
         ("support", support_table(rows)),
     ):
         print(text)
-        write_between(_PAGE, name, text)
+        write_between(PAGE, name, text)
 
 
 def orders(rows: Sequence[Row], source: str) -> str:
@@ -78,9 +79,9 @@ def orders(rows: Sequence[Row], source: str) -> str:
         source: Where they come from, in a sentence.
     """
     parts = [source, ""]
-    for kind, metrics in _ERRORS.items():
+    for kind, metrics in ERRORS.items():
         views = sorted(_views(rows, kind, by_camera=False), key=lambda one: one.score)
-        head = ["scene", "view", "verdict", "score", *(_HEADS[metric] for _, metric in metrics)]
+        head = ["scene", "view", "verdict", "score", *(HEADS[metric] for _, metric in metrics)]
         cells = [
             [one.scene, one.view, one.words, f"{one.score:.4f}", *_shown(one.errors, metrics)]
             for one in views
@@ -112,20 +113,20 @@ def support_table(rows: Sequence[Row]) -> str:
             if any(math.isfinite(value) for value, _ in found):
                 total = sum(count for _, count in found)
                 shares = [f"{_number(value, metric)} ({count / total:.1%})" for value, count in found]
-                cells.append([scene, "scans" if protocol == "raw" else "images", _HEADS[metric], *shares])
+                cells.append([scene, "scans" if protocol == "raw" else "images", HEADS[metric], *shares])
     head = ["scene", "of", "metric", *(support.name.lower() for support in reversed(Support))]
     return markdown_table(head, cells)
 
 
 def _views(rows: Sequence[Row], kind: str, *, by_camera: bool) -> Iterator[ScoredView]:
     """Verdicts beside true errors; of images one for all cameras of a view, or one for each."""
-    metrics = [metric for _, metric in _ERRORS[kind]]
+    metrics = [metric for _, metric in ERRORS[kind]]
     for scene in dict.fromkeys(row["scene"] for row in rows):
         means = mean_rows([row for row in rows if row["scene"] == scene])
         said = [one for one in verdicts(means) if (one.sensor == LIDAR) == (kind == "scans")]
         true = {
             (row["split"], row["sensor"], row["metric"]): row["value"] for row in means
-            if row["region"] == "all" and (row["protocol"], row["metric"]) in _ERRORS[kind]
+            if row["region"] == "all" and (row["protocol"], row["metric"]) in ERRORS[kind]
         }  # fmt: skip
         groups = dict.fromkeys((one.view, one.sensor if by_camera else "") for one in said)
         for view, sensor in groups:
@@ -146,7 +147,7 @@ def _words(said: Sequence[Verdict]) -> str:
 def _correlations(rows: Sequence[Row]) -> Iterator[tuple[str, int, str, str]]:
     """Rank correlations over views, without and with the held-out frames, and over views and cameras."""
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    for kind, metrics in _ERRORS.items():
+    for kind, metrics in ERRORS.items():
         views = list(_views(rows, kind, by_camera=False))
         each = list(_views(rows, kind, by_camera=True))
         sets = [
@@ -160,7 +161,7 @@ def _correlations(rows: Sequence[Row]) -> Iterator[tuple[str, int, str, str]]:
         for words, some in sets:
             for _, metric in metrics:
                 count, rho = rank_correlation(some, metric)
-                yield words, count, _HEADS[metric], "–" if math.isnan(rho) else f"{rho:.2f}"
+                yield words, count, HEADS[metric], "–" if math.isnan(rho) else f"{rho:.2f}"
 
 
 def _pooled(

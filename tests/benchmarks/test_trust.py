@@ -51,4 +51,4 @@ def test_the_page_orders_views_by_score_and_holds_the_generated_parts(repo: Path
     assert text.index("| near |") < text.index("| mid |") < text.index("| far |")
     assert "| images: views asked for, street | 3 | PSNR dB | 1.00 |" in text
     page = (repo / "docs" / "trust.md").read_text()
-    assert all(page.count(f"<!-- {name} -->") == 1 for name in ("orders", "support"))
+    assert all(page.count(f"<!-- {name} -->") == 1 for name in ("orders", "baselines", "support"))
