@@ -140,7 +140,7 @@ def _why(
 ) -> str:
     parts, kind = ("rays", "scans") if sensor == LIDAR else ("pixels", "images")
     if trust is Trust.NOT_KNOWN:
-        return f"No recorded {kind} were left over to compare with."
+        return f"It could not be compared: it has no {kind}, or no recorded ones were left over."
     if trust is Trust.AS_RECORDED:
         return f"It fits the recorded {kind} as well as these fit each other."
     reasons = []

@@ -42,6 +42,7 @@ from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.support import Support
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
 from nvsf_core.sensors.tables import sensor_table
+from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
@@ -112,8 +113,8 @@ class RecordedScans:
     def __init__(self, sweeps: Sweeps) -> None:
         """Take the drive's scans; some of those for training are left out of the cloud."""
         self.sweeps, self._traits = sweeps, dict[int, ScanTraits]()
-        lengths = np.diff(sweeps.arrays["offsets"])
-        self.scans: list[int] = np.flatnonzero(sweeps.is_training & (lengths > 0)).tolist()
+        training = np.flatnonzero(sweeps.is_training).tolist()
+        self.scans = [k for k in training if self._is_counted(sweeps.returns_of(k)).any()]
         count = min(_LEFT_OUT, len(self.scans) // 3)
         between = (np.arange(count) + 0.5) * len(self.scans) / max(1, count)
         self.left_out = [self.scans[int(k)] for k in between]
@@ -255,7 +256,7 @@ def _rendered_grid(a: Mapping[str, Any], i: int, firings: int) -> ScanGrid:
     range_m, azimuth, elevation = (
         a[f"grid_{name}"][cut].astype(np.float64) for name in ("range_m", "azimuth_rad", "elevation_rad")
     )
-    kept = (a["grid_hit"][cut] >= 0.5) & (range_m > _NEAR_M) & (range_m <= _FAR_M)
+    kept = rays_return(a["grid_hit"][cut]) & (range_m > _NEAR_M) & (range_m <= _FAR_M)
     flat = np.cos(elevation)
     direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
     shown = np.where(kept, range_m, 0.0)
