@@ -94,8 +94,9 @@ def _figures(said: Sequence[Verdict]) -> str:
         if mine:
             parts.append(f'<div class="label">{title}</div>{_cue_table(mine, (*cues, GUESSED_SHARE))}')
     rule = (
-        f"The score is a plain mean of the first columns. <b>As recorded</b>: at most {NOTICED:g} times the"
-        f" median of recorded data, at most {LITTLE_GUESSED:.0%} guessed, and no figure beyond {STRANGE:g}"
+        "The score is a plain mean of the first columns. <b>As recorded</b>: a score no larger than those of"
+        f" recorded data and at most {NOTICED:g} times their median, at most {LITTLE_GUESSED:.0%} guessed,"
+        f" and no figure beyond {STRANGE:g}"
         f" times the largest of recorded data. <b>Do not use</b>: more than {TOO_FAR:g} times that median,"
         f" or more than {MUCH_GUESSED:.0%} guessed. These limits were set by hand. In brackets: least to"
         " largest value that recorded scans or pictures, left out in turn, have against the others."

@@ -26,7 +26,7 @@ from nvsf_core.metrics.trust.cues import (
 
 LIDAR = "lidar"
 NOTICED = 1.1
-"""Up to so many times the recorded median, a score is as recorded."""
+"""A score within the band, and up to so many times its median, is as recorded."""
 TOO_FAR = 2.0
 """Beyond so many times, a view must not be used."""
 LITTLE_GUESSED, MUCH_GUESSED = 0.01, 0.25
@@ -127,12 +127,17 @@ def _verdict(view: str, sensor: str, values: Mapping[str, float], bands: Mapping
         trust = Trust.NOT_KNOWN
     elif ratio > TOO_FAR or guessed > MUCH_GUESSED:
         trust = Trust.DO_NOT_USE
-    elif ratio <= NOTICED and guessed <= LITTLE_GUESSED and not strange:
+    elif _is_within(score, band) and guessed <= LITTLE_GUESSED and not strange:
         trust = Trust.AS_RECORDED
     why = _why(sensor, trust, values, bands, strange)
     return Verdict(
         view=view, sensor=sensor, trust=trust, why=why, ratio=ratio, values=dict(values), bands=dict(bands)
     )
+
+
+def _is_within(score: float, band: Band | None) -> bool:
+    """Whether a score is no larger than recorded ones and, where these differ much, near their median."""
+    return band is not None and score <= min(band.high, NOTICED * band.median)
 
 
 def _why(

@@ -50,6 +50,15 @@ def test_a_verdict_only_gets_worse_as_a_cue_grows(cue) -> None:
     assert cue.reason[1:] in found[-1].why
 
 
+def test_a_score_above_all_recorded_ones_is_not_as_recorded_however_near_the_median() -> None:
+    cues = RECORDED | {SCAN_SCORE[0].name: 0.115}
+    rows = _rows(cues | {SCORE: 0.105}, RECORDED | {SCORE: 0.1})
+    high = next(row for row in rows if (row["region"], row["metric"]) == (BAND[2], SCORE))
+    assert verdicts(rows)[0].trust is Trust.AS_RECORDED
+    high["value"] = 0.104
+    assert verdicts(rows)[0].trust is Trust.WITH_CARE
+
+
 def test_what_is_guessed_makes_it_worse_and_is_said_in_percent() -> None:
     said = [_verdict({}, guessed).trust for guessed in (0.005, 0.02, 0.3)]
     assert said == [Trust.AS_RECORDED, Trust.WITH_CARE, Trust.DO_NOT_USE]
