@@ -4,6 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from nvsf_core.metrics.trust.cues import PROTOCOL
+from nvsf_core.metrics.trust.cues import UNITS as TRUST_UNITS
+
 COLUMNS = (
     "scene", "split", "frame", "protocol", "region", "sensor", "metric", "value", "unit", "n_valid", "recipe",
     "seed", "train_seconds", "render_seconds", "parameters", "model_mb", "peak_memory_mb", "commit",
@@ -19,7 +22,7 @@ UNITS = {
     "intensity_lpips_squeeze": "1", "intensity_lpips_alex": "1",
     "hit_rmse": "1", "hit_accuracy": "1", "hit_f_score": "1",
     "image_psnr_db": "dB", "image_ssim": "1", "image_lpips_squeeze": "1",
-    "image_lpips_alex": "1", "image_depth_rmse_m": "m", "image_missing": "1",
+    "image_lpips_alex": "1", "image_depth_rmse_m": "m", "image_missing": "1", **TRUST_UNITS,
 }  # fmt: skip
 """Unit of each metric; 1 = dimensionless."""
 
@@ -43,6 +46,7 @@ HEADLINES = {
     "image": (
         "image_psnr_db", "image_ssim", "image_lpips_squeeze", "image_depth_rmse_m", "image_missing",
     ),
+    PROTOCOL: (),
 }  # fmt: skip
 """Metrics of each protocol in the terminal's table; the store and the report have all."""
 

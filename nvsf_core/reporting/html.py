@@ -53,6 +53,7 @@ img { max-width:100%; display:block; border-radius:4px; } img.wide { width:100%;
   color:var(--warn-ink); }
 .note.bad { background:var(--bad); color:var(--bad-ink); } .note.good { background:var(--best);
   color:var(--best-ink); }
+.note.word { display:inline-block; margin:0; padding:1px 8px; white-space:nowrap; }
 .doubt { background:var(--warn); color:var(--warn-ink); border-radius:4px; padding:1px 6px; }
 details { margin:14px 0 0; } summary { cursor:pointer; color:var(--accent); font-weight:600; }
 pre { white-space:pre-wrap; overflow-wrap:anywhere; margin:4px 0; font-size:13px; }

@@ -23,6 +23,7 @@ from nvsf_core.reporting.tables import (
     methods_of,
     wins,
 )
+from nvsf_core.reporting.trust import trust_section
 from nvsf_core.reporting.view_pictures import view_section
 
 _COSTS = (
@@ -224,6 +225,7 @@ def _scene(scene: SceneOutputs) -> str:
         _provenance(scene),
         _cost_plot(rows),
         checks_section(scene),
+        trust_section(newest),
     ]
     for view in newest.pictures:
         parts.append(view_section(view, newest.recipe, rows))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nvsf_core.metrics.table import BASELINES, HELD_OUT
+from nvsf_core.metrics.trust.cues import PROTOCOL
 from nvsf_core.reporting.html import Column, best_rows, higher_is_better, methods_table, unit_text
 from nvsf_core.reporting.scene_outputs import mean_of
 
@@ -97,7 +98,11 @@ def headline_table(rows: Sequence[Row]) -> str:
 
 
 def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Heading and HTML table for each measured split, protocol, region and sensor."""
+    """Heading and HTML table for each measured split, protocol, region and sensor.
+
+    The protocol `trust`, which measures nothing, has a section of its own.
+    """
+    rows = [row for row in rows if row["protocol"] != PROTOCOL]
     keys = sorted(
         {(row["split"], row["protocol"], row["region"], row["sensor"]) for row in rows},
         key=lambda key: (key[0] != HELD_OUT, *key),

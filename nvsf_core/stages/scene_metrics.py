@@ -31,6 +31,7 @@ from nvsf_core.stages.scoring.lidar import (
 from nvsf_core.stages.scoring.moving_boxes import NO_BOXES, read_moving_boxes
 from nvsf_core.stages.scoring.recorded_truth import recorded_truth
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
+from nvsf_core.stages.scoring.trust.view_rows import measure_trust, recorded_sensors, shows
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
 from nvsf_core.stores.arrays import read_attrs
 from nvsf_core.stores.tables import write_rows
@@ -55,6 +56,7 @@ def _run(task: Task) -> StageOutput:
     lpips = load_lpips()
     about = _measure_held_out(task, views / HELD_OUT, recording, ledger, lpips)
     about |= _measure_views(task, views, ledger, lpips)
+    _measure_trust(task, views, ledger)
     write_rows(task.folder / TABLE_NAME, ledger.rows, COLUMNS)
     output = ledger.output()
     output.metadata |= about | {"machine": machine()}
@@ -124,6 +126,22 @@ def _parts_of_view(
                 yield _Part(f"{name}, view {view.name}, {truth.camera},", method, images)
 
 
+def _measure_trust(task: Task, views: Path, ledger: Ledger) -> None:
+    """Add what can be said of the model's views without their truth."""
+    paths = sorted(views.glob("*/model.zarr"))
+    parts = [
+        _Part(
+            f"view {path.parent.name}, {sensor.name},",
+            _method(task, path)[0],
+            partial(measure_trust, path, sensor),
+        )
+        for sensor in recorded_sensors(task, paths)
+        for path in paths
+        if shows(path, sensor.name)
+    ]
+    _measure(task, parts, ledger)
+
+
 def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
     """Measure parts in parallel; the ledger has their rows in the order of the parts."""
 
@@ -180,13 +198,14 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "novel_views"),
     description=(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
-        "the trained field and for the baselines that learn nothing; the same of views whose truth is known."
+        "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
+        "and of every view what can be said without its truth."
     ),
-    version="8",
+    version="9",
     run=_run,
     per_recipe=True,
     reads_truth=True,
     check=check_metrics,
-    check_version="1",
+    check_version="2",
     named_checks=NAMED_CHECKS,
 )

@@ -222,12 +222,13 @@ CONTRACT: tuple[FileSpec, ...] = (
         "One row a frame and metric; means are made by the reader.",
         _columns(
             ("scene", "string", "", "name"),
-            ("split", "string", "", "`test` (held out), or a view whose truth is known"),
+            ("split", "string", "", "`test` (held out), or a view: of known truth, or protocol `trust`"),
             ("frame", "i8", "1", "frame number"),
-            ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`"),
+            ("protocol", "string", "", "`lidar4d`, `lidar4d_scan`, `raw`, `masked`, `image`, `trust`"),
             (
                 "region", "string", "", "`all`, `foreground`, `background`; of exact truths `support_seen`,"
-                " `support_extrapolated`, `support_guessed`; `supported`: the first two",
+                " `support_extrapolated`, `support_guessed`; `supported`: the first two; of `trust` also"
+                " `recorded_low`, `recorded_median`, `recorded_high`: values of recorded data",
             ),
             ("sensor", "string", "", "`lidar` or a camera's name"),
             ("metric", "string", "", "name with its unit"),
@@ -237,7 +238,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             ("recipe", "string", "", "preset, or a baseline's name"),
             ("seed", "i8", "1", "of training"),
             ("train_seconds", "f8", "s", "evidence, training and refinement together"),
-            ("render_seconds", "f8", "s", "of that frame and sensor"),
+            ("render_seconds", "f8", "s", "of that frame and sensor; NaN for protocol `trust`"),
             ("parameters", "i8", "1", "of all networks"),
             ("model_mb", "f8", "MB", "all that rendering needs, evidence included"),
             ("peak_memory_mb", "f8", "MB", "of the training process"),

@@ -11,13 +11,18 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import MissingLibraryError
+from nvsf_core.metrics.table import mean_rows
+from nvsf_core.metrics.trust.cues import AWAY, DENSITY, LASERS, ODOMETRY, PROTOCOL, SCORE, WRONG
+from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.rendering.support import Support
 from nvsf_core.stages import Outcome, mesh, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.runner.listings import truth_listing
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stages.scoring.rows import Ledger, method_columns
+from nvsf_core.stages.scoring.trust.view_rows import measure_trust, recorded_sensors
+from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.tables import read_rows
 
 VIEWS = (
@@ -105,7 +110,7 @@ def test_images_of_the_demos_views_are_measured_beside_their_sweeps(run: Run) ->
             assert len(values) == images * len(METHODS) and np.isfinite(values).all()
         # Where the networks are shown, also by the support of their pixels.
         assert {row["region"] for row in rows} <= {"all", *(support.region for support in Support)}
-        assert {row["protocol"] for row in run.rows(view)} == {"raw", "image"}
+        assert {row["protocol"] for row in run.rows(view)} == {"raw", "image", "trust"}
     assert {row["sensor"] for row in run.rows("vlp16")} == {"lidar"}
     assert any(key.startswith("shift_1m/smoke/image/") for key in run.outcomes["scene_metrics"].metadata)
 
@@ -153,7 +158,8 @@ def test_a_view_with_recorded_truth_is_measured_by_its_images_alone(
     recorded: tuple[Path, list[dict]],
 ) -> None:
     published, rows = recorded
-    mine = [row for row in rows if row["split"] == "second_camera"]
+    measured = [row for row in rows if row["protocol"] != "trust"]
+    mine = [row for row in measured if row["split"] == "second_camera"]
     assert {(row["protocol"], row["sensor"]) for row in mine} == {("image", "image_00")}
     assert {row["recipe"] for row in mine} == {"smoke", *METHODS - {"model"}}
     assert {row["frame"] for row in mine} == {1, 3}
@@ -166,7 +172,63 @@ def test_a_view_with_recorded_truth_is_measured_by_its_images_alone(
             method == "model"
         )
     assert [path.name for path in (published / "unknown").glob("*.zarr")] == ["model.zarr"]
-    assert not [row for row in rows if row["split"] == "unknown"]
+    assert not [row for row in measured if row["split"] == "unknown"]
+
+
+def test_a_view_without_truth_has_a_verdict_on_its_scans_and_images(
+    recorded: tuple[Path, list[dict]],
+) -> None:
+    _, rows = recorded
+    said = {(one.view, one.sensor): one for one in verdicts(mean_rows(rows))}
+    assert said.keys() >= {("unknown", "lidar"), ("unknown", "image_00"), ("test", "lidar")}
+    for key in (("unknown", "lidar"), ("unknown", "image_00")):
+        assert said[key].trust is not Trust.NOT_KNOWN and np.isfinite(said[key].ratio), said[key]
+
+
+def test_other_sensors_are_compared_with_the_drive_but_not_laser_by_laser(run: Run) -> None:
+    rows = [row for row in run.rows("vlp16") if row["protocol"] == PROTOCOL and row["region"] == "all"]
+    known = {row["metric"] for row in rows if np.isfinite(row["value"])}
+    assert known >= {SCORE, WRONG.name, AWAY.name, DENSITY.name} and LASERS.name not in known
+
+
+def test_the_path_of_a_few_scans_is_not_measured_and_the_reason_is_said(run: Run) -> None:
+    rows = [row for row in run.rows("shift_1m") if row["metric"] == ODOMETRY.name]
+    assert [row["region"] for row in rows] == ["all"] and np.isnan(rows[0]["value"])
+    said = str(run.outcomes["scene_metrics"].metadata["not_measured_reasons"])
+    assert "trust_odometry_m: a path needs 8 or more consecutive scans" in said
+
+
+def _scores(run: Run, view: Path) -> dict[str, float]:
+    """Sensor to the mean score of a stored view."""
+    plan = run.plan
+    task = Task(
+        scene=plan.scene, store=plan.store, config=plan.config, folder=view.parent, progress=lambda line: None
+    )
+    paths = [run.stored("test", "model"), view]
+    ledger = Ledger(facts={"scene": "tiny", "commit": "abc", **method_columns("model", {}, "smoke", 0)})
+    for sensor in recorded_sensors(task, paths):
+        assert list(measure_trust(view, sensor, ledger))
+    rows = [row for row in ledger.rows if (row["metric"], row["region"]) == (SCORE, "all")]
+    return {row["sensor"]: row["value"] for row in mean_rows(rows)}
+
+
+def test_a_view_made_worse_on_purpose_scores_worse(run: Run, tmp_path: Path) -> None:
+    sound = _scores(run, run.stored("shift_1m", "model"))
+    arrays, attrs = read_arrays(run.stored("shift_1m", "model")), read_attrs(run.stored("shift_1m", "model"))
+    ghosts = arrays["points_m"] * np.float32(1.3)
+    doubtful = np.clip(arrays["grid_hit"], 0.4, 0.6)
+    turned = arrays["image_00_rgb"][:, :, ::-1]
+    harms = {
+        "ghosts": ({"points_m": ghosts}, "lidar"), "doubt": ({"grid_hit": doubtful}, "lidar"),
+        "guesses": ({"grid_support": np.zeros_like(arrays["grid_support"])}, "lidar"),
+        "mirror": ({"image_00_rgb": turned}, "image_00"),
+    }  # fmt: skip
+    for name, (harm, sensor) in harms.items():
+        write_arrays(tmp_path / name / "model.zarr", arrays | harm, attrs)
+        found = _scores(run, tmp_path / name / "model.zarr")
+        assert found[sensor] > 1.05 * sound[sensor], name
+        (other,) = found.keys() - {sensor}
+        assert found[other] == sound[other], name
 
 
 def test_changed_true_images_are_measured_again_and_render_nothing_anew(run: Run, tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ def test_a_camera_only_drive_passes_every_stage_and_ends_with_image_rows_alone(c
     assert tuple(camera_only.outcomes) == STAGE_NAMES
     rows = camera_only.metric_rows()
     assert {row["sensor"] for row in rows} == {"image_00"}
-    assert {row["protocol"] for row in rows if np.isfinite(row["value"])} <= {"image", "masked"}
+    assert {row["protocol"] for row in rows if np.isfinite(row["value"])} <= {"image", "masked", "trust"}
     assert {row["recipe"] for row in rows} == {"smoke", "reproject", "copy_nearest"}
     assert camera_only.outcomes["novel_views"].metadata["mesh"] == "not run: this drive has no LiDAR"
     whole = [row for row in rows if (row["protocol"], row["region"]) == ("image", "all")]

@@ -8,6 +8,7 @@ import numpy as np
 
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
+from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.reporting.html import higher_is_better
 from nvsf_core.stages.checks.norms import (
     NO_NORMS,
@@ -49,7 +50,13 @@ INTENSITY = NamedCheck(
     description="Earth mover's distance between the intensity histograms of held-out scans, rendered and "
     f"recorded, the worst scan. {SPREAD_LIMIT}",
 )
-NAMED_CHECKS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY)
+TRUSTED = NamedCheck(
+    name="views_can_be_trusted",
+    description="No view is so far from the recorded data, or so much of it guessed, that it must not be "
+    "used. The verdict needs no truth; its limits stand in the report. Value: how many views, by one sensor "
+    "each, must not be used.",
+)
+NAMED_CHECKS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY, TRUSTED)
 
 _HALF = 0.5
 _NAMED = 5
@@ -63,7 +70,7 @@ def check_metrics(task: Task) -> list[Check]:
     rows = read_rows(task.folder / TABLE_NAME)
     recipe, seed = task.config.recipe.name, task.config.seed
     view = task.store.require(f"novel_views/{recipe}/{seed}") / HELD_OUT / "model.zarr"
-    return [_in_range(rows), _better(rows), *_as_recorded(task, view)]
+    return [_in_range(rows), _better(rows), *_as_recorded(task, view), _trusted(rows)]
 
 
 def _in_range(rows: Sequence[Row]) -> Check:
@@ -107,6 +114,16 @@ def _better(rows: Sequence[Row]) -> Check:
     named = ", ".join(" ".join(number) for number in worse[:_NAMED])
     detail = f"worse in {len(worse)} of {len(compared)} main numbers" + (f": {named}" if named else "")
     return BETTER.outcome(len(worse) / len(compared), _HALF, detail)
+
+
+def _trusted(rows: Sequence[Row]) -> Check:
+    said = [one for one in verdicts(mean_rows(rows)) if one.trust is not Trust.NOT_KNOWN]
+    if not said:
+        return TRUSTED.not_run("no view could be compared with recorded data that were left out")
+    bad = [one for one in said if one.trust is Trust.DO_NOT_USE]
+    named = "; ".join(f"{one.view}, {one.sensor}: {one.why}" for one in bad[:_NAMED])
+    detail = f"{len(bad)} of {len(said)} must not be used" + (f": {named}" if named else "")
+    return TRUSTED.outcome(float(len(bad)), 0.0, detail)
 
 
 def _as_recorded(task: Task, view: Path) -> list[Check]:

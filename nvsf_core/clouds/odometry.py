@@ -1,0 +1,57 @@
+"""The path that scans themselves show, by KISS-ICP (Vizzo et al., RA-L 2023) where it is installed."""
+
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.errors import DataError, MissingLibraryError
+
+_FAR_M = 100.0
+_LEAST_POINTS = 100
+_VOXEL_M = 1.0
+"""KISS-ICP's own choice: a hundredth of the range."""
+
+
+def odometry_path(scans: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Poses (n, 4, 4) of consecutive scans, metres; the first is where KISS-ICP starts.
+
+    Args:
+        scans: Of each its points (m, 3) in the sensor's frame at firing time, metres, and their times (m,),
+            in sweeps, -0.5 to 0.5.
+
+    Raises:
+        DataError: A scan has too few points, or one that is not finite.
+        MissingLibraryError: KISS-ICP is not installed; the message says how to install it.
+    """
+    # KISS-ICP ends the process on what it cannot register.
+    for number, (points_m, _) in enumerate(scans):
+        if len(points_m) < _LEAST_POINTS or not np.isfinite(points_m).all():
+            raise DataError(
+                f"odometry: expected {_LEAST_POINTS} or more finite points a scan, found {len(points_m)}, "
+                f"{int((~np.isfinite(points_m)).sum())} numbers not finite, in scan {number}; leave it out"
+            )
+    odometry = _kiss_icp()
+    poses = []
+    for points_m, fraction in scans:
+        # Without times the scan is taken to be of one instant; equal times would end the process.
+        times = fraction.astype(np.float64) + 0.5 if np.ptp(fraction) > 0.0 else np.zeros(0)
+        odometry.register_frame(np.ascontiguousarray(points_m, np.float64), times)
+        poses.append(np.array(odometry.last_pose))
+    return np.stack(poses)
+
+
+def _kiss_icp() -> Any:
+    try:
+        config_module = importlib.import_module("kiss_icp.config")
+        odometry_module = importlib.import_module("kiss_icp.kiss_icp")
+    except (ImportError, OSError) as error:
+        raise MissingLibraryError(
+            f"not run: KISS-ICP cannot be loaded ({error}); `pip install 'nvsf[odometry]'` installs it"
+        ) from error
+    config = config_module.KISSConfig()
+    config.data.max_range = _FAR_M
+    config.mapping.voxel_size = _VOXEL_M
+    config.registration.max_num_threads = 1  # the same poses on every machine
+    return odometry_module.KissICP(config)

@@ -1,0 +1,175 @@
+"""Whether a view can be trusted, from its cues and the band that recorded data have among themselves.
+
+A view's score is a plain mean, without weights, so nothing is fitted to views whose truth is known. Fixed by
+hand are the limits below. A verdict can only get worse as a cue grows.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.metrics.trust.cues import (
+    BAND,
+    GUESSED,
+    IMAGE_CUES,
+    IMAGE_SCORE,
+    PROTOCOL,
+    SCAN_CUES,
+    SCAN_SCORE,
+    SCORE,
+    Cue,
+)
+
+LIDAR = "lidar"
+NOTICED = 1.1
+"""A score within the band, and up to so many times its median, is as recorded."""
+TOO_FAR = 2.0
+"""Beyond so many times, a view must not be used."""
+LITTLE_GUESSED, MUCH_GUESSED = 0.01, 0.25
+"""A view of which at most so much is guessed may be as recorded; with more than that it must not be used."""
+STRANGE = 10.0
+"""A cue beyond so many times the largest recorded value makes any view one to use with care."""
+
+
+class Trust(IntEnum):
+    """Verdict on a view; the larger, the worse."""
+
+    AS_RECORDED = 0
+    WITH_CARE = 1
+    DO_NOT_USE = 2
+    NOT_KNOWN = 3
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        return self.name.lower().replace("_", " ")
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Values of a cue that recorded data have among themselves."""
+
+    low: float
+    median: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> "Band | None":
+        """The band of values; None without a finite one."""
+        finite = [value for value in values if math.isfinite(value)]
+        return cls(min(finite), float(np.median(finite)), max(finite)) if finite else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What is said of one sensor of one view."""
+
+    view: str
+    sensor: str
+    trust: Trust
+    why: str
+    """One sentence."""
+    ratio: float
+    """Score over the recorded median; NaN if that is not known."""
+    values: Mapping[str, float]
+    """Metric to its mean over the view's frames."""
+    bands: Mapping[str, Band]
+    """Metric to its band."""
+
+    @property
+    def score(self) -> float:
+        """Its score; NaN if that is not known."""
+        return self.values.get(SCORE, math.nan)
+
+
+def score_of(cues: Mapping[str, float], sensor: str) -> float:
+    """A scan's or an image's score from its cues; NaN if one of those that it is made from is missing."""
+    parts = [cues.get(cue.name, math.nan) for cue in _score_cues(sensor)]
+    if sensor == LIDAR:
+        return float(np.mean(parts))
+    return float(np.sqrt(np.mean(np.square(parts))))
+
+
+def verdicts(means: Sequence[Mapping[str, Any]]) -> list[Verdict]:
+    """The verdicts on all views and sensors of one run.
+
+    Args:
+        means: Rows of `metrics.table.mean_rows` of one scene, recipe and seed; other protocols are ignored.
+    """
+    mine = [row for row in means if row["protocol"] == PROTOCOL]
+    found = []
+    for view, sensor in dict.fromkeys((row["split"], row["sensor"]) for row in mine):
+        own = [row for row in mine if (row["split"], row["sensor"]) == (view, sensor)]
+        values = {row["metric"]: float(row["value"]) for row in own if row["region"] == "all"}
+        parts: dict[str, dict[str, float]] = {}
+        for row in own:
+            if row["region"] in BAND:
+                parts.setdefault(row["metric"], {})[row["region"]] = float(row["value"])
+        bands = {name: Band(*(part[one] for one in BAND)) for name, part in parts.items()}
+        found.append(_verdict(view, sensor, values, bands))
+    return found
+
+
+def _verdict(view: str, sensor: str, values: Mapping[str, float], bands: Mapping[str, Band]) -> Verdict:
+    score, band = values.get(SCORE, math.nan), bands.get(SCORE)
+    ratio = math.nan if band is None else score / max(band.median, 1e-12)
+    guessed = values.get(GUESSED, 0.0)
+    strange = [
+        cue for cue in _all_cues(sensor)
+        if cue.name in bands and values.get(cue.name, 0.0) > STRANGE * bands[cue.name].high
+    ]  # fmt: skip
+    trust = Trust.WITH_CARE
+    if math.isnan(ratio):
+        trust = Trust.NOT_KNOWN
+    elif ratio > TOO_FAR or guessed > MUCH_GUESSED:
+        trust = Trust.DO_NOT_USE
+    elif _is_within(score, band) and guessed <= LITTLE_GUESSED and not strange:
+        trust = Trust.AS_RECORDED
+    why = _why(sensor, trust, values, bands, strange)
+    return Verdict(
+        view=view, sensor=sensor, trust=trust, why=why, ratio=ratio, values=dict(values), bands=dict(bands)
+    )
+
+
+def _is_within(score: float, band: Band | None) -> bool:
+    """Whether a score is no larger than recorded ones and, where these differ much, near their median."""
+    return band is not None and score <= min(band.high, NOTICED * band.median)
+
+
+def _why(
+    sensor: str, trust: Trust, values: Mapping[str, float], bands: Mapping[str, Band], strange: Sequence[Cue]
+) -> str:
+    parts, kind = ("rays", "scans") if sensor == LIDAR else ("pixels", "images")
+    if trust is Trust.NOT_KNOWN:
+        return f"It could not be compared: it has no {kind}, or no recorded ones were left over."
+    if trust is Trust.AS_RECORDED:
+        return f"It fits the recorded {kind} as well as these fit each other."
+    reasons = []
+    if values.get(GUESSED, 0.0) > LITTLE_GUESSED:
+        share = f"{100.0 * values[GUESSED]:.0f} % of its {parts} look at what nobody recorded"
+        reasons.append(f"{share} (marked as guessed, and can be left out)")
+    if strange:
+        reasons.append(max(strange, key=lambda cue: values[cue.name] / _safe(bands[cue.name].high)).reason)
+    else:
+        known = [cue for cue in _score_cues(sensor) if cue.name in bands]
+        worst = max(known, key=lambda cue: values[cue.name] / _safe(bands[cue.name].median), default=None)
+        if worst is not None and values[worst.name] > bands[worst.name].median:
+            reasons.append(worst.reason)
+    sentence = "; ".join(reasons) or f"taken together it is farther from the recorded {kind} than these are"
+    return f"{sentence[0].upper()}{sentence[1:]}."
+
+
+def _safe(value: float) -> float:
+    return max(value, 1e-12)
+
+
+def _score_cues(sensor: str) -> tuple[Cue, ...]:
+    return SCAN_SCORE if sensor == LIDAR else IMAGE_SCORE
+
+
+def _all_cues(sensor: str) -> tuple[Cue, ...]:
+    return SCAN_CUES if sensor == LIDAR else IMAGE_CUES

@@ -1,0 +1,160 @@
+"""The report's section "Can this view be trusted?": verdicts without truth, and errors by support beside."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from nvsf_core.metrics.table import HELD_OUT
+from nvsf_core.metrics.trust.cues import GUESSED_SHARE, IMAGE_CUES, SCAN_CUES, Cue
+from nvsf_core.metrics.trust.verdict import (
+    LIDAR,
+    LITTLE_GUESSED,
+    MUCH_GUESSED,
+    NOTICED,
+    STRANGE,
+    TOO_FAR,
+    Trust,
+    Verdict,
+    verdicts,
+)
+from nvsf_core.rendering.support import Support
+from nvsf_core.reporting.html import escape, number, plain_table
+from nvsf_core.reporting.scene_outputs import FieldRun
+from nvsf_core.reporting.tables import Row
+
+_BY_SUPPORT = (
+    ("raw", "f_score", "points within 22 cm of the truth (F-score) ↑", 3),
+    ("raw", "hit_accuracy", "rays rightly returning or not ↑", 3),
+    ("image", "image_psnr_db", "likeness of pixels (PSNR [dB]) ↑", 1),
+)
+"""Protocol, metric, words and digits of the rows of the table of errors by support."""
+_SUPPORT_WORDS = {
+    Support.SEEN: "seen: recorded from about there",
+    Support.EXTRAPOLATED: "extrapolated: recorded from elsewhere",
+    Support.GUESSED: "guessed: never recorded",
+}
+_CSS = {Trust.AS_RECORDED: "good", Trust.WITH_CARE: "", Trust.DO_NOT_USE: "bad", Trust.NOT_KNOWN: ""}
+
+
+def trust_section(run: FieldRun) -> str:
+    """HTML of the verdicts on a run's views, and of errors by support; empty without a verdict."""
+    said = verdicts(run.means)
+    if not said:
+        return ""
+    views = sorted(dict.fromkeys(one.view for one in said), key=lambda view: view != HELD_OUT)
+    lines = [_line(view, [one for one in said if one.view == view]) for view in views]
+    return "".join(
+        [
+            "<h3>Can this view be trusted?</h3>",
+            "<p>Nobody recorded what a new view should show, so its error cannot be measured. But a view can"
+            " be compared with the recording: is there a recorded surface where its points lie? Do its"
+            " pictures match the recorded ones when they are carried back into them? How much of it did"
+            " nobody ever look at? Recorded scans and pictures differ among themselves, too; a view that"
+            " differs no more than these is called <b>as recorded</b>.</p>",
+            plain_table(("view", "scans", "pictures", "why"), lines, words=(1, 2, 3)),
+            _figures(said),
+            _by_support(run.means, run.recipe),
+        ]
+    )
+
+
+def _line(view: str, said: Sequence[Verdict]) -> list[str]:
+    """One line on a view: the worst verdict on scans and on pictures, and the reason of the worst of all."""
+    scans = [one for one in said if one.sensor == LIDAR]
+    worst = max(said, key=_badness)
+    of = "" if len(said) == 1 else f"{'Scans' if worst.sensor == LIDAR else 'Pictures'}: "
+    if worst.trust is Trust.AS_RECORDED and len(said) > 1:
+        why = "Scans and pictures fit the recorded ones as well as these fit each other."
+        return [_name(view), _words(scans), _words([one for one in said if one not in scans]), why]
+    why = f"{of}{worst.why[0].lower() if of else worst.why[0]}{worst.why[1:]}"
+    return [
+        _name(view), _words(scans), _words([one for one in said if one not in scans]), escape(why),
+    ]  # fmt: skip
+
+
+def _name(view: str) -> str:
+    return "held-out frames" if view == HELD_OUT else f"<code>{escape(view)}</code>"
+
+
+def _words(said: Sequence[Verdict]) -> str:
+    if not said:
+        return "–"
+    worst = max(said, key=_badness)
+    return f'<span class="note {_CSS[worst.trust]} word">{worst.trust.words}</span>'
+
+
+def _badness(one: Verdict) -> tuple[int, float]:
+    return one.trust, one.ratio if math.isfinite(one.ratio) else math.inf
+
+
+def _figures(said: Sequence[Verdict]) -> str:
+    """The cues of every view in a fold, with the band of recorded data, scans and pictures by themselves."""
+    parts = []
+    for title, is_lidar, cues in (("Scans", True, SCAN_CUES), ("Pictures", False, IMAGE_CUES)):
+        mine = [one for one in said if (one.sensor == LIDAR) == is_lidar]
+        if mine:
+            parts.append(f'<div class="label">{title}</div>{_cue_table(mine, (*cues, GUESSED_SHARE))}')
+    rule = (
+        "The score is a plain mean of the first columns. <b>As recorded</b>: a score no larger than those of"
+        f" recorded data and at most {NOTICED:g} times their median, at most {LITTLE_GUESSED:.0%} guessed,"
+        f" and no figure beyond {STRANGE:g}"
+        f" times the largest of recorded data. <b>Do not use</b>: more than {TOO_FAR:g} times that median,"
+        f" or more than {MUCH_GUESSED:.0%} guessed. These limits were set by hand. In brackets: least to"
+        " largest value that recorded scans or pictures, left out in turn, have against the others."
+        " Guessed parts are marked as such in every data set and can be left out."
+    )
+    return f'<details><summary>The figures</summary>{"".join(parts)}<p class="soft">{rule}</p></details>'
+
+
+def _cue_table(said: Sequence[Verdict], cues: Sequence[Cue]) -> str:
+    head = ["view", "sensor", "score over the recorded", *(_title(cue) for cue in cues)]
+    rows = [
+        [_name(one.view), escape(one.sensor), number(one.ratio, 2), *(_value(one, cue) for cue in cues)]
+        for one in said
+    ]
+    return plain_table(head, rows, words=(1,))
+
+
+def _title(cue: Cue) -> str:
+    return cue.title if cue.unit == "1" else f"{cue.title} [{cue.unit}]"
+
+
+def _value(one: Verdict, cue: Cue) -> str:
+    band = one.bands.get(cue.name)
+    shown = number(one.values.get(cue.name, math.nan), 3)
+    if band is None:
+        return shown
+    return f'{shown} <span class="soft">({number(band.low, 3)}–{number(band.high, 3)})</span>'
+
+
+def _by_support(means: Sequence[Row], recipe: str) -> str:
+    """Errors by support, means over the views whose truth is known; empty without one."""
+    mine = [row for row in means if row["recipe"] == recipe and row["n_defined"]]
+    regions = [support.region for support in _SUPPORT_WORDS]
+    lines, folded = [], []
+    for protocol, metric, words, digits in _BY_SUPPORT:
+        rows = [row for row in mine if (row["protocol"], row["metric"]) == (protocol, metric)]
+        rows = [row for row in rows if row["region"] in regions]
+        if rows:
+            lines.append([words, *(number(_mean(rows, region), digits) for region in regions)])
+        for view, sensor in dict.fromkeys((row["split"], row["sensor"]) for row in rows):
+            own = [row for row in rows if (row["split"], row["sensor"]) == (view, sensor)]
+            values = [number(_mean(own, region), digits) for region in regions]
+            folded.append([f"{_name(view)}, {escape(sensor)}: {words}", *values])
+    if not lines:
+        return ""
+    head = ("error by support", *_SUPPORT_WORDS.values())
+    note = (
+        "Each point and pixel is marked by what the recording knows of it. The marks, too, are made without"
+        " the truth; here it is known, so that they can be checked: errors should grow from left to right."
+        " Means over views, sensors and frames."
+    )
+    return (
+        f"<h4>Are the marks right?</h4><p>{note}</p>{plain_table(head, lines)}"
+        f"<details><summary>The same, view by view</summary>{plain_table(head, folded)}</details>"
+    )
+
+
+def _mean(rows: Sequence[Mapping[str, float]], region: str) -> float:
+    values = [float(row["value"]) for row in rows if str(row["region"]) == region]
+    finite = [value for value in values if math.isfinite(value)]
+    return sum(finite) / len(finite) if finite else math.nan

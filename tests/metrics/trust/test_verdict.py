@@ -1,0 +1,72 @@
+import math
+from collections.abc import Mapping
+
+import pytest
+
+from nvsf_core.metrics.trust.cues import BAND, GUESSED, PROTOCOL, SCAN_CUES, SCAN_SCORE, SCORE
+from nvsf_core.metrics.trust.verdict import Band, Trust, Verdict, score_of, verdicts
+
+RECORDED = {cue.name: 0.1 for cue in SCAN_CUES}
+
+
+def _rows(values: Mapping[str, float], bands: Mapping[str, float]) -> list[dict]:
+    facts = {"protocol": PROTOCOL, "split": "shift_1m", "sensor": "lidar"}
+    rows = [{**facts, "region": "all", "metric": name, "value": value} for name, value in values.items()]
+    rows += [
+        {**facts, "region": region, "metric": name, "value": value * share}
+        for region, share in zip(BAND, (0.9, 1.0, 1.2), strict=True)
+        for name, value in bands.items()
+    ]
+    return [*rows, {**facts, "protocol": "raw", "region": "all", "metric": "f_score", "value": 0.1}]
+
+
+def _verdict(changed: Mapping[str, float], guessed: float = 0.0, *, banded: bool = True) -> Verdict:
+    cues = RECORDED | changed
+    values = cues | {SCORE: score_of(cues, "lidar"), GUESSED: guessed}
+    (found,) = verdicts(_rows(values, RECORDED | {SCORE: 0.1} if banded else {}))
+    return found
+
+
+def test_a_scan_scores_by_the_mean_and_an_image_by_the_mean_square_of_its_cues() -> None:
+    cues = dict(zip((cue.name for cue in SCAN_SCORE), (0.1, 0.2, 0.6), strict=True))
+    assert score_of(cues, "lidar") == pytest.approx(0.3)
+    assert score_of(
+        {"trust_images_disagree": 0.03, "trust_parallax_error": 0.04}, "image_00"
+    ) == pytest.approx(math.sqrt(0.00125))
+    assert math.isnan(score_of({}, "lidar"))
+
+
+def test_a_view_like_the_recorded_is_as_recorded() -> None:
+    found = _verdict({})
+    assert (found.trust, found.ratio) == (Trust.AS_RECORDED, pytest.approx(1.0))
+    assert "as well as these fit each other" in found.why
+
+
+@pytest.mark.parametrize("cue", SCAN_CUES, ids=lambda cue: cue.name)
+def test_a_verdict_only_gets_worse_as_a_cue_grows(cue) -> None:
+    found = [_verdict({cue.name: value}) for value in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)]
+    assert [one.trust for one in found] == sorted(one.trust for one in found)
+    assert found[-1].trust > Trust.AS_RECORDED
+    assert cue.reason[1:] in found[-1].why
+
+
+def test_a_score_above_all_recorded_ones_is_not_as_recorded_however_near_the_median() -> None:
+    cues = RECORDED | {SCAN_SCORE[0].name: 0.115}
+    rows = _rows(cues | {SCORE: 0.105}, RECORDED | {SCORE: 0.1})
+    high = next(row for row in rows if (row["region"], row["metric"]) == (BAND[2], SCORE))
+    assert verdicts(rows)[0].trust is Trust.AS_RECORDED
+    high["value"] = 0.104
+    assert verdicts(rows)[0].trust is Trust.WITH_CARE
+
+
+def test_what_is_guessed_makes_it_worse_and_is_said_in_percent() -> None:
+    said = [_verdict({}, guessed).trust for guessed in (0.005, 0.02, 0.3)]
+    assert said == [Trust.AS_RECORDED, Trust.WITH_CARE, Trust.DO_NOT_USE]
+    assert "30 % of its rays look at what nobody recorded" in _verdict({}, 0.3).why
+
+
+def test_without_recorded_data_to_compare_with_nothing_is_known() -> None:
+    found = _verdict({}, banded=False)
+    assert found.trust is Trust.NOT_KNOWN and "left over" in found.why
+    assert Band.of([math.nan]) is None
+    assert Band.of([3.0, 1.0, math.nan, 2.0, 8.0]) == Band(1.0, 2.5, 8.0)
