@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from nvsf_core.drives.entries import SceneEntry, ViewEntry, is_number
+from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.drives.kitti360.timestamps import frame_times
@@ -40,7 +40,7 @@ _SLACK_S = 1e-6
 """Times may lie outside the drive by this rounding error."""
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
 _NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
-_VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
+_VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry))
 _Entry = TypeVar("_Entry", SceneEntry, ViewEntry)
 
 
@@ -234,25 +234,25 @@ def _view(raw: dict[str, Any], path: Path, home: Path) -> ViewEntry:
     _require_keys(raw, _VIEW_KEYS, frozenset({"name"}), where)
     if raw["name"] in RESERVED_VIEWS:
         raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
-    frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
     truth = _truth(raw, home, where)
-    entry = _made(ViewEntry, raw | {"frames": frames, "times_s": times_s, "truth": truth}, where)
+    entry = _made(ViewEntry, raw | _frames_and_times(raw, where) | {"truth": truth}, where)
     forward_m, left_m, up_m = map(float, entry.shift_m)
     return replace(entry, shift_m=(forward_m, left_m, up_m), yaw_deg=float(entry.yaw_deg))
 
 
-def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], tuple[float, ...] | None]:
-    """Fields `frames` and `times_s` of a view: from "all", whole numbers, or numbers with a decimal point."""
-    if value == "all":
-        return "all", None
-    if isinstance(value, list) and value and all(is_number(item) and item >= 0 for item in value):
-        if all(isinstance(item, int) for item in value):
-            return tuple(value), None
-        if all(isinstance(item, float) for item in value):
-            return (), tuple(value)
-    raise DataError(
-        f'{where}: frames: expected "all", frame numbers [3, 4], or seconds [0.35, 0.45], found {value!r:.60}'
-    )
+def _frames_and_times(raw: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Fields `frames` and `times_s` of a view from its keys of the same names, of which one may be given."""
+    frames = raw.get("frames", "all")
+    if isinstance(frames, list) and any(isinstance(item, float) for item in frames):
+        raise DataError(
+            f'{where}: frames: expected "all" or frame numbers, as [3, 4], found {frames!r:.60}; moments '
+            "between frames are `times_s`, as [0.35, 0.45]: seconds since the scene's first frame"
+        )
+    if "times_s" not in raw:
+        return {"frames": frames}
+    if "frames" in raw:
+        raise DataError(f"{where}: expected `frames` or `times_s`, found both; leave one out")
+    return {"frames": ()}
 
 
 def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
@@ -280,7 +280,7 @@ def require_times_in_drive(scene: SceneEntry) -> None:
     Raises:
         DataError: There is such a view; the message names it, its times and those of the drive.
     """
-    timed = [view for view in scene.views if view.times_s is not None]
+    timed = [view for view in scene.views if view.times_s is not None or view.frozen_at_s is not None]
     if not timed:
         return
     try:
@@ -290,10 +290,11 @@ def require_times_in_drive(scene: SceneEntry) -> None:
         return  # the stage `frames` reports what is wrong with the drive
     end_s = float(times.time_s[-1])
     for view in timed:
-        outside = [time_s for time_s in view.times_s or () if not -_SLACK_S <= time_s <= end_s + _SLACK_S]
+        asked = [*(view.times_s or ()), *(() if view.frozen_at_s is None else [view.frozen_at_s])]
+        outside = [time_s for time_s in asked if not -_SLACK_S <= time_s <= end_s + _SLACK_S]
         if outside:
             raise DataError(
                 f"scene {scene.name}, view {view.name}: expected times from 0 to {end_s:g} seconds "
-                f"({len(times.time_s)} frames, {times.source}), found {outside!s:.200}; frame numbers are "
-                "written without a point"
+                f"({len(times.time_s)} frames, {times.source}), found {outside!s:.200}; frame numbers "
+                "are asked for by `frames`"
             )

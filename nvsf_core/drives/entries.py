@@ -41,6 +41,10 @@ class ViewEntry:
     """`all`, frame numbers, or nothing if `times_s` are given."""
     times_s: tuple[float, ...] | None = None
     """Times since the drive's first frame, also between frames; None = use `frames`."""
+    frozen_at_s: float | None = None
+    """Instant of the scene that is shown in all frames or times, seconds since its first frame: all that
+    moves is where it was then, also while the LiDAR rotates; the sensors are where they were at their own
+    frame or time, and move on as they did. None = each frame's own instant."""
     exports: tuple[str, ...] = ("bin", "ply")
     """File formats that the stage `dataset` writes: some of `EXPORTS`."""
     truth: tuple[tuple[str, Path], ...] = ()
@@ -223,6 +227,7 @@ _VIEW_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
         '"all" or a tuple of frame numbers',
     ),
     "times_s": (_or_none(_all(is_number)), "a tuple of seconds, or None"),
+    "frozen_at_s": (_or_none(is_number), "seconds since the scene's first frame, or None"),
     "exports": (_all(_is_text), "a tuple of formats"),
     "truth": (_all(_is_folder_of_camera, 0), "a tuple of cameras, each with a Path"),
 }

@@ -43,6 +43,7 @@ from nvsf_core.stages.views.lidar import (
     warm_up,
 )
 from nvsf_core.stages.views.plan import View, asked_view, held_out_view, reference_poses, to_world
+from nvsf_core.stages.views.stored_plan import plan_arrays, plan_attrs
 
 MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
 NO_LIDAR = "not rendered: this drive has no LiDAR"
@@ -164,7 +165,7 @@ def _rendered(
     arrays: dict[str, np.ndarray] = {}
     if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
         arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model, method)
-        if model.pano is not None and view.sweeps.is_recorded_sensor:
+        if model.pano is not None and view.sweeps.is_recorded_sensor and view.plan.is_as_recorded:
             arrays |= own_panos(task, reference_poses(recording, view.plan), view.sweeps, model.pano)
     if model.camera is not None:
         arrays |= image_arrays(task, recording, view.images, model.camera, method)
@@ -189,10 +190,11 @@ def _write(
     by_images: bool = False,
 ) -> None:  # fmt: skip
     poses = to_world(recording, reference_poses(recording, view.plan))
-    known = {"frame": view.plan.frame, "time_s": view.plan.time_s, "lidar_to_world": poses}
+    known = plan_arrays(view.plan) | {"lidar_to_world": poses}
     sensor = "" if view.sweeps is None else view.sweeps.table.name
     origin_m = recording.scene_origin_m
-    write_method(task, view.name, method, arrays | known, sensor, origin_m, by_images=by_images)
+    attrs = plan_attrs(view.plan) | {"sensor": sensor, "above_lasers_by_images": by_images}
+    write_method(task, view.name, method, arrays | known, attrs, origin_m)
 
 
 def _check(task: Task) -> list[Check]:
@@ -205,7 +207,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="16",
+    version="17",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -54,7 +54,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
         if entry.name == "street"
     )
     assert street.root == Path("/somewhere/drives/street") and street.last_frame == 31
-    *off_path, vlp16, os1_128, between = street.views
+    *off_path, vlp16, os1_128, between, frozen = street.views
     assert [(view.name, view.shift_m, view.yaw_deg) for view in off_path] == [
         ("shift_1m", (0.0, 1.0, 0.0), 0.0),
         ("shift_2m", (0.0, 2.0, 0.0), 0.0),
@@ -68,6 +68,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
     assert (os1_128.name, os1_128.sensor, len(os1_128.frames)) == ("os1_128", "OS1-128", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
     assert all(abs(time_s / 0.1 % 1.0 - 0.5) < 1e-9 for time_s in between.times_s)
+    assert (frozen.name, frozen.frames, frozen.frozen_at_s) == ("frozen", (4, 12, 16, 20, 28), 1.6)
 
 
 def test_the_demo_lies_in_the_working_directory_by_default(
@@ -104,9 +105,9 @@ def test_several_files_are_one_catalogue(tmp_path: Path) -> None:
     assert views == {"a": ["v"], "b": []}
 
 
-def test_a_views_frames_are_all_or_numbers_or_times(tmp_path: Path) -> None:
-    frames = {"u": '"all"', "v": "[3, 4]", "w": "[0.05]"}
-    text = SCENE + "".join(f'[[view]]\nname = "{name}"\nframes = {what}\n' for name, what in frames.items())
+def test_a_view_asks_for_frames_or_for_times(tmp_path: Path) -> None:
+    keys = {"u": 'frames = "all"', "v": "frames = [3, 4]", "w": "times_s = [0.05]"}
+    text = SCENE + "".join(f'[[view]]\nname = "{name}"\n{line}\n' for name, line in keys.items())
     (entry,) = load_catalogue([written(tmp_path / "c.toml", text)], None)
     assert [(v.frames, v.times_s) for v in entry.views] == [("all", None), ((3, 4), None), ((), (0.05,))]
 
@@ -150,13 +151,17 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (SCENE + "compensate = 0\n", "compensate: expected true or false, found 0"),
         (SCENE + '[[view]]\nname = "v"\nscenes = ["b"]\n', "unknown scene 'b'"),
         (SCENE + '[[view]]\nname = "v"\nscenes = ["a"]\nframes = [9]\n', r"frames \[9\] are not in 3..6"),
-        (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),
+        (VIEW + "frames = [3, 4.5]\n", "frames: expected .*moments between frames are `times_s`"),
+        (VIEW + "frames = [3020.5]\n", r"found \[3020.5\]; moments between frames are `times_s`"),
+        (VIEW + "frames = [3]\ntimes_s = [0.1]\n", "expected `frames` or `times_s`, found both"),
+        (VIEW + "times_s = 0.1\n", "times_s: expected a tuple of seconds"),
+        (VIEW + 'frozen_at_s = "now"\n', "frozen_at_s: expected seconds"),
         (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),
         (SCENE + '[[view]]\nname = "test"\n', "splits of recorded frames"),
         (VIEW + 'truth = "right"\n', "truth: expected cameras with their folders"),
         (VIEW + 'truth = { image_09 = "right" }\n', "truth: expected different ones of image_00"),
         (VIEW + "truth = { image_00 = 3 }\n", "truth: image_00: expected 1 to 1000 printable characters"),
-        (VIEW + 'frames = [0.05]\ntruth = { image_00 = "right" }\n', "named by frames"),
+        (VIEW + 'times_s = [0.05]\ntruth = { image_00 = "right" }\n', "named by frames"),
         (VIEW + 'sensor = "VLP-16"\ntruth = { image_00 = "right" }\n', "leave `sensor` out"),
         (
             SCENE

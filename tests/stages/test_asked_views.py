@@ -24,6 +24,7 @@ VIEWS = (
     ViewEntry(name="shift_1m", shift_m=(0.0, 1.0, 0.0), frames=(1,)),
     ViewEntry(name="between", times_s=(0.05, 0.15)),
     ViewEntry(name="vlp16", sensor="VLP-16", frames=(1,)),
+    ViewEntry(name="frozen", frames=(0, 3), frozen_at_s=0.1),
 )
 _GRID = FieldSpec(levels=2, log2_table=8)
 SMOKE = replace(
@@ -85,6 +86,21 @@ def test_every_method_renders_the_images_of_a_view_of_the_demo(run: Run) -> None
             assert len(read_arrays(path, "image_00_rgb")["image_00_rgb"]) == images
     assert not run.stored("vlp16", "copy_nearest").exists()
     assert read_attrs(run.stored("vlp16", "reproject"))["cameras"] == []
+
+
+def test_a_frozen_instant_is_rendered_from_a_moving_car_and_measured(run: Run) -> None:
+    recorded = read_rows(run.root / "frames/frames.parquet")
+    for method in METHODS:
+        shown = read_arrays(run.stored("frozen", method))
+        assert shown["time_s"].tolist() == [0.1, 0.1]
+        assert np.allclose(shown["path_time_s"], [recorded[0]["time_s"], recorded[3]["time_s"]])
+        assert shown["frame"].tolist() == [0, 3]
+        poses = np.array([recorded[k]["lidar_to_world"] for k in (0, 3)]).reshape(2, 4, 4)
+        assert np.allclose(shown["lidar_to_world"], poses, atol=1e-9)
+        rows = [
+            row for row in run.rows("frozen") if row["recipe"] == ("smoke" if method == "model" else method)
+        ]
+        assert {row["sensor"] for row in rows} == {"lidar", "image_00"}
 
 
 def test_a_copied_image_is_the_training_image_nearest_to_the_view(run: Run) -> None:

@@ -181,12 +181,14 @@ def camera_renderer(
     world = drive.world
     shown = {name: _shown(world, name, spec).with_depths(one).to(device) for name, one in maps.items()}
 
-    def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
+    def render(
+        camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, near_s: float | None = None
+    ) -> RenderedImage:
         if camera not in maps:
-            return warp(camera, pinhole, pose, time_s)
-        one = world.recording.cameras[camera]
+            return warp(camera, pinhole, pose, time_s, near_s)
+        one, place_s = world.recording.cameras[camera], time_s if near_s is None else near_s
         view = camera_view(
-            drive.pose_at(camera, pose, time_s), pinhole, world.static_points(time_s), shown[camera],
+            drive.pose_at(camera, pose, place_s), pinhole, world.static_points(place_s), shown[camera],
             one.training.pose, spec, moving=world.moving(time_s, one.training_time_s),
         )  # fmt: skip
         return render_view(networks, view.to(device), spec)

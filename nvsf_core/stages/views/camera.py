@@ -49,17 +49,18 @@ def image_arrays(
 def _image(
     name: str, pinhole: Pinhole, poses: np.ndarray, plan: ViewPlan, render: ImageRenderer, number: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    image = render(name, pinhole, poses[number], float(plan.time_s[number]))
+    near_s = None if plan.near_s is None else float(plan.near_s[number])
+    image = render(name, pinhole, poses[number], float(plan.time_s[number]), near_s)
     with np.errstate(over="ignore"):  # lengths beyond 65 km become infinite
         return image.rgb, image.range_m.astype(np.float16), image.support
 
 
 def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[str, np.ndarray]:
-    """Arrays as of `image_arrays`, with a copy of the nearest training image of each instant."""
+    """Arrays as of `image_arrays`, with a copy of the training image nearest to each instant's place."""
     arrays: dict[str, np.ndarray] = {}
     for name, plan in plans.items():
         camera = recording.cameras[name]
-        nearest = [nearest_earlier(camera.training_time_s, float(instant)) for instant in plan.time_s]
+        nearest = [nearest_earlier(camera.training_time_s, float(instant)) for instant in plan.near]
         poses = to_world(recording, _camera_poses(recording, name, plan))
         arrays |= _named(name, plan, camera.training.rgb[nearest], poses, np.zeros(len(nearest)))
     return arrays

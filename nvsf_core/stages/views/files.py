@@ -27,10 +27,8 @@ def write_method(
     view: str,
     method: str,
     arrays: dict[str, np.ndarray],
-    sensor: str,
+    about: Mapping[str, Any],
     scene_origin_m: np.ndarray,
-    *,
-    by_images: bool = False,
 ) -> None:
     """Write one method's arrays of a view, with attributes on the method and its cost.
 
@@ -39,21 +37,20 @@ def write_method(
         view: Name of the view.
         method: `model` or a baseline.
         arrays: All arrays to publish, poses included.
-        sensor: Name of the simulated LiDAR; empty without one.
+        about: Attributes of the view: its plan's, `sensor` (empty without a LiDAR), and whether images
+            supplied the rays above the recorded lasers.
         scene_origin_m: (3,) the scene's origin in the world, metres.
-        by_images: Whether images supplied the rays above the recorded lasers.
     """
     folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
     attrs: dict[str, Any] = {
         "split": view,
-        "sensor": sensor,
+        **about,
         "method": method,
         "recipe": task.config.recipe.name if method == "model" else method,
         "seed": task.config.seed,
         "cameras": cameras_of(arrays),
         "scene_origin_m": scene_origin_m.tolist(),
-        "above_lasers_by_images": by_images,
         **_costs(task, method),
     }
     write_arrays(folder / f"{method}.zarr", arrays, attrs)

@@ -53,8 +53,8 @@ def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
     """A view of the catalogue; None if it asks for a LiDAR and the drive has none."""
     frames = None if entry.frames == "all" else tuple(int(frame) for frame in entry.frames)
     plan = _plan(
-        recording, entry.name, frames=frames, times_s=entry.times_s, shift_m=entry.shift_m,
-        yaw_deg=entry.yaw_deg,
+        recording, entry.name, frames=frames, times_s=entry.times_s, frozen_at_s=entry.frozen_at_s,
+        shift_m=entry.shift_m, yaw_deg=entry.yaw_deg,
     )  # fmt: skip
     everywhere = dict.fromkeys(recording.cameras, plan)
     if recording.lidar is None:
@@ -66,10 +66,7 @@ def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
 
 def reference_poses(recording: Recording, plan: ViewPlan) -> np.ndarray:
     """(n, 4, 4) scene-local poses of the view's LiDAR; in a camera-only drive of its nominal place."""
-    rotation, position = recording.trajectory.at(plan.time_s)
-    poses = np.tile(np.eye(4), (len(plan.time_s), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rotation, position
-    return poses if plan.mount is None else poses @ plan.mount
+    return plan.poses(recording.trajectory)
 
 
 def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
@@ -85,10 +82,11 @@ def _plan(
     *,
     frames: tuple[int, ...] | None,
     times_s: tuple[float, ...] | None = None,
+    frozen_at_s: float | None = None,
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     yaw_deg: float = 0.0,
 ) -> ViewPlan:
     return plan_view(
         name, recorded_frame=recording.posed_frame, recorded_time_s=recording.posed_time_s, frames=frames,
-        times_s=times_s, shift_m=shift_m, yaw_deg=yaw_deg,
+        times_s=times_s, frozen_at_s=frozen_at_s, shift_m=shift_m, yaw_deg=yaw_deg,
     )  # fmt: skip
