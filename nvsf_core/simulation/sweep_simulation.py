@@ -9,6 +9,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.footprint import render_beams
 from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.lidar_support import support_of_sweep
 from nvsf_core.simulation.ray_renderers import render_in_chunks
@@ -114,7 +115,10 @@ def fire_sweep(
         asked = evidence.prior.nearest_scans(near_s, SCANS, leave_out_s=leave_out_s)
         hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, asked, is_own_unit=plan.is_recorded_sensor)
     columns = (rays.origin_m, rays.direction, hit_prior, fired_s)
-    rendered = render_in_chunks(model.lidar, *columns)
+    if plan.has_footprint:
+        rendered = render_beams(model.lidar, *columns, divergence_mrad=plan.table.divergence_mrad)
+    else:
+        rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
         missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))

@@ -175,8 +175,9 @@ CONTRACT: tuple[FileSpec, ...] = (
         (
             Entry("frame", "i8", ("scans",), "1", "nearest recorded frame (of images, without LiDAR)"),
             Entry("time_s", "f8", ("scans",), "s", "instant of the scene, since the first frame"),
-            Entry("path_time_s", "f8", ("scans",), "s", "moment of the sensor's path"),
-            Entry("stamp_s", "f8", ("scans",), "s", "on the sensor's own clock"),
+            Entry("path_time_s", "f8", ("scans",), "s", "moment of the sensor's path", optional=True),
+            Entry("stamp_s", "f8", ("scans",), "s", "on the sensor's own clock", optional=True),
+            Entry("number", "i8", ("scans",), "1", "of the files", optional=True),
             Entry("path_knot_s", "f8", ("knots",), "s", "of a path that is not the drive's", optional=True),
             Entry("path_to_world", "f8", ("knots", 4, 4), "m", "its poses, unmounted", optional=True),
             Entry("lidar_to_world", "f8", ("scans", 4, 4), "m", "true world; without LiDAR the pose frame"),
@@ -211,7 +212,10 @@ CONTRACT: tuple[FileSpec, ...] = (
         ),
         "split, sensor (empty = no LiDAR), method, recipe, seed, cameras, parameters, model_mb, "
         "train_seconds, peak_memory_mb, scene_origin_m, scene_rate and path_rate (seconds of the scene "
-        "and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or null)",
+        "and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or null), "
+        "sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m (of "
+        "the drive's scans), cameras_like (cameras of other intrinsics: whose place they have), "
+        "camera_models, camera_in_lidar",
     ),
     FileSpec(
         "scene_metrics", "scene_metrics/<recipe>/<seed>/<view>/truth.zarr", "zarr",

@@ -37,6 +37,8 @@ def demo_images(task: Task, path: Path, view: ViewEntry, truth: DemoTruth) -> It
     images = task.store.require("undistorted") / "images.zarr"
     plan = stored_plan(path)
     for camera in read_attrs(path).get("cameras", []):
+        if camera not in calibrations:
+            continue  # of other intrinsics than any that the drive's world has a camera of
         valid = read_arrays(images, f"{camera}_valid")[f"{camera}_valid"]
         yield TrueImages(
             camera=camera, row=np.arange(len(plan.time_s)), valid=valid,

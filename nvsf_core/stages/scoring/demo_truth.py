@@ -34,7 +34,7 @@ from nvsf_core.rendering.support import SUPPORTED, Support
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.view_plan import ViewPlan
+from nvsf_core.simulation.view_plan import ViewPlan, table_of
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
@@ -154,12 +154,12 @@ class _Rays:
     """The rays of one sweep of a view, (lasers, firings), and their exact truth; sensor's frame, metres."""
 
     def __init__(self, truth: DemoTruth, view: ViewEntry, plan: ViewPlan, firings: int) -> None:
-        table = sensor_table(view.sensor or truth.recorded_sensor)
+        table = table_of(view.sensor, sensor_table(truth.recorded_sensor))
         is_recorded = table.name == truth.recorded_sensor
         lasers = truth.lasers if is_recorded else np.arange(table.laser_count)
         azimuth_rad, fraction = firing_grid(table, firings)
         theta_rad = azimuth_rad[lasers]
-        after_s = truth.period_s * fraction
+        after_s = (truth.period_s if table.rate_hz is None else 1.0 / table.rate_hz) * fraction
         time_s = float(plan.time_s[0]) + truth.shift_s + plan.scene_rate * after_s
         path_to_world = truth.path_to_world(plan, plan.moments_s + plan.path_rate * after_s)
         self.origin_m, self.direction = sensor_rays(table, theta_rad, lasers[:, None])

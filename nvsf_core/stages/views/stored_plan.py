@@ -16,6 +16,7 @@ _PATH = ("path_knot_s", "path_to_world")
 def plan_arrays(plan: ViewPlan) -> dict[str, np.ndarray]:
     """Arrays of the data contract on a plan: its instants, and its path if it is not the drive's."""
     arrays = {
+        "number": plan.number,
         "frame": plan.frame, "time_s": plan.time_s, "path_time_s": plan.moments_s, "stamp_s": plan.stamp_s,
     }  # fmt: skip
     if plan.path is not None:

@@ -38,7 +38,7 @@ class Street:
     def true_images(self, view: ViewEntry, time_s: float, folder: Path) -> dict[str, TrueImages]:
         """Of a view of one instant; only instants and cameras of the model's view are read."""
         frame = np.array([round(time_s / 0.1)])
-        plan = ViewPlan(view.name, frame, np.array([time_s]), mount_pose(view.shift_m, view.yaw_deg))
+        plan = ViewPlan(view.name, frame, np.array([time_s]), mount_pose(view))
         arrays = plan_arrays(plan) | {f"{camera}_frame": frame for camera in CAMERAS}
         write_arrays(folder / "model.zarr", arrays, plan_attrs(plan) | {"cameras": list(CAMERAS)})
         return {one.camera: one for one in demo_images(self.task, folder / "model.zarr", view, self.truth)}

@@ -42,7 +42,7 @@ def _write_exact_view(
     lasers = LASERS if view.sensor is None else np.arange(table.laser_count)
     azimuth, fraction = firing_grid(table, FIRINGS)
     theta = azimuth[lasers]
-    plan = ViewPlan(view.name, np.array([4]), np.array([time_s]), mount_pose(view.shift_m, view.yaw_deg))
+    plan = ViewPlan(view.name, np.array([4]), np.array([time_s]), mount_pose(view))
     if seen_from_s is not None:
         plan = replace(plan, path_time_s=np.array([seen_from_s]), scene_rate=0.0)
     exact = exact_rays(
