@@ -2,7 +2,7 @@
 
 A beam's light falls off from its axis to its edge as a Gaussian; its ray along the axis carries half of what
 is counted here, and four rays at half of the half angle an eighth each. Rays that end within 0.5 m of each
-other make one return.
+other make one return: a part of the light comes back as probably as all of it, only less bright.
 """
 
 import numpy as np
@@ -36,8 +36,8 @@ def render_beams(
         divergence_mrad: Full angle of a beam.
 
     Returns:
-        Range of the strongest return (mean of its rays, metres), its probability of a return and intensity,
-        each the sum of its rays' shares.
+        Range of the strongest return (mean of its rays, metres), its hit probability (likewise), and its
+        intensity, the sum of its rays' shares.
     """
     parts = [
         render_in_chunks(render, origin_m, one, hit_prior, time_s)
@@ -53,14 +53,17 @@ def render_beams(
     same = known[:, None] & known[None] & (np.abs(far_m[:, None] - far_m[None]) < _SAME_RETURN_M)
     energy = (same * (weight * shine)[None]).sum(axis=1)
     best = energy.argmax(axis=0)
-    group = np.take_along_axis(same, best[None, None], axis=0)[0] * weight
+    chosen = np.take_along_axis(same, best[None, None], axis=0)[0]
+    group = chosen * weight
     total = group.sum(axis=0)
     safe = np.maximum(total, 1e-12)
     found_m = np.where(total > 0.0, (group * far_m).sum(axis=0) / safe, np.inf)
     return RenderedRays(
         range_m=found_m.astype(np.float32),
-        hit=np.clip(total, 0.0, 1.0).astype(np.float32),
-        intensity=np.where(total > 0.0, (group * shine).sum(axis=0) / safe, 0.0).astype(np.float32),
+        hit=np.clip(total / np.maximum((chosen * _SHARES[:, None]).sum(axis=0), 1e-12), 0.0, 1.0).astype(
+            np.float32
+        ),
+        intensity=(chosen * _SHARES[:, None] * shine).sum(axis=0).astype(np.float32),
     )
 
 

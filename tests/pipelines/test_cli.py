@@ -23,6 +23,23 @@ def test_its_commands_are_listed(ask):
         assert f"  {command} " in said.output
 
 
+def test_views_are_checked_at_once(ask):
+    said = ask("view", "--check")
+    assert (
+        said.exit_code == 0 and "tiny, shift_1m: 1 instants, 0.1 to 0.1 s on the recorded path" in said.output
+    )
+    own = ask("view", "tiny", "rate_hz = 20", 'sensor = "VLS-128"', "--check")
+    assert own.output.startswith("tiny, view: 7 instants, 0 to 0.3 s"), own.output
+    for keys, words in (
+        ("times_s = [9.5]", "expected times from 0 to 0.3 seconds of the drive, found [9.5]"),
+        ("frames = [1.5]", "moments between frames are `times_s`"),
+        ("frozen_at_s = 7", "frozen_at_s: expected 0 to 0.3"),
+        ('cameras = ["image_01"]', "expected cameras that the drive has, found image_01"),
+    ):
+        wrong = ask("view", "tiny", keys, "--check")
+        assert wrong.exit_code == 1 and words in wrong.output, wrong.output
+
+
 def test_scenes_are_listed_with_what_is_there(ask):
     said = ask("scenes").output.splitlines()
     assert any(line.startswith("tiny ") and line.endswith("not trained") for line in said)
