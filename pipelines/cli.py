@@ -70,7 +70,16 @@ def view(
     KEYS are lines of a [[view]], as 'shift_m = [0, 1, 0]' 'sensor = "VLP-16"' (docs/catalogue.md); it
     becomes a data set. What is up to date is not made again: add a [[view]] to the catalogue, and only that
     is new.
-    """
+
+    \f
+    Args:
+        scene: Name in the catalogue; none = all, for `check`.
+        keys: Lines of TOML.
+        check: Whether only to say what can be made.
+        out: Folder of the data set.
+        recipe: A preset's name.
+        seed: Of training.
+    """  # noqa: D301  click ends its help at a real form feed, which a raw docstring has not
     from nvsf_core.drives.view_checks import described
     from nvsf_core.stages import find_scene, run_scene
     from nvsf_core.stages.render_view import render_view, view_of

@@ -8,7 +8,7 @@ from nvsf_core.geometry.se3 import pose_from_parts
 def rotation_of(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
     """Rotation (3, 3) float64: yaw to the left, then pitch downwards, then roll to the right, in degrees.
 
-    R = R_z(yaw) R_y(pitch) R_x(roll): a pitch or roll is about the axes that the turns before it gave.
+    R = R_z(yaw) R_y(pitch) R_x(roll): each is about the axes that those before it gave.
     """
     yaw, pitch, roll = np.deg2rad([yaw_deg, pitch_deg, roll_deg])
     about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])

@@ -157,7 +157,9 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
     for view, arrays, attrs in scans:
         if attrs["sensor"] != sensor:
             continue  # other lasers hit other surfaces: recorded scans are not comparable
-        for i, (frame, time_s) in enumerate(zip(arrays["frame"], arrays["time_s"], strict=True)):
+        # Of a frozen instant the scans that are nearest in time are elsewhere: the path's moments count.
+        moments = arrays.get("path_time_s", arrays["time_s"])
+        for i, (frame, time_s) in enumerate(zip(arrays["frame"], moments, strict=True)):
             own = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
             place = f"view {view}, frame {frame}"
             rates.append((norms.hit_rate_apart(len(own), float(time_s)), place))
