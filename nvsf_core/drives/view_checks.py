@@ -5,10 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nvsf_core.drives.catalogue import has_data
 from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.poses import read_poses
 from nvsf_core.drives.kitti360.timestamps import frame_times
+from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError
 
 _SLACK_S = 1e-6
@@ -113,12 +116,32 @@ def require_views(scene: SceneEntry) -> None:
             raise DataError(
                 f"{where}: frozen_at_s: expected 0 to {end_s:g} seconds, found {view.frozen_at_s:g}"
             )
+        if not has_data(scene):
+            continue  # the embedded street is not written yet, or the drive is elsewhere
+        _require_near(view, layout, where)
         needed = [*(view.cameras or ()), *(camera.like for camera in view.camera)]
         absent = [name for name in needed if not layout.camera_dir(name).is_dir()]
         if absent:
             raise DataError(
                 f"{where}: expected cameras that the drive has, found {absent[0]}: no images in "
                 f"{layout.camera_dir(absent[0])}"
+            )
+
+
+def _require_near(view: ViewEntry, layout: DriveLayout, where: str) -> None:
+    """Refuse a path in the world that is nowhere near the drive's own."""
+    if view.is_on_recorded_path or view.path_in != "world" or not layout.poses_path.is_file():
+        return
+    known_m = np.stack([pose[:3, 3] for pose in read_poses(layout.poses_path).values()])
+    asked_m = np.array([point.position_m for point in view.waypoints], np.float64).reshape(-1, 3)
+    if view.pose_file is not None:
+        asked_m = np.array(view.pose_file.poses).reshape(-1, 3, 4)[:, :, 3]
+    for place_m in asked_m:
+        apart_m = float(np.linalg.norm(known_m - place_m, axis=1).min())
+        if not apart_m <= FARTHEST_SHIFT_M:
+            raise DataError(
+                f"{where}: expected a path within {FARTHEST_SHIFT_M:g} m of the drive, found a pose "
+                f"{apart_m:,.0f} m away; is it given in another frame than the drive's world (`path_in`)?"
             )
 
 

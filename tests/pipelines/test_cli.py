@@ -34,6 +34,10 @@ def test_views_are_checked_at_once(ask):
         ("times_s = [9.5]", "expected times from 0 to 0.3 seconds of the drive, found [9.5]"),
         ("frames = [1.5]", "moments between frames are `times_s`"),
         ("frozen_at_s = 7", "frozen_at_s: expected 0 to 0.3"),
+        (
+            'waypoints = [{ time_s = 0.1, position_m = [0.0, 0.0, 0.0] }]\npath_in = "world"',
+            "expected a path within 1000 m of the drive",
+        ),
         ('cameras = ["image_01"]', "expected cameras that the drive has, found image_01"),
     ):
         wrong = ask("view", "tiny", keys, "--check")
