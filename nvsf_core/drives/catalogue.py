@@ -23,6 +23,7 @@ __all__ = [
     "has_data",
     "home_from_environment",
     "load_catalogue",
+    "sensors_from_environment",
 ]
 
 UNSET_ROOT = Path("$NVSF_KITTI360_ROOT")
@@ -47,14 +48,29 @@ def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, 
     Raises:
         DataError: See `load_catalogue`.
     """
-    parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
-    named = [expanded(part, "NVSF_SCENES") for part in parts if part]
     root = environ.get("NVSF_KITTI360_ROOT")
     return load_catalogue(
-        named or [_own_catalogue()],
+        _files(environ),
         expanded(root, "NVSF_KITTI360_ROOT") if root else None,
         home=home_from_environment(environ),
     )
+
+
+def sensors_from_environment(environ: Mapping[str, str]) -> dict[str, SensorEntry]:
+    """The `[[sensor]]` entries of the catalogue that NVSF_SCENES gives, by name.
+
+    Raises:
+        DataError: See `load_catalogue`.
+    """
+    found: dict[str, SensorEntry] = {}
+    for path in _files(environ):
+        _add_sensors(found, _read_toml(path), path)
+    return found
+
+
+def _files(environ: Mapping[str, str]) -> list[Path]:
+    parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
+    return [expanded(part, "NVSF_SCENES") for part in parts if part] or [_own_catalogue()]
 
 
 def _own_catalogue() -> Path:
@@ -90,11 +106,7 @@ def load_catalogue(
             if entry.name in scenes:
                 raise DataError(f"{path}: scene {entry.name!r} is given twice; rename one")
             scenes[entry.name] = entry
-        for raw in _entries(table, "sensor", path):
-            sensor = read_sensor(raw, f"{path}: sensor {raw.get('name')!r:.60}")
-            if sensor.name in sensors:
-                raise DataError(f"{path}: sensor {sensor.name!r} is given twice; rename one")
-            sensors[sensor.name] = sensor
+        _add_sensors(sensors, table, path)
         asked += [(raw, path) for raw in _entries(table, "view", path)]
     views = []
     for raw, path in asked:
@@ -119,6 +131,14 @@ def load_catalogue(
         )
     except DataError as error:
         raise DataError(f"{', '.join(map(str, paths)):.300}: {error}") from error
+
+
+def _add_sensors(sensors: dict[str, SensorEntry], table: Mapping[str, Any], path: Path) -> None:
+    for raw in _entries(table, "sensor", path):
+        sensor = read_sensor(raw, f"{path}: sensor {raw.get('name')!r:.60}")
+        if sensor.name in sensors:
+            raise DataError(f"{path}: sensor {sensor.name!r} is given twice; rename one")
+        sensors[sensor.name] = sensor
 
 
 def has_data(entry: SceneEntry) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
+from nvsf_core.drives.catalogue import SceneEntry, home_from_environment, sensors_from_environment
 from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
@@ -38,6 +38,8 @@ _BEFORE = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
 def view_of(keys: Mapping[str, Any], home: Path | None = None) -> ViewEntry:
     """A view from the keys that a `[[view]]` of the catalogue has; without a name it is `view`.
 
+    A `sensor` may be one of the catalogue's own.
+
     Args:
         keys: Keys and values as TOML has them.
         home: Folder for `$NVSF_HOME` in a path; default NVSF_HOME.
@@ -46,7 +48,8 @@ def view_of(keys: Mapping[str, Any], home: Path | None = None) -> ViewEntry:
         DataError: A key is unknown or of the wrong kind, or what is asked for is impossible.
     """
     folder = home_from_environment(os.environ) if home is None else home
-    return read_view({"name": "view", **keys}, "view", Path(), folder, {})
+    sensors = sensors_from_environment(os.environ) if isinstance(keys.get("sensor"), str) else {}
+    return read_view({"name": "view", **keys}, "view", Path(), folder, sensors)
 
 
 # Wide: each is a choice of its own; all but the first two have defaults.

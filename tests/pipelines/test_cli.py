@@ -44,6 +44,18 @@ def test_views_are_checked_at_once(ask):
         assert wrong.exit_code == 1 and words in wrong.output, wrong.output
 
 
+def test_a_view_of_the_command_line_may_ask_for_a_sensor_of_the_catalogue(
+    ask, tiny_catalogue, tmp_path, monkeypatch
+):
+    own = tmp_path / "own.toml"
+    own.write_text('[[sensor]]\nname = "mine"\nelevation_deg = [2.0, -3.0]\n')
+    monkeypatch.setenv("NVSF_SCENES", f"{tiny_catalogue}:{own}")
+    said = ask("view", "tiny", 'sensor = "mine"', "--check")
+    assert said.exit_code == 0 and "LiDAR mine" in said.output, said.output
+    refused = ask("view", "tiny", 'sensor = "yours"', "--check")
+    assert refused.exit_code == 1 and "sensor: expected one of HDL-64E" in refused.output
+
+
 def test_scenes_are_listed_with_what_is_there(ask):
     said = ask("scenes").output.splitlines()
     assert any(line.startswith("tiny ") and line.endswith("not trained") for line in said)
