@@ -5,12 +5,16 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import click
 
+from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.errors import NvsfError
 
 _TEMPLATE = "dagster.yaml"
@@ -52,21 +56,78 @@ def train(scenes: Sequence[str], recipe: str, seed: int) -> None:
 
 
 @main.command()
-@click.argument("scene")
+@click.argument("scene", required=False)
+@click.argument("keys", nargs=-1)
+@click.option("--check", is_flag=True, help="Only say whether the views can be made, and what they are.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the one view that KEYS ask for.")
 @click.option("--recipe", default="", help="Preset; default: the catalogue's choice, else lean.")
 @click.option("--seed", default=0, show_default=True, help="Of training.")
-def view(scene: str, recipe: str, seed: int) -> None:
-    """Render the views that the catalogue asks of SCENE, and say where their files lie.
+def view(
+    scene: str | None, keys: Sequence[str], check: bool, out: Path | None, recipe: str, seed: int
+) -> None:
+    """Render the views that the catalogue asks of SCENE, or the one that KEYS ask for.
 
-    What is up to date is not made again: add a [[view]] to the catalogue, and only that is new.
-    """
+    KEYS are lines of a [[view]], as 'shift_m = [0, 1, 0]' 'sensor = "VLP-16"' (docs/catalogue.md); it
+    becomes a data set. What is up to date is not made again: add a [[view]] to the catalogue, and only that
+    is new.
+
+    \f
+    Args:
+        scene: Name in the catalogue; none = all, for `check`.
+        keys: Lines of TOML.
+        check: Whether only to say what can be made.
+        out: Folder of the data set.
+        recipe: A preset's name.
+        seed: Of training.
+    """  # noqa: D301  click ends its help at a real form feed, which a raw docstring has not
+    from nvsf_core.drives.view_checks import described
     from nvsf_core.stages import find_scene, run_scene
+    from nvsf_core.stages.render_view import render_view, view_of
 
+    asked = _keys(keys)
+    if check:
+        for line in _checked(scene, view_of(asked) if asked else None, described):
+            click.echo(line)
+        return
+    if scene is None:
+        raise click.UsageError("name a SCENE; `nvsf scenes` lists them")
+    if asked:
+        click.echo(render_view(scene, asked, out=out, recipe=recipe or None, seed=seed))
+        return
+    if out is not None:
+        raise click.UsageError("--out is for the view that KEYS ask for; the catalogue's lie under NVSF_HOME")
     entry = find_scene(scene)
     outcomes = {one.stage: one for one in run_scene(entry, recipe=recipe or None, seed=seed)}
-    for name in ("test", *(asked.name for asked in entry.views)):
+    for name in ("test", *(one.name for one in entry.views)):
         folder = outcomes["novel_views"].path / name
         click.echo(f"{name}: {folder}" if folder.is_dir() else f"{name}: not rendered")
+
+
+def _keys(lines: Sequence[str]) -> dict[str, Any]:
+    """Keys of a view from lines of TOML."""
+    try:
+        return tomllib.loads("\n".join(lines))
+    except tomllib.TOMLDecodeError as error:
+        raise click.UsageError(
+            f"expected KEYS as lines of TOML, as 'shift_m = [0, 1, 0]': {error}"
+        ) from error
+
+
+def _checked(
+    scene: str | None, asked: ViewEntry | None, described: Callable[[SceneEntry], list[str]]
+) -> Iterator[str]:
+    """A line for each view of a scene, or of all that have data; a mistake is raised."""
+    from nvsf_core.drives.catalogue import catalogue_from_environment, has_data
+    from nvsf_core.stages import find_scene
+
+    entries = (
+        [find_scene(scene)]
+        if scene
+        else [one for one in catalogue_from_environment(os.environ) if has_data(one)]
+    )
+    for entry in entries:
+        chosen = entry if asked is None else replace(entry, views=(asked,))
+        yield from (f"{entry.name}, {line}" for line in described(chosen))
 
 
 @main.command()

@@ -51,7 +51,7 @@ exports = ["bin", "ply"]
 
 [[view]]
 name = "between"
-frames = [0.05, 0.25]
+times_s = [0.05, 0.25]
 """
 
 

@@ -94,7 +94,12 @@ def demo_camera(name: str, width: int, height: int) -> DemoCamera:
 
 
 def render_image(
-    world: DemoWorld, camera: DemoCamera, time_s: float, mount: np.ndarray | None = None
+    world: DemoWorld,
+    camera: DemoCamera,
+    time_s: float,
+    mount: np.ndarray | None = None,
+    *,
+    path_to_world: np.ndarray | None = None,
 ) -> np.ndarray:
     """Image (H, W, 3) uint8, red first, without noise; black outside the lens's image.
 
@@ -102,9 +107,13 @@ def render_image(
         world: The street.
         camera: One of its cameras.
         time_s: When it is taken, seconds since the first frame.
-        mount: (4, 4) pose of the LiDAR, with which the cameras move, in its recorded frame; None = as it was.
+        mount: (4, 4) pose of the LiDAR, with which the cameras move, in the path's frame; None = the same.
+        path_to_world: (4, 4) pose of the path; None = of the recording car's LiDAR at that time.
     """
-    lidar = world.lidar_to_street(np.array([time_s]))[0]
+    if path_to_world is None:
+        lidar = world.lidar_to_street(np.array([time_s]))[0]
+    else:
+        lidar = world.world_to_street @ path_to_world
     lidar = lidar if mount is None else lidar @ mount
     pose = lidar @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
     directions = (camera.directions @ pose[:3, :3].T).astype(np.float32)

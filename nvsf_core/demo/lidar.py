@@ -69,8 +69,11 @@ class ExactRays:
     """(L, F) float64 hit probability; 0 beyond `MAX_RANGE_M`."""
     intensity: np.ndarray
     """(L, F) float64 expected intensity, 0..0.99."""
+    instance: np.ndarray
+    """(L, F) int32, number of the object that is hit; `OWN_VEHICLE` = the own vehicle."""
 
 
+# Wide: world, sensor, rays, time and place are independent of each other.
 def exact_rays(
     world: DemoWorld,
     table: LaserTable,
@@ -80,8 +83,9 @@ def exact_rays(
     *,
     mount: np.ndarray | None,
     own_vehicle: bool,
+    path_to_world: np.ndarray | None = None,
 ) -> ExactRays:
-    """True values for any sensor on the recording car's path, at any time.
+    """True values for any sensor, at any time.
 
     Args:
         world: The demo's world.
@@ -89,19 +93,25 @@ def exact_rays(
         lasers: (L,) rows of the table.
         theta_rad: (L, F) encoder angles.
         time_s: (L, F) since the first frame.
-        mount: (4, 4) pose of the sensor in the recording sensor's frame; None = the same pose.
+        mount: (4, 4) pose of the sensor in the path's frame; None = the same pose.
         own_vehicle: Whether the own vehicle is around the sensor, at the same place in the sensor's frame.
+        path_to_world: (F, 4, 4) poses of the path at each firing; None = the recording car's at its time.
     """
     origin, direction = _recorded_rays(table, lasers, theta_rad)
     tiles = tile_index(len(lasers), theta_rad.shape[1], 8)
     shapes = _OWN_VEHICLE if own_vehicle else None
-    range_m, material, _, cosine = _cast(
-        world, table, origin, direction, theta_rad.ravel(), time_s.ravel(), tiles, mount, shapes
+    if path_to_world is None:
+        pose = world.lidar_to_street(time_s.ravel())
+    else:
+        pose = np.tile(world.world_to_street @ path_to_world, (len(lasers), 1, 1))
+    hit = _cast(
+        world, table, origin, direction, theta_rad.ravel(), time_s.ravel(), tiles, pose, mount, shapes
     )
-    shape = theta_rad.shape
-    range_m, material, cosine = range_m.reshape(shape), material.reshape(shape), cosine.reshape(shape)
+    range_m, material, instance, cosine = (column.reshape(theta_rad.shape) for column in hit)
     present, _, chance, shine = _expected_return(range_m, material, cosine)
-    return ExactRays(range_m=range_m, chance=present * chance, intensity=np.clip(shine, 0.0, 0.99))
+    return ExactRays(
+        range_m=range_m, chance=present * chance, intensity=np.clip(shine, 0.0, 0.99), instance=instance
+    )
 
 
 def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int) -> DemoScan:
@@ -118,7 +128,8 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
     origin, direction = _recorded_rays(HDL_64E, lasers, theta)
     time_s = (frame + fraction.ravel()) * FRAME_PERIOD_S
     tiles = tile_index(len(lasers), firings, 8)
-    hit = _cast(world, HDL_64E, origin, direction, theta.ravel(), time_s, tiles, None, _OWN_VEHICLE)
+    pose = world.lidar_to_street(time_s)
+    hit = _cast(world, HDL_64E, origin, direction, theta.ravel(), time_s, tiles, pose, None, _OWN_VEHICLE)
     range_m, material, instance, cosine = hit
     measured, intensity, returned = _measure(
         rng, range_m.reshape(theta.shape), material.reshape(theta.shape), cosine.reshape(theta.shape)
@@ -190,13 +201,16 @@ def _cast(
     theta: np.ndarray,
     time_s: np.ndarray,
     tiles: np.ndarray,
+    pose: np.ndarray,
     mount: np.ndarray | None,
     own_vehicle: Shapes | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Range, material, instance and |cos incidence|, each (N,), of the first hits of recorded rays (N, 3)."""
+    """Range, material, instance and |cos incidence|, each (N,), of the first hits of recorded rays (N, 3).
+
+    `pose` (N, 4, 4) takes the path's frame to the street.
+    """
     correction = table.elevation_correction_rad
     origin, direction = _turned_up(origin, theta, correction), _turned_up(direction, theta, correction)
-    pose = world.lidar_to_street(time_s)
     pose = pose if mount is None else pose @ mount
     turn = pose[:, :3, :3]
     street_origin = (turn @ origin[:, :, None])[..., 0] + pose[:, :3, 3]

@@ -59,7 +59,8 @@ class DemoWorld:
         """Everything but the ground."""
         self.street_to_world = street_to_world()
         """(4, 4) float64."""
-        self._world_to_street = invert_pose(self.street_to_world)
+        self.world_to_street = invert_pose(self.street_to_world)
+        """(4, 4) float64."""
 
     def lidar_to_street(self, times_s: np.ndarray) -> np.ndarray:
         """Poses (n, 4, 4) float64, recording LiDAR to street, at times (n,)."""
@@ -97,8 +98,8 @@ class DemoWorld:
                 "expected origins (N, 3), directions (N, 3), times (N,), found "
                 f"{origins_m.shape}, {directions.shape}, {times_s.shape}"
             )
-        turn = self._world_to_street[:3, :3]
-        origins = origins_m @ turn.T + self._world_to_street[:3, 3]
+        turn = self.world_to_street[:3, :3]
+        origins = origins_m @ turn.T + self.world_to_street[:3, 3]
         hits = self.cast_in_street(origins, directions @ turn.T, times_s, _by_direction(directions))
         return DemoHits(
             hits.range_m, hits.material, hits.instance, hits.normal @ turn.astype(np.float32), hits.local_m

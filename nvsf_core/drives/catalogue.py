@@ -6,14 +6,14 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from nvsf_core.drives.entries import SceneEntry, ViewEntry, is_number
+from nvsf_core.drives.catalogue_views import expanded, path_of, read_sensor, read_view, require_keys
+from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.text import MIB, read_text
-from nvsf_core.drives.kitti360.timestamps import frame_times
+from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.errors import DataError
-from nvsf_core.names import RESERVED_VIEWS
 
 __all__ = [
     "UNSET_ROOT",
@@ -23,30 +23,23 @@ __all__ = [
     "has_data",
     "home_from_environment",
     "load_catalogue",
-    "require_times_in_drive",
+    "sensors_from_environment",
 ]
 
 UNSET_ROOT = Path("$NVSF_KITTI360_ROOT")
 """Root of a scene without one if the variable is not set: it does not exist, and its name says why."""
 
-_HOME_VARIABLE = "$NVSF_HOME"
 _MOST_BYTES = MIB
 """Largest catalogue file: some ten thousand scenes."""
-_LONGEST_TEXT = 1000
-"""Longest root: a path's parts may have 255 bytes each."""
 _MOST_DOTS = 20
 _MOST_VIEWS = 1000
-_SLACK_S = 1e-6
-"""Times may lie outside the drive by this rounding error."""
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
 _NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
-_VIEW_KEYS = frozenset(field.name for field in fields(ViewEntry)) - {"times_s"}
-_Entry = TypeVar("_Entry", SceneEntry, ViewEntry)
 
 
 def home_from_environment(environ: Mapping[str, str]) -> Path:
     """NVSF_HOME as an absolute path; default `.nvsf` in the working directory."""
-    return _expanded(environ.get("NVSF_HOME") or ".nvsf", "NVSF_HOME").absolute()
+    return expanded(environ.get("NVSF_HOME") or ".nvsf", "NVSF_HOME").absolute()
 
 
 def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, ...]:
@@ -55,14 +48,29 @@ def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, 
     Raises:
         DataError: See `load_catalogue`.
     """
-    parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
-    named = [_expanded(part, "NVSF_SCENES") for part in parts if part]
     root = environ.get("NVSF_KITTI360_ROOT")
     return load_catalogue(
-        named or [_own_catalogue()],
-        _expanded(root, "NVSF_KITTI360_ROOT") if root else None,
+        _files(environ),
+        expanded(root, "NVSF_KITTI360_ROOT") if root else None,
         home=home_from_environment(environ),
     )
+
+
+def sensors_from_environment(environ: Mapping[str, str]) -> dict[str, SensorEntry]:
+    """The `[[sensor]]` entries of the catalogue that NVSF_SCENES gives, by name.
+
+    Raises:
+        DataError: See `load_catalogue`.
+    """
+    found: dict[str, SensorEntry] = {}
+    for path in _files(environ):
+        _add_sensors(found, _read_toml(path), path)
+    return found
+
+
+def _files(environ: Mapping[str, str]) -> list[Path]:
+    parts = environ.get("NVSF_SCENES", "").split(os.pathsep)
+    return [expanded(part, "NVSF_SCENES") for part in parts if part] or [_own_catalogue()]
 
 
 def _own_catalogue() -> Path:
@@ -70,14 +78,6 @@ def _own_catalogue() -> Path:
     package = Path(__file__).resolve().parents[1]
     beside = package.parent / "scenes.toml"
     return beside if (package.parent / "pyproject.toml").is_file() else package / "scenes.toml"
-
-
-def _expanded(text: str, what: str) -> Path:
-    """A path with a leading `~` or `~user` replaced by the home folder; `what` names it in the message."""
-    try:
-        return Path(text).expanduser()
-    except RuntimeError as error:
-        raise DataError(f"{what}: expected a path, found {text!r:.100} ({error})") from error
 
 
 def load_catalogue(
@@ -95,18 +95,23 @@ def load_catalogue(
             is given twice, or frames do not fit; the message names file, entry and key.
     """
     scenes: dict[str, SceneEntry] = {}
-    views: list[tuple[str, ViewEntry]] = []
+    asked: list[tuple[dict[str, Any], Path]] = []
+    sensors: dict[str, SensorEntry] = {}
+    home = home or home_from_environment({})
     for path in paths:
         table = _read_toml(path)
-        _require_keys(table, frozenset({"scene", "view"}), frozenset(), f"{path}")
+        require_keys(table, frozenset({"scene", "view", "sensor"}), frozenset(), f"{path}")
         for raw in _entries(table, "scene", path):
-            entry = _scene(raw, path, kitti360_root, home or home_from_environment({}))
+            entry = _scene(raw, path, kitti360_root, home)
             if entry.name in scenes:
                 raise DataError(f"{path}: scene {entry.name!r} is given twice; rename one")
             scenes[entry.name] = entry
-        for raw in _entries(table, "view", path):
-            view = _view(raw, path, home or home_from_environment({}))
-            views.append((f"{path}: view {raw.get('name')!r:.60}", view))
+        _add_sensors(sensors, table, path)
+        asked += [(raw, path) for raw in _entries(table, "view", path)]
+    views = []
+    for raw, path in asked:
+        where = f"{path}: view {raw.get('name')!r:.60}"
+        views.append((where, read_view(raw, where, path.parent, home, sensors)))
     if not scenes:
         raise DataError(
             f"{', '.join(map(str, paths)):.300}: expected at least one `[[scene]]`, found none; add one"
@@ -126,6 +131,14 @@ def load_catalogue(
         )
     except DataError as error:
         raise DataError(f"{', '.join(map(str, paths)):.300}: {error}") from error
+
+
+def _add_sensors(sensors: dict[str, SensorEntry], table: Mapping[str, Any], path: Path) -> None:
+    for raw in _entries(table, "sensor", path):
+        sensor = read_sensor(raw, f"{path}: sensor {raw.get('name')!r:.60}")
+        if sensor.name in sensors:
+            raise DataError(f"{path}: sensor {sensor.name!r} is given twice; rename one")
+        sensors[sensor.name] = sensor
 
 
 def has_data(entry: SceneEntry) -> bool:
@@ -186,73 +199,24 @@ def _entries(table: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, 
 
 def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path) -> SceneEntry:
     where = f"{path}: scene {raw.get('name')!r:.60}"
-    _require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
-    entry = _made(SceneEntry, raw | {"root": _root(raw, path, kitti360_root, home, where)}, where)
-    period_s = None if entry.sweep_period_s is None else float(entry.sweep_period_s)
-    return replace(entry, test_frames=tuple(sorted(entry.test_frames)), sweep_period_s=period_s)
-
-
-def _made(kind: type[_Entry], raw: Mapping[str, Any], where: str) -> _Entry:
-    """An entry from values as TOML has them; the entry checks their kinds."""
+    require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
     values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in raw.items()
+        key: tuple(one) if isinstance(one, list) else one
+        for key, one in (raw | {"root": _root(raw, path, kitti360_root, home, where)}).items()
     }
     try:
-        return kind(**values)
+        entry = SceneEntry(**values)
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
+    period_s = None if entry.sweep_period_s is None else float(entry.sweep_period_s)
+    return replace(entry, test_frames=tuple(sorted(entry.test_frames)), sweep_period_s=period_s)
 
 
 def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path, where: str) -> Path:
     if "root" not in raw:
         return UNSET_ROOT if kitti360_root is None else kitti360_root.absolute()
     # joinpath keeps an absolute root as it is.
-    return path.absolute().parent.joinpath(_folder(raw["root"], home, f"{where}: root"))
-
-
-def _folder(text: Any, home: Path, what: str) -> Path:
-    """A folder as a catalogue names it, with `$NVSF_HOME` and `~` replaced; relative ones stay so."""
-    if not isinstance(text, str) or not text or not text.isprintable() or len(text) > _LONGEST_TEXT:
-        raise DataError(f"{what}: expected 1 to {_LONGEST_TEXT} printable characters, found {text!r:.60}")
-    if text.split("/")[0] == _HOME_VARIABLE:
-        return home / text.removeprefix(_HOME_VARIABLE).lstrip("/")
-    return _expanded(text, what)
-
-
-def _truth(raw: Mapping[str, Any], home: Path, where: str) -> tuple[tuple[str, Path], ...]:
-    folders = raw.get("truth", {})
-    if not isinstance(folders, dict):
-        raise DataError(
-            f'{where}: truth: expected cameras with their folders, as {{ image_00 = "folder" }}, found '
-            f"{folders!r:.60}"
-        )
-    return tuple((name, _folder(text, home, f"{where}: truth: {name:.60}")) for name, text in folders.items())
-
-
-def _view(raw: dict[str, Any], path: Path, home: Path) -> ViewEntry:
-    where = f"{path}: view {raw.get('name')!r:.60}"
-    _require_keys(raw, _VIEW_KEYS, frozenset({"name"}), where)
-    if raw["name"] in RESERVED_VIEWS:
-        raise DataError(f"{where}: {', '.join(RESERVED_VIEWS)} are splits of recorded frames; rename it")
-    frames, times_s = _frames_or_times(raw.get("frames", "all"), where)
-    truth = _truth(raw, home, where)
-    entry = _made(ViewEntry, raw | {"frames": frames, "times_s": times_s, "truth": truth}, where)
-    forward_m, left_m, up_m = map(float, entry.shift_m)
-    return replace(entry, shift_m=(forward_m, left_m, up_m), yaw_deg=float(entry.yaw_deg))
-
-
-def _frames_or_times(value: Any, where: str) -> tuple[str | tuple[float, ...], tuple[float, ...] | None]:
-    """Fields `frames` and `times_s` of a view: from "all", whole numbers, or numbers with a decimal point."""
-    if value == "all":
-        return "all", None
-    if isinstance(value, list) and value and all(is_number(item) and item >= 0 for item in value):
-        if all(isinstance(item, int) for item in value):
-            return tuple(value), None
-        if all(isinstance(item, float) for item in value):
-            return (), tuple(value)
-    raise DataError(
-        f'{where}: frames: expected "all", frame numbers [3, 4], or seconds [0.35, 0.45], found {value!r:.60}'
-    )
+    return path.absolute().parent.joinpath(path_of(raw["root"], home, f"{where}: root"))
 
 
 def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
@@ -262,38 +226,3 @@ def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
         other = known.setdefault(name.casefold(), name)
         if other != name:
             raise DataError(f"scenes {other!r} and {name!r} differ in case alone; rename one")
-
-
-def _require_keys(raw: Mapping[str, Any], known: frozenset[str], needed: frozenset[str], where: str) -> None:
-    unknown, missing = sorted(raw.keys() - known), sorted(needed - raw.keys())
-    if unknown:
-        raise DataError(
-            f"{where}: unknown keys {', '.join(unknown):.200}; known are {', '.join(sorted(known))}"
-        )
-    if missing:
-        raise DataError(f"{where}: missing keys {', '.join(missing)}")
-
-
-def require_times_in_drive(scene: SceneEntry) -> None:
-    """Refuse a view at a time before the scene's first frame or after its last.
-
-    Raises:
-        DataError: There is such a view; the message names it, its times and those of the drive.
-    """
-    timed = [view for view in scene.views if view.times_s is not None]
-    if not timed:
-        return
-    try:
-        layout = DriveLayout(scene.root, scene.sequence)
-        times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
-    except (DataError, OSError):
-        return  # the stage `frames` reports what is wrong with the drive
-    end_s = float(times.time_s[-1])
-    for view in timed:
-        outside = [time_s for time_s in view.times_s or () if not -_SLACK_S <= time_s <= end_s + _SLACK_S]
-        if outside:
-            raise DataError(
-                f"scene {scene.name}, view {view.name}: expected times from 0 to {end_s:g} seconds "
-                f"({len(times.time_s)} frames, {times.source}), found {outside!s:.200}; frame numbers are "
-                "written without a point"
-            )

@@ -1,88 +1,30 @@
-"""Entries of the catalogue, scenes and views; impossible values are refused when an entry is made."""
+"""Entries of the catalogue; impossible values are refused when an entry is made."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from nvsf_core.drives.kinds import (
+    LONGEST_PATH,
+    MOST_FRAMES,
+    Kinds,
+    each,
+    is_bool,
+    is_number,
+    is_path,
+    is_text,
+    is_whole,
+    or_none,
+    require_kinds,
+    require_name,
+)
 from nvsf_core.drives.kitti360.layout import CAMERAS, LAST_FRAME
 from nvsf_core.drives.kitti360.timestamps import LONGEST_STEP_S, SHORTEST_STEP_S
+from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
 from nvsf_core.errors import DataError, RecipeError
-from nvsf_core.names import RESERVED_SCENES, name_fault
+from nvsf_core.names import RESERVED_SCENES
 from nvsf_core.recipe import preset
-from nvsf_core.sensors.tables import SENSOR_TABLES
 
-EXPORTS = ("bin", "ply", "pcd")
-"""File formats that the stage `dataset` can write."""
-MOST_FRAMES = 20_000
-"""Most frames of one scene: half an hour. KITTI-360's longest drive has 15,000."""
-FARTHEST_SHIFT_M = 1000.0
-"""From farther away nothing of a street is visible."""
-_MOST_YAW_DEG = 360.0
-_LARGEST = 1e15
-"""Largest number in a catalogue."""
-_LONGEST_PATH = 2000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewEntry:
-    """A synthetic view to render: `[[view]]` of a catalogue."""
-
-    name: str
-    """Name of the view; its folder and its `split` in metric tables."""
-    scenes: tuple[str, ...] | None = None
-    """Scenes that it is rendered of; None = all."""
-    sensor: str | None = None
-    """Name of a sensor table (`HDL-64E`, `VLP-16`, `OS1-128`); None = the recorded one."""
-    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Shift of the LiDAR in its own frame: forward, left, up."""
-    yaw_deg: float = 0.0
-    """Turn to the left about the LiDAR's z axis."""
-    frames: str | tuple[float, ...] = "all"
-    """`all`, frame numbers, or nothing if `times_s` are given."""
-    times_s: tuple[float, ...] | None = None
-    """Times since the drive's first frame, also between frames; None = use `frames`."""
-    exports: tuple[str, ...] = ("bin", "ply")
-    """File formats that the stage `dataset` writes: some of `EXPORTS`."""
-    truth: tuple[tuple[str, Path], ...] = ()
-    """Cameras, each with the folder of its true images of this view, taken for example by a second camera. In
-    a catalogue `truth = { image_00 = "right_camera" }`; a relative folder lies below the scene's root. They
-    are PNG files named, sized and distorted as that camera's recorded ones, of the view's frames; nothing but
-    measuring reads them."""
-
-    def __post_init__(self) -> None:
-        """Refuse values that would otherwise fail only after training."""
-        _require_name("name", self.name)
-        _require_kinds(self, _VIEW_KINDS)
-        if self.times_s is None and self.frames == ():
-            raise DataError("frames: expected frames or times, found none")
-        if self.sensor is not None and self.sensor not in SENSOR_TABLES:
-            raise DataError(f"sensor: expected one of {', '.join(SENSOR_TABLES)}, found {self.sensor!r:.60}")
-        unknown = sorted(set(self.exports) - set(EXPORTS))
-        if unknown or len(set(self.exports)) != len(self.exports):
-            raise DataError(
-                f"exports: expected different ones of {', '.join(EXPORTS)}, found {self.exports!r:.200}"
-            )
-        if not all(abs(value) <= FARTHEST_SHIFT_M for value in self.shift_m):
-            raise DataError(
-                f"shift_m: expected at most {FARTHEST_SHIFT_M:g} m in each direction, found {self.shift_m}"
-            )
-        if not abs(self.yaw_deg) <= _MOST_YAW_DEG:
-            raise DataError(
-                f"yaw_deg: expected -{_MOST_YAW_DEG:g} to {_MOST_YAW_DEG:g}, found {self.yaw_deg}"
-            )
-        instants = self.frames if self.times_s is None else self.times_s
-        if instants != "all" and len(set(instants)) != len(instants):
-            raise DataError(f"frames: expected each frame or time once, found {instants!r:.200}")
-        self._require_truth()
-
-    def _require_truth(self) -> None:
-        cameras = [camera for camera, _ in self.truth]
-        if not set(cameras) <= set(CAMERAS) or len(set(cameras)) != len(cameras):
-            raise DataError(f"truth: expected different ones of {', '.join(CAMERAS)}, found {cameras!r:.200}")
-        if cameras and self.times_s is not None:
-            raise DataError("truth: expected a view of frames, found times; true images are named by frames")
-        if cameras and self.sensor is not None:
-            raise DataError(f"truth: a view by {self.sensor} has no images to compare; leave `sensor` out")
+__all__ = ["EXPORTS", "MOST_FRAMES", "SceneEntry", "ViewEntry"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,9 +57,9 @@ class SceneEntry:
 
     def __post_init__(self) -> None:
         """Refuse values that would otherwise fail only later, or write outside the scene's folder."""
-        _require_name("name", self.name, RESERVED_SCENES)
-        _require_name("sequence", self.sequence)
-        _require_kinds(self, _SCENE_KINDS)
+        require_name("name", self.name, RESERVED_SCENES)
+        require_name("sequence", self.sequence)
+        require_kinds(self, _SCENE_KINDS)
         self._require_frames()
         if self.sweep_period_s is not None and not SHORTEST_STEP_S <= self.sweep_period_s <= LONGEST_STEP_S:
             raise DataError(
@@ -146,13 +88,18 @@ class SceneEntry:
                 "again; rename one"
             )
         for view in self.views:
-            absent = [name for name, _ in view.truth if name not in (self.cameras or CAMERAS)]
-            if absent:
-                raise DataError(
-                    f"view {view.name}: truth: expected cameras that scene {self.name} uses, found "
-                    f"{absent[0]}; add it to the scene's `cameras`, or name the view's `scenes`"
-                )
-            if view.times_s is not None or view.frames == "all":
+            asked = {"truth": [name for name, _ in view.truth], "cameras": list(view.cameras or ()),
+                     "like": [camera.like for camera in view.camera]}  # fmt: skip
+            for key, names in asked.items():
+                absent = [
+                    name for name in names if name not in (CAMERAS if self.cameras is None else self.cameras)
+                ]
+                if absent:
+                    raise DataError(
+                        f"view {view.name}: {key}: expected cameras that scene {self.name} uses, found "
+                        f"{absent[0]}; add it to the scene's `cameras`, or name the view's `scenes`"
+                    )
+            if view.frames == "all":
                 continue
             outside = [
                 frame for frame in view.frames if not self.first_frame <= float(frame) <= self.last_frame
@@ -180,74 +127,14 @@ class SceneEntry:
             raise DataError("every frame is a test frame; leave at least one to train on")
 
 
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def is_number(value: object) -> bool:
-    """Whether a value is a finite number of possible size; a bool is none."""
-    # NaN and infinity compare false, too.
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str) and bool(value)
-
-
-def _is_path(value: object) -> bool:
-    return isinstance(value, Path) and "\0" not in str(value) and len(str(value)) <= _LONGEST_PATH
-
-
-def _is_folder_of_camera(value: object) -> bool:
-    return isinstance(value, tuple) and len(value) == 2 and _is_text(value[0]) and _is_path(value[1])
-
-
-def _all(
-    is_one: Callable[[object], bool], fewest: int = 1, most: int = MOST_FRAMES
-) -> Callable[[object], bool]:
-    """A test whether a value is a tuple of `fewest` to `most` items that pass `is_one`."""
-    return lambda value: isinstance(value, tuple) and fewest <= len(value) <= most and all(map(is_one, value))
-
-
-def _or_none(is_one: Callable[[object], bool]) -> Callable[[object], bool]:
-    return lambda value: value is None or is_one(value)
-
-
-_VIEW_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
-    "scenes": (_or_none(_all(_is_text)), "names of scenes, or None for all"),
-    "sensor": (_or_none(_is_text), "a sensor's name, or None for the recorded one"),
-    "shift_m": (_all(is_number, 3, 3), "three numbers: forward, left, up"),
-    "yaw_deg": (is_number, "a number of degrees"),
-    "frames": (
-        lambda value: value == "all" or _all(_is_whole, 0)(value),
-        '"all" or a tuple of frame numbers',
-    ),
-    "times_s": (_or_none(_all(is_number)), "a tuple of seconds, or None"),
-    "exports": (_all(_is_text), "a tuple of formats"),
-    "truth": (_all(_is_folder_of_camera, 0), "a tuple of cameras, each with a Path"),
+_SCENE_KINDS: Kinds = {
+    "root": (is_path, f"a Path of at most {LONGEST_PATH} characters"),
+    "first_frame": (is_whole, "a whole number"),
+    "last_frame": (is_whole, "a whole number"),
+    "test_frames": (each(is_whole, 0), "a tuple of frame numbers"),
+    "sweep_period_s": (or_none(is_number), "seconds of one sweep, or None"),
+    "cameras": (or_none(each(is_text, 0)), "a tuple of cameras, or None for all"),
+    "recipe": (or_none(is_text), "a recipe's name, or None"),
+    "compensate": (is_bool, "true or false"),
+    "views": (each(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }
-_SCENE_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
-    "root": (_is_path, f"a Path of at most {_LONGEST_PATH} characters"),
-    "first_frame": (_is_whole, "a whole number"),
-    "last_frame": (_is_whole, "a whole number"),
-    "test_frames": (_all(_is_whole, 0), "a tuple of frame numbers"),
-    "sweep_period_s": (_or_none(is_number), "seconds of one sweep, or None"),
-    "cameras": (_or_none(_all(_is_text, 0)), "a tuple of cameras, or None for all"),
-    "recipe": (_or_none(_is_text), "a recipe's name, or None"),
-    "compensate": (lambda value: isinstance(value, bool), "true or false"),
-    "views": (_all(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
-}
-
-
-def _require_kinds(entry: object, kinds: Mapping[str, tuple[Callable[[object], bool], str]]) -> None:
-    """Refuse fields of other kinds: a dataclass does not check its annotations."""
-    for name, (is_kind, words) in kinds.items():
-        value = getattr(entry, name)
-        if not is_kind(value):
-            raise DataError(f"{name}: expected {words}, found {value!r:.60}")
-
-
-def _require_name(what: str, name: str, reserved: tuple[str, ...] = ()) -> None:
-    fault = name_fault(name, reserved)
-    if fault is not None:
-        raise DataError(f"{what}: {fault}")

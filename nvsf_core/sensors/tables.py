@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.known_elevations import HDL_32E_DEG, PANDAR_64_DEG, VLS_128_DEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +44,10 @@ class LaserTable:
     """(L,) float64, by how much a laser measures too long; learned from a drive, else 0."""
     intensity_gain: np.ndarray
     """(L,) float64, factor by which a laser sees brighter than the others; learned from a drive, else 1."""
+    rate_hz: float | None = None
+    """Rotations a second; None = as the drive's own sensor rotates: makers let the user choose 5 to 20."""
+    divergence_mrad: float = 0.0
+    """Full angle of a beam, the wider of its two; 0 = not known."""
 
     @property
     def laser_count(self) -> int:
@@ -113,42 +118,89 @@ HDL_64E = LaserTable(
     elevation_correction_rad=float(np.deg2rad(0.205)),
     range_bias_m=_frozen(np.zeros(64)),
     intensity_gain=_frozen(np.ones(64)),
+    divergence_mrad=2.0,
 )
 """Velodyne HDL-64E of KITTI and KITTI-360, measured on their raw scans (0.01 deg, 1 mm)."""
 
-VLP_16 = LaserTable(
-    name="VLP-16",
-    elevation_rad=_frozen(np.deg2rad(np.arange(15.0, -16.0, -2.0))),
-    vertical_offset_m=_frozen(np.array(_VLP_16_VERTICAL_OFFSET_MM) * 1e-3),
-    horizontal_offset_m=_frozen(np.zeros(16)),
-    phase_steps=_frozen(np.zeros(16)),
-    firing_shift_steps=_frozen(np.zeros(16), np.int64),
-    lattice_steps=36000,
-    firings_per_turn=1808,
-    max_range_m=100.0,
-    elevation_correction_rad=0.0,
-    range_bias_m=_frozen(np.zeros(16)),
-    intensity_gain=_frozen(np.ones(16)),
-)
-"""Velodyne VLP-16 at 600 rotations per minute, nominal: 2 degrees apart, 55.296 us per firing."""
 
-OS1_128 = LaserTable(
-    name="OS1-128",
-    elevation_rad=_frozen(np.deg2rad(np.linspace(22.5, -22.5, 128))),
-    vertical_offset_m=_frozen(np.zeros(128)),
-    horizontal_offset_m=_frozen(np.zeros(128)),
-    phase_steps=_frozen(np.zeros(128)),
-    firing_shift_steps=_frozen(np.zeros(128), np.int64),
-    lattice_steps=1024,
-    firings_per_turn=1024,
-    max_range_m=120.0,
-    elevation_correction_rad=0.0,
-    range_bias_m=_frozen(np.zeros(128)),
-    intensity_gain=_frozen(np.ones(128)),
-)
-"""Ouster OS1-128 at 1024 columns, nominal: 45 degrees evenly divided, one origin, no column stagger."""
+# Wide: each is a fact of a sensor's data sheet.
+def even_table(
+    name: str,
+    elevation_deg: np.ndarray,
+    *,
+    firings: int,
+    max_range_m: float,
+    rate_hz: float | None = None,
+    divergence_mrad: float = 0.0,
+    vertical_offset_m: np.ndarray | None = None,
+    horizontal_offset_m: np.ndarray | None = None,
+) -> LaserTable:
+    """A sensor all of whose lasers look the same way when they fire, as a data sheet describes it.
 
-SENSOR_TABLES = {table.name: table for table in (HDL_64E, VLP_16, OS1_128)}
+    Args:
+        name: Its name.
+        elevation_deg: (L,) from the top.
+        firings: Firings of a rotation, evenly spaced.
+        max_range_m: Beyond this it records nothing.
+        rate_hz: Rotations a second; None = those of the drive's sensor.
+        divergence_mrad: Full angle of a beam; 0 = not known.
+        vertical_offset_m: (L,) lever arms upwards; None = 0.
+        horizontal_offset_m: (L,) lever arms to the left; None = 0.
+    """
+    lasers = len(elevation_deg)
+    none: np.ndarray = np.zeros(lasers)
+    return LaserTable(
+        name=name,
+        elevation_rad=_frozen(np.deg2rad(elevation_deg)),
+        vertical_offset_m=_frozen(none if vertical_offset_m is None else vertical_offset_m),
+        horizontal_offset_m=_frozen(none if horizontal_offset_m is None else horizontal_offset_m),
+        phase_steps=_frozen(none),
+        firing_shift_steps=_frozen(none, np.int64),
+        lattice_steps=firings,
+        firings_per_turn=firings,
+        max_range_m=max_range_m,
+        elevation_correction_rad=0.0,
+        range_bias_m=_frozen(none),
+        intensity_gain=_frozen(np.ones(lasers)),
+        rate_hz=rate_hz,
+        divergence_mrad=divergence_mrad,
+    )
+
+
+VLP_16 = even_table(
+    "VLP-16", np.arange(15.0, -16.0, -2.0), firings=1808, max_range_m=100.0, divergence_mrad=3.0,
+    vertical_offset_m=np.array(_VLP_16_VERTICAL_OFFSET_MM) * 1e-3,
+)  # fmt: skip
+"""Velodyne VLP-16 at 600 rotations per minute, nominal: 2 degrees apart, 55.296 us per firing, beams of 3.0 x
+1.5 mrad (User Manual 63-9243)."""
+
+OS1_128 = even_table(
+    "OS1-128", np.linspace(22.5, -22.5, 128), firings=1024, max_range_m=120.0, divergence_mrad=3.14
+)
+"""Ouster OS1-128 at 1024 columns, nominal: 45 degrees evenly divided (the data sheet gives the range only,
+each unit has its own beam angles), one origin, no column stagger, beams of 0.18 degrees."""
+
+OS1_64 = even_table(
+    "OS1-64", np.linspace(16.6, -16.6, 64), firings=1024, max_range_m=120.0, divergence_mrad=2.27
+)
+"""Ouster OS1-64 at 1024 columns, nominal: 33.2 degrees evenly divided (likewise), beams of 0.13 degrees (OS1
+data sheet)."""
+
+HDL_32E = even_table("HDL-32E", HDL_32E_DEG, firings=2170, max_range_m=100.0)
+"""Velodyne HDL-32E at 600 rotations per minute: 46.08 us per firing (User's Manual); lever arms and beam
+widths are not published there."""
+
+VLS_128 = even_table("VLS-128", VLS_128_DEG, firings=1876, max_range_m=245.0, divergence_mrad=3.0)
+"""Velodyne VLS-128 at 600 rotations per minute: 53.3 us per firing, beams of 3.0 x 1.5 mrad (User Manual).
+Its lasers look up to 6 degrees aside of each other, which is left out: all look the same way."""
+
+PANDAR_64 = even_table("Pandar64", PANDAR_64_DEG, firings=1800, max_range_m=200.0)
+"""Hesai Pandar64 at 600 rotations per minute, 0.2 degrees. Its lasers look up to 5.2 degrees aside of each
+other, which is left out; beam widths are not known here."""
+
+SENSOR_TABLES = {
+    table.name: table for table in (HDL_64E, HDL_32E, VLP_16, VLS_128, OS1_64, OS1_128, PANDAR_64)
+}
 """All tables by name."""
 
 

@@ -209,7 +209,11 @@ class RenderedSweep:
 
 
 def sample_scan(
-    grid: Mapping[str, np.ndarray], generator: np.random.Generator, range_noise_m: float = RANGE_NOISE_M
+    grid: Mapping[str, np.ndarray],
+    generator: np.random.Generator,
+    range_noise_m: float = RANGE_NOISE_M,
+    *,
+    by_threshold: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sample one scan of a rendered sweep: which rays return, and the noise of their ranges.
 
@@ -219,6 +223,7 @@ def sample_scan(
             firing time.
         generator: Source of all randomness.
         range_noise_m: Standard deviation of the range.
+        by_threshold: Rays of a hit probability of one half and more return, and nothing is sampled but noise.
 
     Returns:
         (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees;
@@ -235,7 +240,8 @@ def sample_scan(
                 "rendered them has diverged: train it again"
             )
     range_m = grid["grid_range_m"].astype(np.float64)
-    kept = sample_returns(grid["grid_hit"], generator)
+    hit = grid["grid_hit"]
+    kept = rays_return(hit) if by_threshold else sample_returns(hit, generator)
     noise_m = generator.normal(0.0, range_noise_m, range_m.shape)
     kept &= np.isfinite(range_m) & (range_m > 0.0)
     noisy_m = np.maximum(np.where(kept, range_m, 1.0) + noise_m, 0.01)

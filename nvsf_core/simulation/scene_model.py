@@ -45,14 +45,18 @@ class SweepCorrector(Protocol):
 class ImageRenderer(Protocol):
     """Renders camera images."""
 
-    def __call__(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, /) -> RenderedImage:
+    def __call__(
+        self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, /, near_s: float | None = None
+    ) -> RenderedImage:
         """Render a whole image.
 
         Args:
             camera: Name of the drive's camera, as `image_00`.
             pinhole: Its intrinsics.
             pose: (4, 4) float64 camera to scene-local frame, of the view.
-            time_s: Seconds since the first frame.
+            time_s: Instant of what moves, seconds since the first frame.
+            near_s: When the drive was nearest to the pose: what is static is looked up there. None =
+                `time_s`.
         """
 
 

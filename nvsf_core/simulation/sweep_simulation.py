@@ -9,6 +9,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.simulation.footprint import render_beams
 from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.lidar_support import support_of_sweep
 from nvsf_core.simulation.ray_renderers import render_in_chunks
@@ -69,8 +70,8 @@ def _support(
     rendered: RenderedRays,
 ) -> np.ndarray:  # fmt: skip
     """(r,) uint8 `Support` of a rendered sweep's rays."""
-    near = lidar.evidence.prior.nearest_scans(time_s, model.prior_scans)
-    fired_s = time_s + rays.fraction * lidar.sweeps.period_s
+    near = lidar.evidence.prior.nearest_scans(plan.near_time_s(time_s), model.prior_scans)
+    fired_s = plan.fired_s(time_s, rays.fraction, lidar.sweeps.period_s)
     return support_of_sweep(lidar, rays, rendered, fired_s, near, is_own_unit=plan.is_recorded_sensor)
 
 
@@ -88,30 +89,36 @@ def fire_sweep(
     Args:
         model: The scene; its `lidar` is not None.
         lidar: The recording.
-        plan: The sensor and its mounting.
-        time_s: Instant of the sweep's pose, seconds since the first frame.
+        plan: The sensor and its mounting; if it has a path of its own or other moments on it, a plan of this
+            instant only (`ViewPlan.only`).
+        time_s: The sweep's instant, seconds since the first frame.
         phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
         leave_out_s: The training scan of this time is ignored; None = all are used.
     """
     assert model.lidar is not None
     evidence, sweeps = lidar.evidence, lidar.sweeps
-    near = evidence.prior.nearest_scans(time_s, model.prior_scans, leave_out_s=leave_out_s)
+    near_s = plan.near_time_s(time_s)
+    near = evidence.prior.nearest_scans(near_s, model.prior_scans, leave_out_s=leave_out_s)
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
     else:
         lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
     rays = sweep_rays(
-        plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s, mount=plan.mount, phase=phase
-    )
-    fired_s = time_s + rays.fraction * sweeps.period_s
-    is_in_place = plan.is_recorded_sensor and plan.mount is None
+        plan.table, lasers, firings, plan.path or sweeps.trajectory, plan.moment_s(time_s),
+        plan.sweep_s(sweeps.period_s) * plan.path_rate, mount=plan.mount, phase=phase,
+    )  # fmt: skip
+    fired_s = plan.fired_s(time_s, rays.fraction, sweeps.period_s)
+    is_in_place = plan.is_recorded_sensor and plan.mount is None and plan.is_as_recorded
     if is_in_place:
         hit_prior = evidence.prior.hit_prior_of_sweep(lasers, rays.fraction[:firings], near).reshape(-1)
     else:
-        asked = evidence.prior.nearest_scans(time_s, SCANS, leave_out_s=leave_out_s)
+        asked = evidence.prior.nearest_scans(near_s, SCANS, leave_out_s=leave_out_s)
         hit_prior = hit_prior_elsewhere(lidar, rays, fired_s, asked, is_own_unit=plan.is_recorded_sensor)
     columns = (rays.origin_m, rays.direction, hit_prior, fired_s)
-    rendered = render_in_chunks(model.lidar, *columns)
+    if plan.has_footprint:
+        rendered = render_beams(model.lidar, *columns, divergence_mrad=plan.table.divergence_mrad)
+    else:
+        rendered = render_in_chunks(model.lidar, *columns)
     if model.above is not None and not plan.is_recorded_sensor:
         is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
         missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))

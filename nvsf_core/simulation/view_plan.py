@@ -1,11 +1,26 @@
-"""Plans of synthetic views: their times, poses and sensors."""
+"""Plans of synthetic views: their times, poses and sensors.
 
-from dataclasses import dataclass
+A view has two clocks. The scene's says where everything that moves is; the path's says where the sensor is.
+On a recorded drive both are one. While an instant is frozen, the scene's stands and the path's goes on.
+"""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
 
 import numpy as np
 
-from nvsf_core.errors import MissingFrameError
+from nvsf_core.drives.view_checks import moments_s
+from nvsf_core.drives.view_entry import ViewEntry
+from nvsf_core.drives.view_parts import SensorEntry
+from nvsf_core.errors import DataError, MissingFrameError
+from nvsf_core.geometry.angles import pose_of_angles
+from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
+from nvsf_core.simulation.view_path import view_path
+
+_SAME_S = 1e-6
+"""Times nearer to each other are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,11 +29,76 @@ class ViewPlan:
 
     name: str
     frame: np.ndarray
-    """(n,) int64: the recorded frame nearest in time to each instant."""
+    """(n,) int64: the recorded frame whose pose is the nearest one to each instant's."""
     time_s: np.ndarray
-    """(n,) float64: instants of the poses, seconds since the first frame."""
+    """(n,) float64: instants of the scene, seconds since the first frame."""
     mount: np.ndarray | None
-    """(4, 4) pose of the LiDAR (cameras move with it) in its own recorded frame; None = the recorded pose."""
+    """(4, 4) pose of the LiDAR (cameras move with it) in the path's frame; None = the path's own pose."""
+    path_time_s: np.ndarray | None = field(default=None, kw_only=True)
+    """(n,) float64: moments of the path at which the sensor is there; None = `time_s`."""
+    path: Trajectory | None = field(default=None, kw_only=True)
+    """Where the sensor goes; None = the recorded path."""
+    is_at_frames: bool = field(default=True, kw_only=True)
+    """Whether the moments are those of recorded frames, each once: then files have their numbers."""
+    near_s: np.ndarray | None = field(default=None, kw_only=True)
+    """(n,) float64: times at which the drive was nearest to each pose: what is static is looked up in their
+    scans and images. None = `time_s`."""
+    scene_rate: float = field(default=1.0, kw_only=True)
+    """Seconds of the scene that go by in a second of the sensor's: 1 as recorded, 0 = frozen."""
+    path_rate: float = field(default=1.0, kw_only=True)
+    """Seconds of the path that go by in a second of the sensor's."""
+
+    @property
+    def is_as_recorded(self) -> bool:
+        """Whether sensor and scene move as they did in the drive, but for the mounting."""
+        return self.path is None and self.path_time_s is None and self.scene_rate == self.path_rate == 1.0
+
+    @property
+    def moments_s(self) -> np.ndarray:
+        """(n,) float64 moments of the path."""
+        return self.time_s if self.path_time_s is None else self.path_time_s
+
+    @property
+    def stamp_s(self) -> np.ndarray:
+        """(n,) float64 times on the sensor's own clock, by which its files are stamped.
+
+        The first is the path's moment.
+        """
+        moments = self.moments_s
+        first = float(moments[0]) if len(moments) else 0.0
+        return np.asarray(first + (moments - first) / self.path_rate)
+
+    @property
+    def number(self) -> np.ndarray:
+        """(n,) int64 numbers of the files: of the frames, or counted from 0 between them."""
+        return self.frame if self.is_at_frames else np.arange(len(self.frame))
+
+    def only(self, number: int) -> Self:
+        """The plan of one of the instants."""
+        part = slice(number, number + 1)
+        own_s = None if self.path_time_s is None else self.path_time_s[part]
+        near_s = None if self.near_s is None else self.near_s[part]
+        return replace(
+            self, frame=self.frame[part], time_s=self.time_s[part], path_time_s=own_s, near_s=near_s
+        )
+
+    @property
+    def near(self) -> np.ndarray:
+        """(n,) float64 times at which the drive was nearest to each pose."""
+        return self.time_s if self.near_s is None else self.near_s
+
+    def near_time_s(self, time_s: float) -> float:
+        """When the drive was nearest to the pose of a plan's only instant `time_s`."""
+        return time_s if self.near_s is None else float(self.near_s[0])
+
+    def moment_s(self, time_s: float) -> float:
+        """Moment of the path of a plan's only instant `time_s`."""
+        return time_s if self.path_time_s is None else float(self.path_time_s[0])
+
+    def poses(self, recorded: Trajectory) -> np.ndarray:
+        """(n, 4, 4) scene-local poses of the view's LiDAR; `recorded` is the drive's path."""
+        poses = pose_from_parts(*(self.path or recorded).at(self.moments_s))
+        return poses if self.mount is None else poses @ self.mount
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,65 +109,111 @@ class SweepPlan(ViewPlan):
     """The simulated sensor."""
     is_recorded_sensor: bool
     """Whether it is the recording sensor, with the own vehicle around it."""
+    period_s: float | None = field(default=None, kw_only=True)
+    """Duration of a sweep; None = the recorded one."""
+    has_footprint: bool = field(default=False, kw_only=True)
+    """Whether beams have the width of the table."""
+
+    def sweep_s(self, recorded_s: float) -> float:
+        """Duration of a sweep on the sensor's clock; `recorded_s`, 0 without compensation, is the drive's."""
+        return recorded_s if self.period_s is None or recorded_s == 0.0 else self.period_s
+
+    def fired_s(self, time_s: float, fraction: np.ndarray, recorded_s: float) -> np.ndarray:
+        """(r,) instants of the scene at which rays are fired.
+
+        Args:
+            time_s: The sweep's instant.
+            fraction: (r,) sweeps after it.
+            recorded_s: Duration of a recorded sweep.
+        """
+        return np.asarray(time_s + fraction * (self.sweep_s(recorded_s) * self.scene_rate))
 
 
-def mount_pose(shift_m: tuple[float, float, float], yaw_deg: float) -> np.ndarray | None:
-    """Pose (4, 4) of a sensor shifted by (forward, left, up) and turned to the left; None if both are 0."""
-    if not any(shift_m) and yaw_deg == 0.0:
+def mount_pose(view: ViewEntry) -> np.ndarray | None:
+    """Pose (4, 4) of a view's LiDAR in the path's frame, by its shift and angles; None if all are 0."""
+    if not any((*view.shift_m, view.yaw_deg, view.pitch_deg, view.roll_deg)):
         return None
-    angle = np.deg2rad(yaw_deg)
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    pose[:3, 3] = shift_m
-    return pose
+    return pose_of_angles(view.shift_m, view.yaw_deg, view.pitch_deg, view.roll_deg)
 
 
 def plan_view(
-    name: str,
-    *,
-    recorded_frame: np.ndarray,
-    recorded_time_s: np.ndarray,
-    frames: tuple[int, ...] | None,
-    times_s: tuple[float, ...] | None = None,
-    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    yaw_deg: float = 0.0,
+    view: ViewEntry, recorded_frame: np.ndarray, recorded_time_s: np.ndarray, recorded: Trajectory
 ) -> ViewPlan:
-    """Plan instants and mounting of a view.
+    """Plan instants and poses of a view.
 
     Args:
-        name: Name of the view.
+        view: What is asked for.
         recorded_frame: (m,) numbers of the frames with a pose, ascending.
         recorded_time_s: (m,) their times, seconds since the first frame.
-        frames: Frame numbers of the view; None = all.
-        times_s: Times of the view, instead of frames.
-        shift_m: Shift of the sensor: forward, left, up.
-        yaw_deg: Turn of the sensor to the left.
+        recorded: The recorded path.
 
     Raises:
-        MissingFrameError: A frame that is asked for has no pose.
+        MissingFrameError: A frame that is asked for has no pose, or no instant lies in drive and path.
     """
-    if times_s is not None:
-        time_s = np.asarray(times_s, np.float64)
-    else:
-        wanted = recorded_frame if frames is None else np.asarray(frames, np.int64)
-        missing = sorted(set(wanted.tolist()) - set(recorded_frame.tolist()))
-        if missing:
-            raise MissingFrameError(
-                f"view {name!r}: expected frames with a pose, found none for {missing}; ask for others of "
-                f"{recorded_frame.min()}..{recorded_frame.max()}"
-            )
-        time_s = recorded_time_s[np.searchsorted(recorded_frame, wanted)]
-    nearest = np.abs(recorded_time_s[None, :] - time_s[:, None]).argmin(axis=1)
+    try:
+        moments = moments_s(view, recorded_frame, recorded_time_s)
+    except DataError as error:
+        raise MissingFrameError(f"view {view.name!r}: {error}") from error
+    start = pose_from_parts(*recorded.at(recorded_time_s[:1]))[0]
+    start[:3, 3] += recorded.scene_origin_m
+    path = view_path(view, start, recorded.scene_origin_m)
+    near_s = moments if path is None else _nearest_s(path, moments, recorded, recorded_time_s)
+    is_frozen = view.frozen_at_s is not None
+    nearest = np.abs(recorded_time_s[None, :] - near_s[:, None]).argmin(axis=1)
     return ViewPlan(
-        name=name,
-        frame=recorded_frame[nearest].astype(np.int64),
-        time_s=time_s,
-        mount=mount_pose(shift_m, yaw_deg),
+        view.name,
+        recorded_frame[nearest].astype(np.int64),
+        np.full(len(moments), view.frozen_at_s) if is_frozen else moments,
+        mount_pose(view),
+        path_time_s=moments if is_frozen else None,
+        path=path,
+        is_at_frames=bool(
+            path is None
+            and len(np.unique(nearest)) == len(nearest)
+            and (np.abs(recorded_time_s[nearest] - moments) < _SAME_S).all()
+        ),
+        near_s=near_s if is_frozen or path is not None else None,
+        scene_rate=0.0 if is_frozen else float(view.speed),
+        path_rate=float(view.speed),
     )
 
 
-def plan_sweeps(view: ViewPlan, recorded_table: LaserTable, sensor: str | None) -> SweepPlan:
-    """The sweeps of a view, by the sensor of that name; None = the one that recorded the drive."""
-    other = None if sensor in (None, recorded_table.name) else sensor
-    table = recorded_table if other is None else sensor_table(other)
-    return SweepPlan(view.name, view.frame, view.time_s, view.mount, table, other is None)
+def _nearest_s(
+    path: Trajectory, moments: np.ndarray, recorded: Trajectory, recorded_time_s: np.ndarray
+) -> np.ndarray:
+    """Times (n,) of the recorded poses that are nearest in place to a path at its moments (n,)."""
+    _, place_m = path.at(moments)
+    _, known_m = recorded.at(recorded_time_s)
+    nearest = np.linalg.norm(place_m[:, None] - known_m[None], axis=2).argmin(axis=1)
+    return np.asarray(recorded_time_s[nearest])
+
+
+def plan_sweeps(
+    view: ViewPlan,
+    recorded_table: LaserTable,
+    sensor: str | SensorEntry | None,
+    *,
+    has_footprint: bool = False,
+) -> SweepPlan:
+    """The sweeps of a view.
+
+    Args:
+        view: Its instants and poses.
+        recorded_table: The sensor that recorded the drive.
+        sensor: A known sensor's name or one of one's own; None = the one that recorded the drive.
+        has_footprint: Whether its beams have the width of its table.
+    """
+    is_recorded = sensor is None or sensor == recorded_table.name
+    table = recorded_table if is_recorded else table_of(sensor, recorded_table)
+    same = {one.name: getattr(view, one.name) for one in fields(ViewPlan)}
+    period_s = None if table.rate_hz is None else 1.0 / table.rate_hz
+    return SweepPlan(
+        **same, table=table, is_recorded_sensor=is_recorded, period_s=period_s, has_footprint=has_footprint
+    )
+
+
+def table_of(sensor: str | SensorEntry | None, recorded_table: LaserTable) -> LaserTable:
+    """The lasers of a view's sensor; None = those that recorded the drive."""
+    if sensor is None:
+        return recorded_table
+    return sensor.table() if isinstance(sensor, SensorEntry) else sensor_table(sensor)

@@ -9,7 +9,7 @@ import importlib.metadata
 import json
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,19 +20,14 @@ from nvsf_core._types import Scalar
 from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
-from nvsf_core.rendering.support import Support
 from nvsf_core.reporting.previews import image_preview, scan_top_view
-from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
-from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
+from nvsf_core.simulation.scan import GRID_ARRAYS
+from nvsf_core.stages.exports.boxes import boxes_at
+from nvsf_core.stages.exports.of_view import RenderedView
+from nvsf_core.stages.exports.records import BoxRecord
+from nvsf_core.stages.exports.write import write_data_set
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.views.files import (
-    file_numbers,
-    scans_of,
-    write_images,
-    write_scans,
-    write_support,
-)
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
@@ -57,7 +52,7 @@ def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> 
 def _run(task: Task) -> StageOutput:
     recipe, seed = task.config.recipe, task.config.seed
     rendered = task.store.require(f"novel_views/{recipe.name}/{seed}")
-    sources = _source_checksums(task)
+    sources = source_checksums(task)
     metrics = _field_metrics(task)
     held_out = ViewEntry(name="test", exports=("bin", "ply"))
     output = StageOutput()
@@ -72,16 +67,19 @@ def _run(task: Task) -> StageOutput:
         attrs = read_attrs(rendered / view.name / "model.zarr")
         location = f"dataset/{view.name}/{version}"
         with task.store.publish(location) as folder:
-            scans = _write_scans(folder, view, *_scans(task, view, arrays), arrays)
-            pictures = _write_images(folder, arrays)
+            rendered_view = RenderedView(
+                scene=task.scene.name, sequence=task.scene.sequence, entry=view, config=task.config,
+                arrays=arrays, attrs=attrs,
+            )  # fmt: skip
+            written = write_data_set(folder, rendered_view, boxes_of(task, arrays["time_s"]))
+            scans, pictures = written["scans"], written["images"]
             manifest = {
-                **_identity(task, view, version),
-                "drawn": _what_was_drawn(arrays),
+                **identity_of(task, view, version),
+                "drawn": rendered_view.what_was_sampled(),
                 "software": _software(),
                 "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
                 "source_checksums": sources,
-                "scans": scans,
-                "images": pictures,
+                **written,
                 "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
             }
             (folder / MANIFEST_NAME).write_text(json.dumps(manifest, indent=1, allow_nan=False))
@@ -99,7 +97,7 @@ def _run(task: Task) -> StageOutput:
     return output
 
 
-def _identity(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
+def identity_of(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
     """The manifest's entries on the origin of the data set."""
     recipe = task.config.recipe
     return {
@@ -141,94 +139,16 @@ def _read_view(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _scans(
-    task: Task, view: ViewEntry, arrays: Mapping[str, np.ndarray]
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The scans, and the support of their returns (none where the view was rendered without).
-
-    A scan is (N, 4) float32 (x, y, z in metres, intensity): sampled from the grid if the view has one.
-    """
-    if GRID_ARRAYS[0] not in arrays:
-        supports = np.split(arrays["support"], arrays["offsets"][1:-1]) if "support" in arrays else []
-        return scans_of(arrays), supports
-    key = f"{task.scene.name} {view.name} {task.config.recipe.identity()} {task.config.seed}"
-    words = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
-    sampled = [
-        sample_scan(
-            {name: arrays[name][index] for name in GRID_ARRAYS},
-            np.random.default_rng([task.config.draw_seed, index, *words]),
-        )
-        for index in range(len(arrays[GRID_ARRAYS[0]]))
-    ]
-    scans = [scan for scan, _ in sampled]
-    if "grid_support" not in arrays:
-        return scans, []
-    grids = zip(arrays["grid_support"], sampled, strict=True)
-    return scans, [support.reshape(-1)[ray] for support, (_, ray) in grids]
+def boxes_of(task: Task, time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
+    """Gives the drive's labelled boxes at one of the instants (n,) of a view; none if it has none."""
+    folder = task.store.require("frames")
+    if not (folder / "boxes.parquet").is_file():
+        return lambda index: []
+    frames = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
+    return boxes_at(read_rows(folder / "boxes.parquet"), frames, time_s)
 
 
-def _what_was_drawn(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    if "points_m" not in arrays:
-        return {"hits": "nothing: no LiDAR", "range_noise_m": 0.0}
-    if GRID_ARRAYS[0] not in arrays:
-        return {"hits": "as rendered (probability above one half)", "range_noise_m": 0.0}
-    return {
-        "hits": "drawn from the hit probability",
-        "sharpness": SAMPLING_SHARPNESS,
-        "range_noise_m": RANGE_NOISE_M,
-    }
-
-
-def _write_scans(
-    folder: Path,
-    view: ViewEntry,
-    scans: list[np.ndarray],
-    supports: list[np.ndarray],
-    arrays: Mapping[str, np.ndarray],
-) -> list[dict[str, Any]]:
-    """Write each scan in the formats that the view asks for, and the support of its returns beside it.
-
-    Returns one manifest row per scan.
-    """
-    if not scans:
-        return []
-    numbers = file_numbers(arrays["frame"])
-    files = write_scans(folder, numbers, scans, view.exports)
-    support_files = write_support(folder, numbers, supports) if supports else []
-    for own, file in zip(files, support_files, strict=False):
-        own["support"] = file
-    return [
-        {
-            "number": number,
-            "files": files[index],
-            "returns": len(scans[index]),
-            **(_support_counts(supports[index]) if supports else {}),
-            "nearest_frame": int(arrays["frame"][index]),
-            "time_s": float(arrays["time_s"][index]),
-            "lidar_to_world": arrays["lidar_to_world"][index].reshape(-1).tolist(),
-        }
-        for index, number in enumerate(numbers)
-    ]
-
-
-def _support_counts(support: np.ndarray) -> dict[str, int]:
-    """Returns of each support, under the name of its region."""
-    return {one.region: int(np.count_nonzero(support == one)) for one in Support}
-
-
-def _write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Write every rendered image as PNG; returns one manifest row per image."""
-    rows: list[dict[str, Any]] = []
-    for camera, index, number, file in write_images(folder, arrays):
-        nearest = int(arrays[f"{camera}_frame"][index])
-        row = {"camera": camera, "number": number, "file": file, "nearest_frame": nearest}
-        if f"{camera}_camera_to_world" in arrays:
-            row["camera_to_world"] = arrays[f"{camera}_camera_to_world"][index].reshape(-1).tolist()
-        rows.append(row)
-    return rows
-
-
-def _source_checksums(task: Task) -> dict[str, str]:
+def source_checksums(task: Task) -> dict[str, str]:
     """Checksum of each recorded file that the scene was built from, by kind and frame."""
     folder = task.store.require("frames")
     sources = {
@@ -349,7 +269,7 @@ STAGE = Stage(
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " a manifest of what they came from.",
-    version="3",
+    version="4",
     run=_run,
     per_recipe=True,
     per_draw=True,

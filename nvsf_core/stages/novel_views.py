@@ -1,7 +1,7 @@
 """Stage `novel_views`: render the held-out frames and every view of the catalogue."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.models.baselines.mesh import mesh_baseline
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_CHECKS
@@ -25,26 +24,26 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.views.camera import copied_images, image_arrays
+from nvsf_core.stages.views.camera import copied_images
 from nvsf_core.stages.views.files import (
     describe_view,
-    file_numbers,
     scans_of,
     write_images,
     write_method,
     write_scans,
 )
-from nvsf_core.stages.views.lidar import (
-    along_recorded_rays,
-    copied_scans,
-    copied_sweeps,
-    own_panos,
-    sweep_arrays,
-    warm_up,
+from nvsf_core.stages.views.lidar import along_recorded_rays, copied_scans, copied_sweeps, warm_up
+from nvsf_core.stages.views.plan import View, asked_view, held_out_view
+from nvsf_core.stages.views.render import (
+    MESH,
+    asks_images,
+    placed,
+    render_view_arrays,
+    view_attrs,
+    with_images,
 )
-from nvsf_core.stages.views.plan import View, asked_view, held_out_view, reference_poses, to_world
 
-MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
+MODEL, REPROJECT, COPY = "model", "reproject", "copy_nearest"
 NO_LIDAR = "not rendered: this drive has no LiDAR"
 
 
@@ -64,14 +63,15 @@ def _run(task: Task) -> StageOutput:
     if held_out is not None:
         _render_held_out(task, recording, held_out, models, output)
     asked = [(entry, asked_view(recording, entry)) for entry in task.scene.views]
-    models = _with_images(task, recording, models, [view for _, view in asked], output)
+    models, said = with_images(task, recording, models, [view for _, view in asked])
+    output.metadata |= said
     for entry, view in asked:
         if view is None:
             output.metadata[entry.name] = NO_LIDAR
             task.progress(f"[{task.scene.name}] novel_views: {entry.name} {NO_LIDAR}")
             continue
-        arrays = _rendered(task, recording, view, models[MODEL], MODEL)
-        by_images = _asks_images(recording, view, models[MODEL])
+        arrays = render_view_arrays(task, recording, view, models[MODEL], MODEL)
+        by_images = asks_images(recording, view, models[MODEL])
         _publish(task, recording, view, arrays, output, by_images=by_images)
         known = _known_part(task, recording, entry, view)
         if known is not None:
@@ -85,30 +85,6 @@ def _known_part(task: Task, recording: Recording, entry: ViewEntry, view: View) 
         return view
     images = {camera: view.images[camera] for camera, _ in entry.truth if camera in view.images}
     return replace(view, sweeps=None, images=images) if images else None
-
-
-def _with_images(
-    task: Task, recording: Recording, models: Mapping[str, SceneModel], asked: Sequence[View | None],
-    output: StageOutput,
-) -> dict[str, SceneModel]:  # fmt: skip
-    """The models; if a view looks above the recorded lasers, all but the mesh get images for that part."""
-    lidar = recording.lidar
-    plans = [view.sweeps for view in asked if view is not None and view.sweeps is not None]
-    if lidar is None or not any(looks_above(lidar, plan) for plan in plans):
-        return dict(models)
-    started = time.perf_counter()
-    above = seen_above(recording, lambda line: task.progress(f"[{task.scene.name}] novel_views: {line}"))
-    output.metadata["above_lasers"] = (
-        "unknown: no images show it" if above is None else "rendered from images"
-    )
-    output.metadata["above_lasers_seconds"] = time.perf_counter() - started
-    return {name: model if name == MESH else replace(model, above=above) for name, model in models.items()}
-
-
-def _asks_images(recording: Recording, view: View, model: SceneModel) -> bool:
-    if recording.lidar is None or view.sweeps is None or model.above is None:
-        return False
-    return looks_above(recording.lidar, view.sweeps)
 
 
 def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel | None:
@@ -129,7 +105,7 @@ def _render_held_out(
 ) -> None:
     """Render the held-out frames, which are scored, by the model and the baselines."""
     for method, model in models.items():
-        arrays = _rendered(task, recording, view, model, method)
+        arrays = render_view_arrays(task, recording, view, model, method)
         if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
             arrays |= along_recorded_rays(recording.lidar, view.sweeps, model)
         if method == MODEL:
@@ -149,26 +125,12 @@ def _render_beside(
     """Render by the baselines too what there is a truth of, so that all can be scored."""
     for method, model in models.items():
         if method != MODEL:
-            _write(task, recording, view, _rendered(task, recording, view, model, method), method)
+            _write(task, recording, view, render_view_arrays(task, recording, view, model, method), method)
     copies = copied_images(recording, view.images)
     if recording.lidar is not None and view.sweeps is not None and view.sweeps.is_recorded_sensor:
         copies |= copied_sweeps(recording.lidar, view.sweeps, by_model)
     if copies:
         _write(task, recording, view, copies, COPY)
-
-
-def _rendered(
-    task: Task, recording: Recording, view: View, model: SceneModel, method: str
-) -> dict[str, np.ndarray]:
-    """Arrays that a model renders of a view, for the sensors that drive, view and model all have."""
-    arrays: dict[str, np.ndarray] = {}
-    if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
-        arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model, method)
-        if model.pano is not None and view.sweeps.is_recorded_sensor:
-            arrays |= own_panos(task, reference_poses(recording, view.plan), view.sweeps, model.pano)
-    if model.camera is not None:
-        arrays |= image_arrays(task, recording, view.images, model.camera, method)
-    return arrays
 
 
 def _publish(
@@ -179,8 +141,8 @@ def _publish(
     _write(task, recording, view, arrays, MODEL, by_images=by_images)
     folder = task.folder / view.name
     if "points_m" in arrays:
-        write_scans(folder, file_numbers(view.plan.frame), scans_of(arrays))
-    write_images(folder, arrays)
+        write_scans(folder, view.plan.number.tolist(), scans_of(arrays))
+    write_images(folder, arrays | {"number": view.plan.number})
     describe_view(output, view.name, folder, arrays)
 
 
@@ -188,11 +150,8 @@ def _write(
     task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], method: str, *,
     by_images: bool = False,
 ) -> None:  # fmt: skip
-    poses = to_world(recording, reference_poses(recording, view.plan))
-    known = {"frame": view.plan.frame, "time_s": view.plan.time_s, "lidar_to_world": poses}
-    sensor = "" if view.sweeps is None else view.sweeps.table.name
-    origin_m = recording.scene_origin_m
-    write_method(task, view.name, method, arrays | known, sensor, origin_m, by_images=by_images)
+    attrs = view_attrs(recording, view, by_images=by_images)
+    write_method(task, view.name, method, arrays | placed(recording, view), attrs, recording.scene_origin_m)
 
 
 def _check(task: Task) -> list[Check]:
@@ -205,7 +164,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="16",
+    version="17",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -1,10 +1,14 @@
 import os
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from nvsf_core.drives.catalogue import UNSET_ROOT, catalogue_from_environment, has_data, load_catalogue
+from nvsf_core.drives.catalogue_page import as_markdown
+from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.view_parts import CameraEntry, SensorEntry, Waypoint
 from nvsf_core.errors import DataError
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -54,7 +58,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
         if entry.name == "street"
     )
     assert street.root == Path("/somewhere/drives/street") and street.last_frame == 31
-    *off_path, vlp16, os1_128, between = street.views
+    *off_path, vlp16, os1_128, between, frozen = street.views
     assert [(view.name, view.shift_m, view.yaw_deg) for view in off_path] == [
         ("shift_1m", (0.0, 1.0, 0.0), 0.0),
         ("shift_2m", (0.0, 2.0, 0.0), 0.0),
@@ -68,6 +72,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
     assert (os1_128.name, os1_128.sensor, len(os1_128.frames)) == ("os1_128", "OS1-128", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
     assert all(abs(time_s / 0.1 % 1.0 - 0.5) < 1e-9 for time_s in between.times_s)
+    assert (frozen.name, frozen.frames, frozen.frozen_at_s) == ("frozen", (4, 12, 16, 20, 28), 1.6)
 
 
 def test_the_demo_lies_in_the_working_directory_by_default(
@@ -104,9 +109,9 @@ def test_several_files_are_one_catalogue(tmp_path: Path) -> None:
     assert views == {"a": ["v"], "b": []}
 
 
-def test_a_views_frames_are_all_or_numbers_or_times(tmp_path: Path) -> None:
-    frames = {"u": '"all"', "v": "[3, 4]", "w": "[0.05]"}
-    text = SCENE + "".join(f'[[view]]\nname = "{name}"\nframes = {what}\n' for name, what in frames.items())
+def test_a_view_asks_for_frames_or_for_times(tmp_path: Path) -> None:
+    keys = {"u": 'frames = "all"', "v": "frames = [3, 4]", "w": "times_s = [0.05]"}
+    text = SCENE + "".join(f'[[view]]\nname = "{name}"\n{line}\n' for name, line in keys.items())
     (entry,) = load_catalogue([written(tmp_path / "c.toml", text)], None)
     assert [(v.frames, v.times_s) for v in entry.views] == [("all", None), ((3, 4), None), ((), (0.05,))]
 
@@ -150,13 +155,17 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (SCENE + "compensate = 0\n", "compensate: expected true or false, found 0"),
         (SCENE + '[[view]]\nname = "v"\nscenes = ["b"]\n', "unknown scene 'b'"),
         (SCENE + '[[view]]\nname = "v"\nscenes = ["a"]\nframes = [9]\n', r"frames \[9\] are not in 3..6"),
-        (SCENE + '[[view]]\nname = "v"\nframes = [3, 4.5]\n', "frames: expected"),
+        (VIEW + "frames = [3, 4.5]\n", "frames: expected .*moments between frames are `times_s`"),
+        (VIEW + "frames = [3020.5]\n", r"found \[3020.5\]; moments between frames are `times_s`"),
+        (VIEW + "frames = [3]\ntimes_s = [0.1]\n", "expected `frames` or `times_s`, found both"),
+        (VIEW + "times_s = 0.1\n", "times_s: expected a tuple of seconds"),
+        (VIEW + 'frozen_at_s = "now"\n', "frozen_at_s: expected seconds"),
         (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),
         (SCENE + '[[view]]\nname = "test"\n', "splits of recorded frames"),
         (VIEW + 'truth = "right"\n', "truth: expected cameras with their folders"),
         (VIEW + 'truth = { image_09 = "right" }\n', "truth: expected different ones of image_00"),
         (VIEW + "truth = { image_00 = 3 }\n", "truth: image_00: expected 1 to 1000 printable characters"),
-        (VIEW + 'frames = [0.05]\ntruth = { image_00 = "right" }\n', "named by frames"),
+        (VIEW + 'times_s = [0.05]\ntruth = { image_00 = "right" }\n', "named by frames"),
         (VIEW + 'sensor = "VLP-16"\ntruth = { image_00 = "right" }\n', "leave `sensor` out"),
         (
             SCENE
@@ -173,6 +182,106 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
 def test_a_mistake_in_a_catalogue_is_named_with_its_file(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(DataError, match=rf"c\.toml.*{reason}"):
         load_catalogue([written(tmp_path / "c.toml", text)], None)
+
+
+ALL_KEYS = """
+[[sensor]]
+name = "mine"
+elevation_deg = [5.0, 0.0, -5.0]
+azimuth_step_deg = 0.4
+rate_hz = 20.0
+divergence_mrad = 3.0
+
+[[view]]
+name = "all"
+sensor = "mine"
+footprint = true
+pitch_deg = 2.0
+roll_deg = -1.0
+pose_file = "poses.txt"
+path_in = "world"
+rate_hz = 5.0
+speed = 0.5
+frozen_at_s = 0.1
+cameras = ["image_00"]
+hits = "threshold"
+range_noise_m = "measured"
+exports = ["kitti360", "kitti", "bin"]
+
+[[view.camera]]
+name = "image_10"
+like = "image_00"
+width = 64
+height = 48
+focal_px = 40.0
+
+[[view]]
+name = "curve"
+waypoints = [
+  { time_s = 0.0, position_m = [0.0, 0.0, 0.0] },
+  { time_s = 0.3, position_m = [3.0, 1.0, 0.0], yaw_deg = 10.0 },
+]
+"""
+
+
+def test_every_part_of_a_view_is_read(tmp_path: Path) -> None:
+    written(
+        tmp_path / "poses.txt", "# t x y z q\n0.0 1 2 3 0 0 0 1\n0.3, 1, 0, 0, 2, 0, 1, 0, 3, 0, 0, 1, 4\n"
+    )
+    (entry,) = load_catalogue([written(tmp_path / "c.toml", SCENE + ALL_KEYS)], None)
+    view, curve = entry.views
+    assert view.sensor_name == "mine" and view.frames == () and view.camera[0].model().fx == 40.0
+    assert view.pose_file is not None and view.pose_file.time_s == (0.0, 0.3)
+    assert view.pose_file.poses[0] == (1, 0, 0, 1, 0, 1, 0, 2, 0, 0, 1, 3)
+    assert [point.position_m for point in curve.waypoints] == [(0.0, 0.0, 0.0), (3.0, 1.0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        ('rate_hz = 5.0\nframes = [3]\n', "expected `frames` or `rate_hz`, found both"),
+        ("rate_hz = 0\n", r"rate_hz: expected 0.1 to 1000"),
+        ("speed = 0\n", "speed: expected 0.01 to 100"),
+        ('sensor = "none"\ncameras = []\n', "expected a LiDAR or a camera"),
+        ('sensor = "Pandar64"\nfootprint = true\n', "beam width of Pandar64 is not known"),
+        ('cameras = ["image_07"]\n', r"cameras: expected different ones of image_00"),
+        ('hits = "some"\n', "hits: expected one of sampled, threshold"),
+        ("range_noise_m = -1\n", "range_noise_m: expected 0 to 10 m"),
+        ('range_noise_m = "much"\n', "range_noise_m: expected metres or 'measured'"),
+        ("waypoints = [{ time_s = 0.0 }]\n", "waypoints 1: missing keys position_m"),
+        (
+            "waypoints = [{ time_s = 1, position_m = [0,0,0] }, { time_s = 0, position_m = [0,0,0] }]\n",
+            "ascending",
+        ),
+        ("waypoints = 3\n", "waypoints: expected a list of tables"),
+        ('pose_file = "none.txt"\n', "pose_file: cannot read"),
+        ('pose_file = "bad.txt"\n', r"bad\.txt:2: expected 8 finite numbers"),
+        ('pose_file = "skew.txt"\n', r"skew\.txt:1: expected a rotation"),
+        ('path_in = "there"\n', "path_in: expected one of start, world"),
+        (
+            '[[view.camera]]\nname = "image_00"\nlike = "image_00"\nwidth = 9\nheight = 9\nfocal_px = 5\n',
+            "image_04",
+        ),
+        (
+            '[[view.camera]]\nname = "image_09"\nlike = "image_00"\nwidth = 9\nheight = 9\n',
+            "one of them; found neither",
+        ),
+        ('exports = ["e57"]\n', "exports: expected different ones of bin, ply"),
+    ],
+)  # fmt: skip
+def test_a_view_that_cannot_be_is_refused_with_what_is_allowed(
+    tmp_path: Path, lines: str, reason: str
+) -> None:
+    written(tmp_path / "bad.txt", "0 1 2 3 0 0 0 1\n1 2 3\n")
+    written(tmp_path / "skew.txt", "0 1 2 3 4 5 6 7 8 9 10 11 12\n")
+    with pytest.raises(DataError, match=rf"c\.toml.*{reason}"):
+        load_catalogue([written(tmp_path / "c.toml", VIEW + lines)], None)
+
+
+def test_the_page_of_the_catalogue_is_made_from_the_code() -> None:
+    assert (REPOSITORY / "docs/catalogue.md").read_text() == as_markdown()
+    for kind in (ViewEntry, SensorEntry, CameraEntry, Waypoint):
+        assert all(f"| `{one.name}` |" in as_markdown() for one in fields(kind))
 
 
 def test_an_absent_catalogue_is_named(tmp_path: Path) -> None:

@@ -22,8 +22,9 @@ def run(tiny_catalogue, tmp_path_factory, run_process):
 
 def test_the_examples_run_in_their_order(run, tmp_path):
     assert "dataset: " in run("one_scene", "tiny", "smoke")
-    cloud = tmp_path / "left.ply"
-    assert "1.5 m to the left" in run("own_view", "tiny", "smoke", "1.5", str(cloud))
+    made = tmp_path / "left"
+    assert "1.5 m to the left" in run("own_view", "tiny", "smoke", "1.5", str(made))
+    (cloud,) = (made / "velodyne_points/ply").iterdir()
     assert cloud.stat().st_size > 200
     said = run("read_metrics", "tiny", "smoke", "lidar4d_scan")
     assert "chamfer_m2" in said and "reproject" in said and "copy_nearest" in said

@@ -106,6 +106,6 @@ def test_a_pipe_for_a_catalogue_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_unharmed_catalogue_is_read(tmp_path: Path) -> None:
-    (tmp_path / "c.toml").write_text(VIEW + "frames = [0.15]\n")
+    (tmp_path / "c.toml").write_text(VIEW + "times_s = [0.15]\n")
     (entry,) = load_catalogue([tmp_path / "c.toml"], None)
     assert entry.name == "street" and entry.views[0].times_s == (0.15,)

@@ -23,6 +23,39 @@ def test_its_commands_are_listed(ask):
         assert f"  {command} " in said.output
 
 
+def test_views_are_checked_at_once(ask):
+    said = ask("view", "--check")
+    assert (
+        said.exit_code == 0 and "tiny, shift_1m: 1 instants, 0.1 to 0.1 s on the recorded path" in said.output
+    )
+    own = ask("view", "tiny", "rate_hz = 20", 'sensor = "VLS-128"', "--check")
+    assert own.output.startswith("tiny, view: 7 instants, 0 to 0.3 s"), own.output
+    for keys, words in (
+        ("times_s = [9.5]", "expected times from 0 to 0.3 seconds of the drive, found [9.5]"),
+        ("frames = [1.5]", "moments between frames are `times_s`"),
+        ("frozen_at_s = 7", "frozen_at_s: expected 0 to 0.3"),
+        (
+            'waypoints = [{ time_s = 0.1, position_m = [0.0, 0.0, 0.0] }]\npath_in = "world"',
+            "expected a path within 1000 m of the drive",
+        ),
+        ('cameras = ["image_01"]', "expected cameras that the drive has, found image_01"),
+    ):
+        wrong = ask("view", "tiny", keys, "--check")
+        assert wrong.exit_code == 1 and words in wrong.output, wrong.output
+
+
+def test_a_view_of_the_command_line_may_ask_for_a_sensor_of_the_catalogue(
+    ask, tiny_catalogue, tmp_path, monkeypatch
+):
+    own = tmp_path / "own.toml"
+    own.write_text('[[sensor]]\nname = "mine"\nelevation_deg = [2.0, -3.0]\n')
+    monkeypatch.setenv("NVSF_SCENES", f"{tiny_catalogue}:{own}")
+    said = ask("view", "tiny", 'sensor = "mine"', "--check")
+    assert said.exit_code == 0 and "LiDAR mine" in said.output, said.output
+    refused = ask("view", "tiny", 'sensor = "yours"', "--check")
+    assert refused.exit_code == 1 and "sensor: expected one of HDL-64E" in refused.output
+
+
 def test_scenes_are_listed_with_what_is_there(ask):
     said = ask("scenes").output.splitlines()
     assert any(line.startswith("tiny ") and line.endswith("not trained") for line in said)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import MissingFrameError
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.rendering.rendered import RenderedRays
@@ -52,7 +53,7 @@ def test_a_scan_may_lack_a_laser_or_all_of_them() -> None:
 
 
 def test_a_shifted_sensor_fires_from_beside_the_car() -> None:
-    here, there = still_sweep(), still_sweep(mount_pose((0.0, 1.0, 0.0), 0.0))
+    here, there = still_sweep(), still_sweep(mount_pose(ViewEntry(name="left", shift_m=(0.0, 1.0, 0.0))))
     assert np.allclose(there.origin_m - here.origin_m, [0.0, 1.0, 0.0], atol=1e-5)
     assert np.allclose(there.direction, here.direction, atol=1e-6)
 
@@ -99,5 +100,7 @@ def still_sweep(mount: np.ndarray | None = None):
 
 
 def plan(name: str, frames=None, times_s=None, sensor=None):
-    view = plan_view(name, recorded_frame=FRAMES, recorded_time_s=TIMES, frames=frames, times_s=times_s)
+    frames = frames or ("all" if times_s is None else ())
+    still = Trajectory(TIMES, np.tile(np.eye(4), (len(TIMES), 1, 1)), np.zeros(3))
+    view = plan_view(ViewEntry(name=name, frames=frames, times_s=times_s), FRAMES, TIMES, still)
     return plan_sweeps(view, LEARNED, sensor)

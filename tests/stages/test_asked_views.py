@@ -1,5 +1,6 @@
 """Views of the catalogue whose truth is known: rendered by all methods, measured, and shown beside it."""
 
+import json
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,26 +11,42 @@ import pytest
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.errors import MissingLibraryError
+from nvsf_core.drives.view_parts import CameraEntry, SensorEntry, Waypoint
+from nvsf_core.errors import DataError, MissingLibraryError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.metrics.trust.cues import AWAY, DENSITY, LASERS, ODOMETRY, PROTOCOL, SCORE, WRONG
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.rendering.support import Support
 from nvsf_core.stages import Outcome, mesh, novel_views, plan_run, run_named_stage, scene_metrics
+from nvsf_core.stages.render_view import render_view
 from nvsf_core.stages.runner.listings import truth_listing
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stages.scoring.trust.view_rows import measure_trust, recorded_sensors
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
+from nvsf_core.stores.checksums import file_checksums
 from nvsf_core.stores.tables import read_rows
 
 VIEWS = (
     ViewEntry(name="shift_1m", shift_m=(0.0, 1.0, 0.0), frames=(1,)),
     ViewEntry(name="between", times_s=(0.05, 0.15)),
     ViewEntry(name="vlp16", sensor="VLP-16", frames=(1,)),
-)
+    ViewEntry(name="frozen", frames=(0, 3), frozen_at_s=0.1),
+    ViewEntry(
+        name="curve", rate_hz=5.0, frames=(), frozen_at_s=0.1, footprint=True, cameras=(),
+        sensor=SensorEntry(
+            name="mine", elevation_deg=(0.0, -5.0, -10.0), azimuth_step_deg=4.0, rate_hz=20.0,
+            divergence_mrad=3.0,
+        ),
+        waypoints=(
+            Waypoint(time_s=0.0, position_m=(0.0, 0.0, 0.0)),
+            Waypoint(time_s=0.5, position_m=(3.0, 0.5, 0.2), yaw_deg=10.0),
+        ),
+        camera=(CameraEntry(name="image_10", like="image_00", width=32, height=24, focal_px=40.0),),
+    ),
+)  # fmt: skip
 _GRID = FieldSpec(levels=2, log2_table=8)
 SMOKE = replace(
     preset("smoke"),
@@ -90,6 +107,70 @@ def test_every_method_renders_the_images_of_a_view_of_the_demo(run: Run) -> None
             assert len(read_arrays(path, "image_00_rgb")["image_00_rgb"]) == images
     assert not run.stored("vlp16", "copy_nearest").exists()
     assert read_attrs(run.stored("vlp16", "reproject"))["cameras"] == []
+
+
+def test_a_frozen_instant_is_rendered_from_a_moving_car_and_measured(run: Run) -> None:
+    recorded = read_rows(run.root / "frames/frames.parquet")
+    for method in METHODS:
+        shown = read_arrays(run.stored("frozen", method))
+        assert shown["time_s"].tolist() == [0.1, 0.1]
+        assert np.allclose(shown["path_time_s"], [recorded[0]["time_s"], recorded[3]["time_s"]])
+        assert shown["frame"].tolist() == [0, 3]
+        poses = np.array([recorded[k]["lidar_to_world"] for k in (0, 3)]).reshape(2, 4, 4)
+        assert np.allclose(shown["lidar_to_world"], poses, atol=1e-9)
+        rows = [
+            row for row in run.rows("frozen") if row["recipe"] == ("smoke" if method == "model" else method)
+        ]
+        assert {row["sensor"] for row in rows} == {"lidar", "image_00"}
+
+
+def test_a_path_sensor_and_camera_of_ones_own_are_rendered_and_measured(run: Run) -> None:
+    shown, attrs = read_arrays(run.stored("curve", "model")), read_attrs(run.stored("curve", "model"))
+    assert shown["stamp_s"].tolist() == pytest.approx([0.0, 0.2, 0.4]) and shown["number"].tolist() == [
+        0,
+        1,
+        2,
+    ]
+    assert attrs["sensor"] == "mine" and attrs["sweep_period_s"] == 0.05 and attrs["cameras"] == ["image_10"]
+    assert shown["grid_hit"].shape == (3, 3, 90) and shown["image_10_rgb"].shape == (3, 24, 32, 3)
+    start, end = shown["lidar_to_world"][0], shown["lidar_to_world"][2]
+    moved_m = np.linalg.norm(end[:3, 3] - start[:3, 3])
+    assert 2.0 < moved_m < 3.5
+    rows = run.rows("curve")
+    assert {row["sensor"] for row in rows} == {"lidar"}, "nobody has a true image of such a camera"
+    assert all(np.isfinite(row["value"]) for row in rows if row["metric"] == "hit_accuracy")
+
+
+def test_a_data_set_written_as_a_drive_is_a_drive(run: Run, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mesh, "poisson_mesh", _missing)
+        folder = render_view(
+            run.plan.scene, {"name": "again", "shift_m": [0.0, 0.5, 0.0], "exports": ["kitti360", "bin"]},
+            run.plan.store.home, out=tmp_path / "made", recipe=SMOKE, progress=lambda line: None,
+        )  # fmt: skip
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert file_checksums(folder, frozenset({"manifest.json"})) == manifest["checksums"]
+    entry = SceneEntry(
+        name="second", root=folder / "kitti360", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=3,
+        test_frames=(2,),
+    )  # fmt: skip
+    again = plan_run(entry, tmp_path / "home", recipe=SMOKE)
+    for stage in ("frames", "sweeps", "pano", "undistorted"):
+        outcome = run_named_stage(stage, again, lambda line: None)
+        assert all(check.passed for check in outcome.checks if check.blocking), outcome.checks
+    rows = read_rows(again.store.path("frames") / "frames.parquet")
+    ingested = read_arrays(again.store.path("sweeps") / "returns.zarr")
+    for k, scan in enumerate(manifest["scans"]):
+        assert rows[k]["pose_valid"] and rows[k]["scan_valid"], rows[k]["reason"]
+        assert np.allclose(rows[k]["lidar_to_world"], scan["lidar_to_world"], atol=1e-8)
+        points = np.fromfile(folder / scan["files"]["bin"], "<f4").reshape(-1, 4)
+        own = slice(ingested["offsets"][k], ingested["offsets"][k + 1])
+        assert (ingested["points_m"][own] == points[:, :3]).all()
+    images = read_arrays(again.store.path("undistorted") / "images.zarr", "image_00_camera_to_world")
+    made = [row["camera_to_world"] for row in manifest["images"]]
+    assert np.allclose(images["image_00_camera_to_world"].reshape(4, 16), made, atol=1e-8)
+    with pytest.raises(DataError, match=r"expected no .*made, or an empty folder"):
+        render_view(run.plan.scene, {}, run.plan.store.home, out=folder, progress=lambda line: None)
 
 
 def test_a_copied_image_is_the_training_image_nearest_to_the_view(run: Run) -> None:

@@ -29,7 +29,7 @@ class RectifiedCamera:
     height: int
     """Rows of the rectified image."""
     focal_px: float
-    """Focal length of the rectified image, horizontal and vertical."""
+    """Focal length of the rectified image."""
     cx: float
     """Column of the principal point; pixel centres lie at integers."""
     cy: float
@@ -38,6 +38,8 @@ class RectifiedCamera:
     """Distance to the right of camera 0, along the rectified x axis."""
     rectification: np.ndarray
     """R_rect (3, 3): unrectified to rectified camera."""
+    focal_y_px: float | None = None
+    """Vertical focal length, if it is another one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ class WrittenBox:
     object_id: int
     """Number of the object; a moving object has one box a frame."""
     label: str
-    """`car`, `rider`, `person` or `bicycle`."""
+    """`car`, `rider`, `person`, `bicycle`; others are written without a semantic number."""
     dynamic: bool
     """Whether it moves."""
     frame: int
@@ -98,6 +100,17 @@ def write_image(path: Path, rgb: np.ndarray) -> None:
     _write_png(path, rgb[..., ::-1])
 
 
+def png_bytes(rgb: np.ndarray) -> bytes:
+    """An image (H, W, 3) uint8, red first, as PNG.
+
+    Raises:
+        ShapeError: The array has another shape or type.
+    """
+    if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
+        raise ShapeError(f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype}; convert it")
+    return bytes(cv2.imencode(".png", rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+
+
 def write_classes(path: Path, classes: np.ndarray) -> None:
     """Write a class (H, W) uint8 of each pixel of an image as a grey PNG with these values.
 
@@ -144,7 +157,8 @@ def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> Non
     lines = ["calib_time: 28-May-2013 08:00:00", "corner_dist: 0.100000"]
     for name, camera in cameras.items():
         tag = name[-2:]
-        k = np.array([[camera.focal_px, 0.0, camera.cx], [0.0, camera.focal_px, camera.cy], [0.0, 0.0, 1.0]])
+        focal_y = camera.focal_px if camera.focal_y_px is None else camera.focal_y_px
+        k = np.array([[camera.focal_px, 0.0, camera.cx], [0.0, focal_y, camera.cy], [0.0, 0.0, 1.0]])
         p = np.column_stack([k, [-camera.focal_px * camera.baseline_m, 0.0, 0.0]])
         size = f"{camera.width:.6f} {camera.height:.6f}"
         lines += [
@@ -197,7 +211,7 @@ def _box_xml(index: int, box: WrittenBox) -> str:
         "index": index,
         "label": box.label,
         "category": "vehicle" if box.label in ("car", "bicycle") else "human",
-        "semanticId": _SEMANTIC_IDS[box.label],
+        "semanticId": _SEMANTIC_IDS.get(box.label, 0),
         "instanceId": box.object_id,
         "timestamp": box.frame,
         "dynamic": int(box.dynamic),

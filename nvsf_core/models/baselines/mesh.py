@@ -50,8 +50,10 @@ def _lidar(cast: MeshRays, far_m: float) -> RayRenderer:
 def _camera(cast: MeshRays, recording: Recording) -> ImageRenderer:
     """The two nearest training images, warped by the mesh's depth and averaged; without a plane sweep."""
 
-    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
-        del time_s
+    def warp(
+        camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, near_s: float | None = None
+    ) -> RenderedImage:
+        del time_s, near_s
         images = recording.cameras[camera].training
         direction = (pinhole.rays(pinhole.pixels()).reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
         origin_m = np.broadcast_to(pose[:3, 3].astype(np.float32), direction.shape)

@@ -28,9 +28,11 @@ def reprojection(recording: Recording) -> SceneModel:
 def warping_renderer(recording: Recording) -> ImageRenderer:
     """Renders images: the two nearest training images, warped by the LiDAR's depth and averaged."""
 
-    def warp(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
+    def warp(
+        camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, near_s: float | None = None
+    ) -> RenderedImage:
         images = recording.cameras[camera].training
-        points = depth_points(recording, time_s)
+        points = depth_points(recording, time_s if near_s is None else near_s)
         return render_by_warping(pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid)
 
     return warp

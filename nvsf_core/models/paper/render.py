@@ -67,8 +67,18 @@ class PaperModel:
         range_m, intensity, hit = (values.reshape(direction.shape[:2]) for values in found)
         return torch.stack([hit, intensity, range_m / self.bounds.half_m])
 
-    def render_image(self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
-        """Render a camera at `pose` (4, 4), camera to scene-local; its ranges are ray lengths in metres."""
+    def render_image(
+        self, camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, near_s: float | None = None
+    ) -> RenderedImage:
+        """Render a camera; ranges are ray lengths in metres.
+
+        Args:
+            camera: Its name.
+            pinhole: Its intrinsics.
+            pose: (4, 4) camera to scene-local frame.
+            time_s: Instant that the field is asked for.
+            near_s: Not used: the field knows no recorded scans.
+        """
         direction = (pinhole.rays(pinhole.pixels()) @ pose[:3, :3].T).reshape(-1, 3)
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
         rays = camera_rays(self.bounds, origin, direction, near_m=self.recipe.sampling.near_m)

@@ -182,12 +182,14 @@ def camera_renderer(
     world = drive.world
     shown = {name: _shown(world, name, spec).with_depths(one).to(device) for name, one in maps.items()}
 
-    def render(camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float) -> RenderedImage:
+    def render(
+        camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, near_s: float | None = None
+    ) -> RenderedImage:
         if camera not in maps:
-            return warp(camera, pinhole, pose, time_s)
-        one = world.recording.cameras[camera]
-        at, moving = drive.pose_at(camera, pose, time_s), world.moving(time_s, one.training_time_s)
-        lidar = lidar_view(at, pinhole, world.static_points(time_s), moving)
+            return warp(camera, pinhole, pose, time_s, near_s)
+        one, place_s = world.recording.cameras[camera], time_s if near_s is None else near_s
+        at, moving = drive.pose_at(camera, pose, place_s), world.moving(time_s, one.training_time_s)
+        lidar = lidar_view(at, pinhole, world.static_points(place_s), moving)
         view = camera_view(at, pinhole, lidar, shown[camera], one.training.pose, spec, moving=moving)
         return render_view(networks, view.to(device), spec)
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
@@ -113,8 +114,8 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     time_s = float(norms.time_s[middle])
     plan = plan_sweeps(
         plan_view(
-            "training", recorded_frame=recording.posed_frame, recorded_time_s=recording.posed_time_s,
-            frames=None, times_s=(time_s,),
+            ViewEntry(name="training", frames=(), times_s=(time_s,)), recording.posed_frame,
+            recording.posed_time_s, recording.trajectory,
         ),
         sweeps.table, None,
     )  # fmt: skip

@@ -96,13 +96,19 @@ def check_views(task: Task) -> list[Check]:
         for name, values in arrays.items():
             finite.add(values.size, _broken(name, values), f"{place}, {name}")
         if path.stem == _MODEL and attrs.get("sensor"):
-            _limits(within, place, arrays, sensor_table(attrs["sensor"]).max_range_m * LEVER)
+            _limits(within, place, arrays, _max_range_m(attrs) * LEVER)
             scans.append((path.parent.name, arrays, attrs))
     norms = read_norms(task.store)
     checks = [finite.outcome(FINITE, "not finite"), within.outcome(WITHIN, "out of limits")]
     if norms is None:
         return [*checks, *(named.not_run(NO_NORMS) for named in (RETURNS, HIT_RATE, INTENSITY))]
     return [*checks, _empty(scans, norms), *_likeness(scans, norms, _recording_sensor(task))]
+
+
+def _max_range_m(attrs: Mapping[str, Any]) -> float:
+    """Greatest range of the view's LiDAR: stored with it, for a user's own sensor is no known table."""
+    stored = attrs.get("sensor_max_range_m")
+    return sensor_table(attrs["sensor"]).max_range_m if stored is None else float(stored)
 
 
 def _numbers(path: Path) -> dict[str, np.ndarray]:
@@ -151,7 +157,9 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
     for view, arrays, attrs in scans:
         if attrs["sensor"] != sensor:
             continue  # other lasers hit other surfaces: recorded scans are not comparable
-        for i, (frame, time_s) in enumerate(zip(arrays["frame"], arrays["time_s"], strict=True)):
+        # Of a frozen instant the scans that are nearest in time are elsewhere: the path's moments count.
+        moments = arrays.get("path_time_s", arrays["time_s"])
+        for i, (frame, time_s) in enumerate(zip(arrays["frame"], moments, strict=True)):
             own = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
             place = f"view {view}, frame {frame}"
             rates.append((norms.hit_rate_apart(len(own), float(time_s)), place))

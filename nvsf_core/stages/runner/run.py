@@ -13,8 +13,8 @@ from nvsf_core.drives.catalogue import (
     catalogue_from_environment,
     has_data,
     home_from_environment,
-    require_times_in_drive,
 )
+from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
@@ -60,13 +60,13 @@ def plan_run(
 
     Raises:
         RecipeError: There is no preset of that name, or a seed is not valid.
-        DataError: The label cannot be part of a folder's name, a view asks for times outside the drive, or
+        DataError: The label cannot be part of a folder's name, a view asks for what the drive cannot give, or
             its true images are absent or of another size.
         StoreError: The home cannot be written to.
     """
     if not isinstance(scene, SceneEntry):
         raise DataError(f"expected a SceneEntry, found {scene!r:.60}; `find_scene` gives one by its name")
-    require_times_in_drive(scene)
+    require_views(scene)
     require_truth(scene)
     home = require_home(home)
     _require_apart(scene, home)

@@ -6,7 +6,8 @@ computed along the view's own rays, so that the unknown phase of a sweep does no
 truth if the demo's drop model gives it a probability of at least 1/2; range noise and mixed pixels are left
 out. Rows have the protocol `raw` and the view's name as `split`: range errors on the rays that return in
 truth, hits on all of the view's rays (not on the recording sensor's grid of 2000 cells), Chamfer and F-score
-of the exported scan against the noise-free one.
+of the exported scan against the noise-free one; in the region `foreground`, errors of the rays that meet a
+moving object in truth.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,8 @@ from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
+from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.metrics.foreground import FOREGROUND
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.point_cloud import point_cloud_metrics, point_cloud_part_metrics
@@ -31,10 +34,11 @@ from nvsf_core.rendering.support import SUPPORTED, Support
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.view_plan import mount_pose
+from nvsf_core.simulation.view_plan import ViewPlan, table_of
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
+from nvsf_core.stages.views.stored_plan import stored_plan
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
@@ -62,6 +66,12 @@ class DemoTruth:
     """World time at the drive's time 0."""
     gap_m: float
     """Median |recorded - exact range| of one scan: only the range noise if this is the drive's world."""
+
+    def path_to_world(self, plan: ViewPlan, moments_s: np.ndarray) -> np.ndarray:
+        """(k, 4, 4) exact poses of a stored view's path at some of its moments (k,), without its mounting."""
+        if plan.path is None:
+            return self.world.lidar_to_world(moments_s + self.shift_s)
+        return pose_from_parts(*plan.path.at(moments_s))
 
     @property
     def is_of_this_drive(self) -> bool:
@@ -117,16 +127,18 @@ def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Led
         StoreError: The stored rays are not those that the view's sensor fires.
     """
     supports = [name for name in ("support", "grid_support") if name in array_names(path, "u")]
-    a = read_arrays(path, *_VIEW, *supports)
+    a, plan = read_arrays(path, *_VIEW, *supports), stored_plan(path)
     for i, frame in enumerate(a["frame"].tolist()):
         own, firings = part(a["offsets"], i), int(a["grid_firings"][i])
         scan = Scan(points_m=a["points_m"][own], intensity=a["intensity"][own], laser=a["laser"][own])
         grid = {name: a[name][i][:, :firings] for name in _GRID}
-        rays = _Rays(truth, view, float(a["time_s"][i]) + truth.shift_s, grid["grid_hit"].shape[1])
+        rays = _Rays(truth, view, plan.only(i), grid["grid_hit"].shape[1])
         # A copy lies on the model's rays, with the azimuths of the model's returns: checked with the model.
         if path.stem != _COPY:
             rays.require_same(path, grid)
         found = {"all": _against(rays, grid, near_returns(scan))}
+        if rays.meets_mover.any():
+            found[FOREGROUND] = _along_rays(rays, grid, rays.meets_mover)
         if "support" in a:
             grid["grid_support"] = a["grid_support"][i][:, :firings]
             found |= _by_support(rays, grid, scan, a["support"][own])
@@ -141,19 +153,23 @@ def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Led
 class _Rays:
     """The rays of one sweep of a view, (lasers, firings), and their exact truth; sensor's frame, metres."""
 
-    def __init__(self, truth: DemoTruth, view: ViewEntry, time_s: float, firings: int) -> None:
-        table = sensor_table(view.sensor or truth.recorded_sensor)
+    def __init__(self, truth: DemoTruth, view: ViewEntry, plan: ViewPlan, firings: int) -> None:
+        table = table_of(view.sensor, sensor_table(truth.recorded_sensor))
         is_recorded = table.name == truth.recorded_sensor
         lasers = truth.lasers if is_recorded else np.arange(table.laser_count)
         azimuth_rad, fraction = firing_grid(table, firings)
         theta_rad = azimuth_rad[lasers]
-        times_s = np.broadcast_to(time_s + truth.period_s * fraction, theta_rad.shape)
+        after_s = (truth.period_s if table.rate_hz is None else 1.0 / table.rate_hz) * fraction
+        time_s = float(plan.time_s[0]) + truth.shift_s + plan.scene_rate * after_s
+        path_to_world = truth.path_to_world(plan, plan.moments_s + plan.path_rate * after_s)
         self.origin_m, self.direction = sensor_rays(table, theta_rad, lasers[:, None])
         self.exact: ExactRays = exact_rays(
-            truth.world, table, lasers, theta_rad, times_s, mount=mount_pose(view.shift_m, view.yaw_deg),
-            own_vehicle=is_recorded,
+            truth.world, table, lasers, theta_rad, np.broadcast_to(time_s, theta_rad.shape), mount=plan.mount,
+            own_vehicle=is_recorded, path_to_world=path_to_world,
         )  # fmt: skip
         self.returns = rays_return(self.exact.chance)
+        movers = [mover.object_id for mover in truth.world.street.movers]
+        self.meets_mover = self.returns & np.isin(self.exact.instance, movers)
 
     def points(self, range_m: np.ndarray) -> np.ndarray:
         """(L, F, 3) points at (L, F) ranges along the rays."""

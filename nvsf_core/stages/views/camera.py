@@ -1,17 +1,21 @@
 """Images of a view: rendered by a model, or copied from the nearest training image."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
+from nvsf_core.drives.view_parts import CameraEntry
+from nvsf_core.geometry.angles import rotation_of
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.models.baselines.copy_nearest import nearest_earlier
 from nvsf_core.recording.drive import Recording
+from nvsf_core.rendering.rendered import RenderedImage
+from nvsf_core.simulation.other_camera import OtherCamera
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stages.views.plan import reference_poses, to_world
+from nvsf_core.stages.views.plan import View, reference_poses, to_world
 from nvsf_core.stages.views.timing import render_all
 
 
@@ -38,28 +42,87 @@ def image_arrays(
         poses = _camera_poses(recording, name, plan)
         one = partial(_image, name, pinhole, poses, plan, render)
         shown, seconds = render_all(task, one, len(poses), f"{plan.name}, {method}, {name}")
-        rgb, range_m, support = zip(*shown, strict=True)
-        arrays |= _named(name, plan, np.stack(rgb), to_world(recording, poses), seconds)
-        arrays[f"{name}_range_m"] = np.stack(range_m)
-        if support[0] is not None:
-            arrays[f"{name}_support"] = np.stack(support)
+        arrays |= _arrays_of(name, plan, shown, to_world(recording, poses), seconds)
     return arrays
+
+
+def other_image_arrays(
+    task: Task, recording: Recording, view: View, render: ImageRenderer, method: str
+) -> dict[str, np.ndarray]:
+    """Render the cameras of other intrinsics at all instants of a view; arrays as of `image_arrays`.
+
+    Args:
+        task: Task of the stage, for its progress.
+        recording: The drive, with its cameras and trajectory.
+        view: With its `other_cameras`.
+        render: The model's image renderer.
+        method: Name of the method, for progress.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for name, camera in view.other_cameras.items():
+        pinhole = recording.cameras[camera.like].training.pinhole
+        other = OtherCamera.of(camera.model(), pinhole)
+        poses = reference_poses(recording, view.plan) @ camera_in_lidar(
+            camera, recording.cameras[camera.like].in_lidar
+        )
+
+        def image(
+            number: int, camera: CameraEntry = camera, other: OtherCamera = other, poses: np.ndarray = poses
+        ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+            def one(pose: np.ndarray) -> RenderedImage:
+                return _rendered(camera.like, other.pinhole, pose, view.plan, render, number)
+
+            return _stored(other.render(poses[number], one))
+
+        shown, seconds = render_all(task, image, len(poses), f"{view.name}, {method}, {name}")
+        arrays |= _arrays_of(name, view.plan, shown, to_world(recording, poses), seconds)
+    return arrays
+
+
+def camera_in_lidar(camera: CameraEntry, like: np.ndarray) -> np.ndarray:
+    """Mounting (4, 4), camera to LiDAR, of a camera that stands by the recorded one mounted at `like`."""
+    mounted = like.copy()
+    mounted[:3, :3] = rotation_of(camera.yaw_deg, camera.pitch_deg, camera.roll_deg) @ like[:3, :3]
+    mounted[:3, 3] += camera.shift_m
+    return mounted
 
 
 def _image(
     name: str, pinhole: Pinhole, poses: np.ndarray, plan: ViewPlan, render: ImageRenderer, number: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    image = render(name, pinhole, poses[number], float(plan.time_s[number]))
+    return _stored(_rendered(name, pinhole, poses[number], plan, render, number))
+
+
+def _rendered(
+    name: str, pinhole: Pinhole, pose: np.ndarray, plan: ViewPlan, render: ImageRenderer, number: int
+) -> RenderedImage:
+    near_s = None if plan.near_s is None else float(plan.near_s[number])
+    return render(name, pinhole, pose, float(plan.time_s[number]), near_s)
+
+
+def _stored(image: RenderedImage) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     with np.errstate(over="ignore"):  # lengths beyond 65 km become infinite
         return image.rgb, image.range_m.astype(np.float16), image.support
 
 
+def _arrays_of(
+    name: str, plan: ViewPlan, shown: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray | None]],
+    camera_to_world: np.ndarray, seconds: np.ndarray,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    rgb, range_m, support = zip(*shown, strict=True)
+    arrays = _named(name, plan, np.stack(rgb), camera_to_world, seconds)
+    arrays[f"{name}_range_m"] = np.stack(range_m)
+    if support[0] is not None:
+        arrays[f"{name}_support"] = np.stack(support)
+    return arrays
+
+
 def copied_images(recording: Recording, plans: Mapping[str, ViewPlan]) -> dict[str, np.ndarray]:
-    """Arrays as of `image_arrays`, with a copy of the nearest training image of each instant."""
+    """Arrays as of `image_arrays`, with a copy of the training image nearest to each instant's place."""
     arrays: dict[str, np.ndarray] = {}
     for name, plan in plans.items():
         camera = recording.cameras[name]
-        nearest = [nearest_earlier(camera.training_time_s, float(instant)) for instant in plan.time_s]
+        nearest = [nearest_earlier(camera.training_time_s, float(instant)) for instant in plan.near]
         poses = to_world(recording, _camera_poses(recording, name, plan))
         arrays |= _named(name, plan, camera.training.rgb[nearest], poses, np.zeros(len(nearest)))
     return arrays

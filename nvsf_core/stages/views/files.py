@@ -27,10 +27,8 @@ def write_method(
     view: str,
     method: str,
     arrays: dict[str, np.ndarray],
-    sensor: str,
+    about: Mapping[str, Any],
     scene_origin_m: np.ndarray,
-    *,
-    by_images: bool = False,
 ) -> None:
     """Write one method's arrays of a view, with attributes on the method and its cost.
 
@@ -39,21 +37,20 @@ def write_method(
         view: Name of the view.
         method: `model` or a baseline.
         arrays: All arrays to publish, poses included.
-        sensor: Name of the simulated LiDAR; empty without one.
+        about: Attributes of the view: its plan's, `sensor` (empty without a LiDAR), and whether images
+            supplied the rays above the recorded lasers.
         scene_origin_m: (3,) the scene's origin in the world, metres.
-        by_images: Whether images supplied the rays above the recorded lasers.
     """
     folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
     attrs: dict[str, Any] = {
         "split": view,
-        "sensor": sensor,
+        **about,
         "method": method,
         "recipe": task.config.recipe.name if method == "model" else method,
         "seed": task.config.seed,
         "cameras": cameras_of(arrays),
         "scene_origin_m": scene_origin_m.tolist(),
-        "above_lasers_by_images": by_images,
         **_costs(task, method),
     }
     write_arrays(folder / f"{method}.zarr", arrays, attrs)
@@ -119,19 +116,6 @@ def write_scans(
     return found
 
 
-def write_support(folder: Path, numbers: Sequence[int], supports: Sequence[np.ndarray]) -> list[str]:
-    """Write the support of each scan's returns, uint8 (N,), as a file beside the scan.
-
-    Returns:
-        For each scan its file, relative to the folder.
-    """
-    files = [f"velodyne_points/support/{number:010d}.bin" for number in numbers]
-    for file, support in zip(files, supports, strict=True):
-        (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        (folder / file).write_bytes(support.astype(np.uint8).tobytes())
-    return files
-
-
 def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[str, int, int, str]]:
     """Write a view's rendered images as PNG; where their support is known, it as grey values beside them.
 
@@ -140,7 +124,7 @@ def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[s
     """
     found = []
     for name in cameras_of(arrays):
-        numbered = zip(file_numbers(arrays[f"{name}_frame"]), arrays[f"{name}_rgb"], strict=True)
+        numbered = zip(file_numbers(arrays, name), arrays[f"{name}_rgb"], strict=True)
         for index, (number, rgb) in enumerate(numbered):
             file = f"{name}/data_rect/{number:010d}.png"
             write_image(folder / file, rgb)
@@ -203,8 +187,19 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
     )
 
 
-def file_numbers(frame: np.ndarray) -> list[int]:
-    """File numbers: those of the nearest recorded frames, or counted from 0 if two instants share one."""
+def file_numbers(arrays: Mapping[str, np.ndarray], camera: str = "") -> list[int]:
+    """File numbers of a view's scans, or of a camera's images.
+
+    They are those of the frames; or counted from 0, between frames or where two instants share one.
+
+    Args:
+        arrays: Of the view.
+        camera: Name; empty = of the scans.
+    """
+    frame = arrays[f"{camera}_frame" if camera else "frame"]
+    # A held-out frame may lack an image: then the camera's own frames are the numbers.
+    if "number" in arrays and len(arrays["number"]) == len(frame):
+        return [int(number) for number in arrays["number"]]
     is_unique = len(np.unique(frame)) == len(frame)
     return [int(number) for number in (frame if is_unique else range(len(frame)))]
 

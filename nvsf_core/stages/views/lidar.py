@@ -34,7 +34,7 @@ def sweep_arrays(
     """
 
     def simulated(number: int) -> SimulatedSweep:
-        return simulate_sweep(model, lidar, plan, float(plan.time_s[number]))
+        return simulate_sweep(model, lidar, plan.only(number), float(plan.time_s[number]))
 
     sweeps, seconds = render_all(task, simulated, len(plan.time_s), f"{plan.name}, {method}, sweeps")
     arrays = _joined([(s.points_m, s.intensity, s.laser) for s in sweeps])
@@ -103,7 +103,7 @@ def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray
     a = sweeps.arrays
     pano = LinearPano(reference_quirks=True)
     scans, panos, rays, seconds = [], [], [], []
-    for frame, instant in zip(plan.frame, plan.time_s, strict=True):
+    for frame, instant in zip(plan.frame, plan.near, strict=True):
         started = time.perf_counter()
         source = _nearest_training(sweeps, float(instant))
         points_m, intensity, laser = a["points_m"][source], a["intensity"][source], a["laser"][source]
@@ -140,7 +140,7 @@ def copied_sweeps(
     lasers, firings = grid["grid_azimuth_rad"].shape[1:]
     laser = np.repeat(lidar.evidence.lasers.astype(np.int64), firings)
     scans, panos, rendered, seconds = [], [], [], []
-    for instant, azimuth_rad in zip(plan.time_s, grid["grid_azimuth_rad"], strict=True):
+    for instant, azimuth_rad in zip(plan.near, grid["grid_azimuth_rad"], strict=True):
         started = time.perf_counter()
         source = _nearest_training(lidar.sweeps, float(instant))
         scan = (a["points_m"][source], a["intensity"][source], a["laser"][source])

@@ -1,11 +1,13 @@
 """Sensors and instants of the views: the held-out frames, and each view of the catalogue."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from nvsf_core.drives.catalogue import ViewEntry
+from nvsf_core.drives.view_entry import NO_SENSOR, ViewEntry
+from nvsf_core.drives.view_parts import CameraEntry
+from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
@@ -20,7 +22,9 @@ class View:
     sweeps: SweepPlan | None
     """None if no LiDAR is simulated."""
     images: dict[str, ViewPlan]
-    """Camera to the instants of its images."""
+    """Recorded camera to the instants of its images."""
+    other_cameras: dict[str, CameraEntry] = field(default_factory=dict)
+    """Cameras of other intrinsics, at all instants of the plan."""
 
     @property
     def name(self) -> str:
@@ -33,7 +37,7 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
 
     def plan_of(recorded: np.ndarray) -> ViewPlan | None:
         wanted = tuple(frame for frame in test_frames if frame in recorded)
-        return _plan(recording, HELD_OUT, frames=wanted) if wanted else None
+        return _plan(recording, ViewEntry(name=HELD_OUT, frames=wanted)) if wanted else None
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {name: plan_of(camera.recorded_frame) for name, camera in recording.cameras.items()}
@@ -50,26 +54,37 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
 
 
 def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
-    """A view of the catalogue; None if it asks for a LiDAR and the drive has none."""
-    frames = None if entry.frames == "all" else tuple(int(frame) for frame in entry.frames)
-    plan = _plan(
-        recording, entry.name, frames=frames, times_s=entry.times_s, shift_m=entry.shift_m,
-        yaw_deg=entry.yaw_deg,
-    )  # fmt: skip
-    everywhere = dict.fromkeys(recording.cameras, plan)
-    if recording.lidar is None:
-        return None if entry.sensor else View(plan=plan, sweeps=None, images=everywhere)
-    sweeps = plan_sweeps(plan, recording.lidar.sweeps.table, entry.sensor)
-    # A view with another LiDAR is about that LiDAR's data only.
-    return View(plan=plan, sweeps=sweeps, images=everywhere if sweeps.is_recorded_sensor else {})
+    """A view of the catalogue; None if it asks for sensors of which the drive has none.
+
+    Raises:
+        MissingFrameError: It asks for a frame without a pose.
+        DataError: It asks for a camera that the drive has no images of.
+    """
+    plan, lidar = _plan(recording, entry), recording.lidar
+    sweeps = None
+    if lidar is not None and entry.sensor != NO_SENSOR:
+        sweeps = plan_sweeps(plan, lidar.sweeps.table, entry.sensor, has_footprint=entry.footprint)
+    # Unless cameras are named, a view with another LiDAR is about that LiDAR's data only.
+    is_other = entry.sensor_name not in (None, NO_SENSOR) and (
+        sweeps is None or not sweeps.is_recorded_sensor
+    )
+    names = () if is_other or entry.camera else tuple(recording.cameras)
+    images = dict.fromkeys(names if entry.cameras is None else entry.cameras, plan)
+    other = {camera.name: camera for camera in entry.camera}
+    absent = sorted({*images, *(one.like for one in other.values())} - set(recording.cameras))
+    if absent:
+        raise DataError(
+            f"view {entry.name!r}: expected cameras among {', '.join(recording.cameras) or 'none'}, found "
+            f"{', '.join(absent)}; the drive has no usable image of it"
+        )
+    if sweeps is None and not images and not other:
+        return None
+    return View(plan=plan, sweeps=sweeps, images=images, other_cameras=other)
 
 
 def reference_poses(recording: Recording, plan: ViewPlan) -> np.ndarray:
     """(n, 4, 4) scene-local poses of the view's LiDAR; in a camera-only drive of its nominal place."""
-    rotation, position = recording.trajectory.at(plan.time_s)
-    poses = np.tile(np.eye(4), (len(plan.time_s), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rotation, position
-    return poses if plan.mount is None else poses @ plan.mount
+    return plan.poses(recording.trajectory)
 
 
 def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
@@ -79,16 +94,5 @@ def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _plan(
-    recording: Recording,
-    name: str,
-    *,
-    frames: tuple[int, ...] | None,
-    times_s: tuple[float, ...] | None = None,
-    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    yaw_deg: float = 0.0,
-) -> ViewPlan:
-    return plan_view(
-        name, recorded_frame=recording.posed_frame, recorded_time_s=recording.posed_time_s, frames=frames,
-        times_s=times_s, shift_m=shift_m, yaw_deg=yaw_deg,
-    )  # fmt: skip
+def _plan(recording: Recording, entry: ViewEntry) -> ViewPlan:
+    return plan_view(entry, recording.posed_frame, recording.posed_time_s, recording.trajectory)

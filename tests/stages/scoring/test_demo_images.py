@@ -10,12 +10,14 @@ from nvsf_core.demo.cameras import BASELINE_M, LIDAR_TO_POSE, demo_camera
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.simulation.view_plan import ViewPlan, mount_pose
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_images import demo_images
 from nvsf_core.stages.scoring.demo_truth import DemoTruth, read_demo_truth
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
+from nvsf_core.stages.views.stored_plan import plan_arrays, plan_attrs
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.schemas import spec_of, violations
 
@@ -36,8 +38,9 @@ class Street:
     def true_images(self, view: ViewEntry, time_s: float, folder: Path) -> dict[str, TrueImages]:
         """Of a view of one instant; only instants and cameras of the model's view are read."""
         frame = np.array([round(time_s / 0.1)])
-        arrays = {"time_s": np.array([time_s])} | {f"{camera}_frame": frame for camera in CAMERAS}
-        write_arrays(folder / "model.zarr", arrays, {"cameras": list(CAMERAS)})
+        plan = ViewPlan(view.name, frame, np.array([time_s]), mount_pose(view))
+        arrays = plan_arrays(plan) | {f"{camera}_frame": frame for camera in CAMERAS}
+        write_arrays(folder / "model.zarr", arrays, plan_attrs(plan) | {"cameras": list(CAMERAS)})
         return {one.camera: one for one in demo_images(self.task, folder / "model.zarr", view, self.truth)}
 
 

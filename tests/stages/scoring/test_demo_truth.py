@@ -12,12 +12,13 @@ from nvsf_core.drives.catalogue import ViewEntry, load_catalogue
 from nvsf_core.errors import StoreError
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import HDL_64E, sensor_table
-from nvsf_core.simulation.view_plan import mount_pose
+from nvsf_core.simulation.view_plan import ViewPlan, mount_pose
 from nvsf_core.stages.runner.run import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stores.arrays import read_arrays, write_arrays
+from nvsf_core.stages.views.stored_plan import plan_arrays, plan_attrs
+from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 LASERS = np.arange(0, 64, 8)
 FIRINGS = 120
@@ -30,15 +31,25 @@ def _truth() -> DemoTruth:
     return DemoTruth(DemoWorld(), "HDL-64E", LASERS, 0.1, 0.0, 0.01)
 
 
-def _write_exact_view(path: Path, view: ViewEntry, time_s: float, error_m: float = 0.0) -> None:
-    """What a model that knows the world would publish, with every range too long by `error_m`."""
+def _write_exact_view(
+    path: Path, view: ViewEntry, time_s: float, error_m: float = 0.0, seen_from_s: float | None = None
+) -> None:
+    """What a model that knows the world would publish, with every range too long by `error_m`.
+
+    With `seen_from_s` the world stands still at `time_s`, and the car is where it was then.
+    """
     table = sensor_table(view.sensor or "HDL-64E")
     lasers = LASERS if view.sensor is None else np.arange(table.laser_count)
     azimuth, fraction = firing_grid(table, FIRINGS)
     theta = azimuth[lasers]
+    plan = ViewPlan(view.name, np.array([4]), np.array([time_s]), mount_pose(view))
+    if seen_from_s is not None:
+        plan = replace(plan, path_time_s=np.array([seen_from_s]), scene_rate=0.0)
     exact = exact_rays(
-        DemoWorld(), table, lasers, theta, np.broadcast_to(time_s + 0.1 * fraction, theta.shape),
-        mount=mount_pose(view.shift_m, view.yaw_deg), own_vehicle=view.sensor is None,
+        DemoWorld(), table, lasers, theta,
+        np.broadcast_to(time_s + plan.scene_rate * 0.1 * fraction, theta.shape),
+        mount=plan.mount, own_vehicle=view.sensor is None,
+        path_to_world=DemoWorld().lidar_to_world(plan.moments_s[0] + 0.1 * fraction),
     )  # fmt: skip
     origin, direction = sensor_rays(table, theta, lasers[:, None])
     known = np.isfinite(exact.range_m)
@@ -62,17 +73,21 @@ def _write_exact_view(path: Path, view: ViewEntry, time_s: float, error_m: float
         "laser": laser,
     }
     known_facts = {
-        "frame": np.array([4]), "time_s": np.array([time_s]), "offsets": np.array([0, len(laser)]),
+        **plan_arrays(plan), "offsets": np.array([0, len(laser)]),
         "lidar_render_seconds": np.array([0.5]), "grid_firings": np.array([theta.shape[1]]),
     }  # fmt: skip
-    write_arrays(path, padded | scan | known_facts)
+    write_arrays(path, padded | scan | known_facts, plan_attrs(plan))
 
 
 def _measure(path: Path, view: ViewEntry) -> dict[str, float]:
+    return {row["metric"]: row["value"] for row in _rows(path, view) if row["region"] == "all"}
+
+
+def _rows(path: Path, view: ViewEntry) -> list[dict]:
     ledger = Ledger(facts={"scene": "demo", "commit": "abc", **COSTS})
     assert list(measure_demo_view(path, view, _truth(), ledger))
     assert {(row["split"], row["protocol"], row["frame"]) for row in ledger.rows} == {(view.name, "raw", 4)}
-    return {row["metric"]: row["value"] for row in ledger.rows}
+    return ledger.rows
 
 
 @pytest.mark.parametrize(
@@ -96,6 +111,25 @@ def test_who_knows_the_world_is_perfect_at_any_place_and_with_any_sensor(
     assert found["range_missing"] == 0.0
 
 
+def test_a_frozen_instant_is_measured_where_things_were_then_from_where_the_car_was_itself(
+    tmp_path: Path,
+) -> None:
+    view = ViewEntry(name="frozen", frames=(4,), frozen_at_s=1.6)
+    _write_exact_view(tmp_path / "model.zarr", view, time_s=1.6, seen_from_s=2.4)
+    _write_exact_view(tmp_path / "late.zarr", view, time_s=2.4, seen_from_s=2.4)
+    found = {
+        (row["region"], row["metric"]): row["value"] for row in _rows(tmp_path / "model.zarr", view)
+    }  # fmt: skip
+    assert found["all", "range_abs_error_p90_m"] < 1e-4 and found["all", "f_score"] == 1.0
+    assert found["foreground", "range_abs_error_p90_m"] < 1e-4, "a moving car is seen from there"
+    # The same rays with the world of another instant: what is static fits, what moves is elsewhere.
+    arrays = read_arrays(tmp_path / "late.zarr") | {"time_s": np.array([1.6])}
+    write_arrays(tmp_path / "wrong.zarr", arrays, read_attrs(tmp_path / "model.zarr"))
+    wrong = {(row["region"], row["metric"]): row["value"] for row in _rows(tmp_path / "wrong.zarr", view)}
+    assert wrong["all", "range_abs_error_median_m"] < 1e-4
+    assert wrong["foreground", "range_abs_error_median_m"] > 0.5
+
+
 def test_rays_that_answer_nothing_at_the_end_of_a_turn_are_no_padding(tmp_path: Path) -> None:
     view = ViewEntry(name="vlp16", sensor="VLP-16")
     _write_exact_view(tmp_path / "model.zarr", view, time_s=0.45)
@@ -103,7 +137,7 @@ def test_rays_that_answer_nothing_at_the_end_of_a_turn_are_no_padding(tmp_path: 
     # Without a lever an unanswered ray of a laser starts, and ends, at the centre: all of it is 0.
     for name in ("grid_range_m", "grid_hit", "grid_azimuth_rad"):
         arrays[name][:, :, -12:] = 0.0
-    write_arrays(tmp_path / "blind.zarr", arrays)
+    write_arrays(tmp_path / "blind.zarr", arrays, read_attrs(tmp_path / "model.zarr"))
     found = _measure(tmp_path / "blind.zarr", view)
     assert 0.0 < found["range_missing"] < 0.2 and found["range_abs_error_p90_m"] < 1e-4
 
@@ -129,7 +163,7 @@ def test_a_copy_has_the_models_azimuths_and_is_measured_all_the_same(tmp_path: P
     # Copied ranges are a nearer scan's: with the lasers' lever arms their points lie beside the model's.
     arrays["grid_range_m"] = np.where(arrays["grid_range_m"] > 0.0, np.float32(3.0), np.float32(0.0))
     for name in ("model", "copy_nearest"):
-        write_arrays(tmp_path / "other" / f"{name}.zarr", arrays)
+        write_arrays(tmp_path / "other" / f"{name}.zarr", arrays, read_attrs(tmp_path / "model.zarr"))
     assert _measure(tmp_path / "other" / "copy_nearest.zarr", view)["range_missing"] == 0.0
     with pytest.raises(StoreError, match="novel_views"):
         _measure(tmp_path / "other" / "model.zarr", view)

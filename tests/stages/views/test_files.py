@@ -38,4 +38,4 @@ def test_scans_are_cut_where_the_arrays_say():
 
 @pytest.mark.parametrize(("frame", "numbers"), [([5, 9], [5, 9]), ([5, 5], [0, 1])])
 def test_files_are_numbered_by_frames_unless_two_share_one(frame, numbers):
-    assert file_numbers(np.array(frame)) == numbers
+    assert file_numbers({"frame": np.array(frame)}) == numbers

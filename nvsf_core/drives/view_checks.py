@@ -1,0 +1,172 @@
+"""The moments that a view asks for, and whether a drive can give them: found before anything is trained."""
+
+import importlib.util
+from collections.abc import Sequence
+
+import numpy as np
+
+from nvsf_core.drives.catalogue import has_data
+from nvsf_core.drives.entries import SceneEntry, ViewEntry
+from nvsf_core.drives.kinds import MOST_FRAMES
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.poses import read_poses
+from nvsf_core.drives.kitti360.timestamps import frame_times
+from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
+from nvsf_core.errors import DataError
+
+_SLACK_S = 1e-6
+"""Times may lie outside the drive by this rounding error."""
+
+
+_EXTRAS = {"laz": ("laspy", "lazrs"), "mcap": ("rosbags",)}
+"""Formats that packages write which may not be installed."""
+
+
+def path_span_s(view: ViewEntry) -> tuple[float, float] | None:
+    """First and last moment of a view's own path; None on the recorded one. One pose holds at any time."""
+    times_s = [point.time_s for point in view.waypoints]
+    if view.pose_file is not None:
+        times_s = list(view.pose_file.time_s)
+    if not times_s:
+        return None
+    return (times_s[0], times_s[-1]) if len(times_s) > 1 else (-np.inf, np.inf)
+
+
+def moments_s(view: ViewEntry, frames: Sequence[int] | np.ndarray, frame_time_s: np.ndarray) -> np.ndarray:
+    """Moments (n,) of a view's path at which its sensors are, seconds since the scene's first frame.
+
+    Args:
+        view: The view.
+        frames: (m,) ascending numbers of the frames that there are.
+        frame_time_s: (m,) their times.
+
+    Raises:
+        DataError: A frame that is asked for is not among them, or there is no moment at all, or too many; the
+            message says what is allowed.
+    """
+    start_s, end_s = path_span_s(view) or (-np.inf, np.inf)
+    first_s, last_s = float(frame_time_s[0]), float(frame_time_s[-1])
+    if view.frozen_at_s is None or not np.isfinite([start_s, end_s]).all():
+        span_s = max(start_s, first_s), min(end_s, last_s)
+    else:
+        span_s = (
+            start_s,
+            end_s,
+        )  # while the scene is frozen, a path of one's own may last longer than the drive
+    if view.times_s is not None:
+        found: np.ndarray = np.asarray(view.times_s, np.float64)
+    elif view.rate_hz is not None:
+        step_s = view.speed / view.rate_hz
+        count = int(np.floor(max(0.0, span_s[1] - span_s[0]) / step_s + _SLACK_S)) + 1
+        if count > MOST_FRAMES:
+            raise DataError(f"rate_hz: expected at most {MOST_FRAMES:,} instants, found {count:,}; lower it")
+        found = span_s[0] + step_s * np.arange(count)
+    elif view.frames == "all":
+        found = frame_time_s[(frame_time_s >= span_s[0] - _SLACK_S) & (frame_time_s <= span_s[1] + _SLACK_S)]
+    else:
+        wanted = np.asarray(view.frames, np.int64)
+        missing = sorted(set(wanted.tolist()) - set(np.asarray(frames).tolist()))
+        if missing:
+            raise DataError(
+                f"frames: expected frames with a pose, found none for {missing!s:.200}; ask for others of "
+                f"{min(frames)}..{max(frames)}"
+            )
+        found = frame_time_s[np.searchsorted(frames, wanted)]
+    outside = [float(one) for one in found if not span_s[0] - _SLACK_S <= one <= span_s[1] + _SLACK_S]
+    if outside or len(found) == 0:
+        where = "of the path that is given" if np.isfinite(start_s) else "of the drive"
+        raise DataError(
+            f"expected times from {span_s[0]:g} to {span_s[1]:g} seconds {where}, found {outside!s:.200}; "
+            "frame numbers are asked for by `frames`"
+        )
+    return np.asarray(found, np.float64)
+
+
+def require_views(scene: SceneEntry) -> None:
+    """Refuse views that ask for times, frames or cameras that the scene's drive does not have.
+
+    Raises:
+        DataError: There is such a view; the message names it, what it asks for, and what is allowed.
+    """
+    for view in scene.views:
+        for name in view.exports:
+            absent = [
+                package for package in _EXTRAS.get(name, ()) if importlib.util.find_spec(package) is None
+            ]
+            if absent:
+                raise DataError(
+                    f"view {view.name}: exports: {name} is written by {' and '.join(absent)}, not "
+                    "installed here: pip install 'nvsf[exports]', or leave it out"
+                )
+    if not scene.views:
+        return
+    layout = DriveLayout(scene.root, scene.sequence)
+    try:
+        times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+    except (DataError, OSError):
+        return  # the stage `frames` reports what is wrong with the drive
+    frames, end_s = np.arange(scene.first_frame, scene.last_frame + 1), float(times.time_s[-1])
+    for view in scene.views:
+        where = f"scene {scene.name}, view {view.name}"
+        try:
+            moments_s(view, frames, times.time_s)
+        except DataError as error:
+            raise DataError(f"{where}: {error} ({len(frames)} frames, {times.source})") from error
+        if view.frozen_at_s is not None and not -_SLACK_S <= view.frozen_at_s <= end_s + _SLACK_S:
+            raise DataError(
+                f"{where}: frozen_at_s: expected 0 to {end_s:g} seconds, found {view.frozen_at_s:g}"
+            )
+        if not has_data(scene):
+            continue  # the embedded street is not written yet, or the drive is elsewhere
+        _require_near(view, layout, where)
+        needed = [*(view.cameras or ()), *(camera.like for camera in view.camera)]
+        absent = [name for name in needed if not layout.camera_dir(name).is_dir()]
+        if absent:
+            raise DataError(
+                f"{where}: expected cameras that the drive has, found {absent[0]}: no images in "
+                f"{layout.camera_dir(absent[0])}"
+            )
+
+
+def _require_near(view: ViewEntry, layout: DriveLayout, where: str) -> None:
+    """Refuse a path in the world that is nowhere near the drive's own."""
+    if view.is_on_recorded_path or view.path_in != "world" or not layout.poses_path.is_file():
+        return
+    known_m = np.stack([pose[:3, 3] for pose in read_poses(layout.poses_path).values()])
+    asked_m = np.array([point.position_m for point in view.waypoints], np.float64).reshape(-1, 3)
+    if view.pose_file is not None:
+        asked_m = np.array(view.pose_file.poses).reshape(-1, 3, 4)[:, :, 3]
+    for place_m in asked_m:
+        apart_m = float(np.linalg.norm(known_m - place_m, axis=1).min())
+        if not apart_m <= FARTHEST_SHIFT_M:
+            raise DataError(
+                f"{where}: expected a path within {FARTHEST_SHIFT_M:g} m of the drive, found a pose "
+                f"{apart_m:,.0f} m away; is it given in another frame than the drive's world (`path_in`)?"
+            )
+
+
+def described(scene: SceneEntry) -> list[str]:
+    """What each view of a scene asks for, in a line, after `require_views` has found nothing wrong.
+
+    Raises:
+        DataError: See `require_views`.
+    """
+    require_views(scene)
+    layout = DriveLayout(scene.root, scene.sequence)
+    try:
+        times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+    except (DataError, OSError) as error:
+        return [
+            f"{view.name}: keys are fine; its times cannot be compared with the drive: {error}"
+            for view in scene.views
+        ]
+    frames, lines = np.arange(scene.first_frame, scene.last_frame + 1), []
+    for view in scene.views:
+        moments = moments_s(view, frames, times.time_s)
+        still = "" if view.frozen_at_s is None else f", all at {view.frozen_at_s:g} s"
+        path = "the recorded path" if view.is_on_recorded_path else "a path of its own"
+        lines.append(
+            f"{view.name}: {len(moments)} instants, {moments[0]:g} to {moments[-1]:g} s on {path}{still}; "
+            f"LiDAR {view.sensor_name or 'as recorded'}; exports {', '.join(view.exports)}"
+        )
+    return lines

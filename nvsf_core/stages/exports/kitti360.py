@@ -1,0 +1,117 @@
+"""Format `kitti360`: the whole layout of a KITTI-360 drive, which this project ingests again.
+
+Frames are numbered as the data set's files; timestamps have a line a frame from frame 0, those between hold
+the times that an even pace would give them. Images are rectified: `image_02` and `image_03`, whose recorded
+images are fisheyes, come as MEI cameras without distortion. Cameras of other intrinsics are no part of the
+layout.
+"""
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.writer import (
+    RectifiedCamera,
+    WrittenBox,
+    write_boxes,
+    write_cam_to_pose,
+    write_fisheye,
+    write_frame_poses,
+    write_image,
+    write_perspective,
+    write_pose,
+    write_scan,
+    write_timestamps,
+)
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.stages.exports.records import CameraRecord, DataSet
+
+FOLDER = "kitti360"
+START = datetime(2013, 5, 28, 8, 0, 0)
+"""Date of a data set's second 0: the layout needs one, the drives' own is not kept."""
+_LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
+"""The pose frame (x forward, y right, z down) lies in the LiDAR."""
+
+
+def write_kitti360(folder: Path, data: DataSet) -> None:
+    """Write a data set as a KITTI-360 root of one sequence."""
+    layout = DriveLayout(folder / FOLDER, data.sequence)
+    cameras = {name: camera for name, camera in data.cameras.items() if name in CAMERAS}
+    _write_calibration(layout, cameras)
+    pose_to_world = data.lidar_to_world @ invert_pose(_LIDAR_TO_POSE)
+    write_frame_poses(layout.poses_path, data.numbers, pose_to_world, rows=3)
+    if "image_00" in cameras:
+        camera_to_world = data.lidar_to_world @ cameras["image_00"].in_lidar
+        write_frame_poses(layout.cam0_to_world_path, data.numbers, camera_to_world, rows=4)
+    stamps = _stamps_from_0(data.numbers, data.stamp_s, data.sweep_period_s)
+    half_s = 0.5 * data.sweep_period_s
+    for kind, shift_s in (("", 0.0), ("start", -half_s), ("end", half_s)):
+        write_timestamps(layout.timestamps_path(kind), START, (stamps + shift_s).tolist())
+    for name in cameras:
+        write_timestamps(layout.camera_timestamps_path(name), START, stamps.tolist())
+    write_boxes(layout.boxes_path("train"), _boxes(data))
+    for index, number in enumerate(data.numbers):
+        if data.scan is not None:
+            scan = data.scan(index)
+            write_scan(layout.scan_path(number), scan.rows[:, :3], scan.rows[:, 3])
+            beside = {"ring": scan.ring, "time": scan.offset_s, "support": scan.support}
+            for name, values in beside.items():
+                if values is not None:
+                    place = layout.velodyne_dir / name / f"{number:010d}.bin"
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                    place.write_bytes(values.tobytes())
+        for name in cameras:
+            write_image(layout.image_path(name, number), data.image(name, index).rgb)
+
+
+def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:
+    perspective = {}
+    for name, camera in cameras.items():
+        model = camera.model
+        assert isinstance(model, Pinhole), "images of recorded cameras are undistorted"
+        if name in PERSPECTIVE_CAMERAS:
+            perspective[name] = RectifiedCamera(
+                model.width, model.height, model.fx, model.cx, model.cy, 0.0, np.eye(3), focal_y_px=model.fy
+            )
+        else:
+            # Without xi and distortion the model is a pinhole.
+            flat = MeiFisheye(
+                xi=0.0, k1=0.0, k2=0.0, p1=0.0, p2=0.0, gamma1=model.fx, gamma2=model.fy, u0=model.cx,
+                v0=model.cy, width=model.width, height=model.height,
+            )  # fmt: skip
+            write_fisheye(layout.fisheye_path(name), name, flat)
+    if perspective:
+        write_perspective(layout.perspective_path, perspective)
+    in_lidar = {name: camera.in_lidar for name, camera in cameras.items()}
+    # The LiDAR's mounting is given by that of camera 0, so without images one is assumed in its place.
+    known = {"image_00": invert_pose(_LIDAR_TO_POSE)} if "image_00" not in in_lidar else {}
+    write_cam_to_pose(
+        layout.cam_to_pose_path, {name: _LIDAR_TO_POSE @ pose for name, pose in {**known, **in_lidar}.items()}
+    )
+    write_pose(layout.cam_to_velo_path, {**known, **in_lidar}["image_00"])
+
+
+def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float) -> np.ndarray:
+    """Seconds of the frames 0 to the last; those that the data set lacks lie evenly between its own."""
+    step_s = period_s if period_s > 0.0 else 0.1
+    frames = np.arange(max(numbers) + 1)
+    found = np.interp(frames, numbers, stamp_s)
+    found = np.where(frames < numbers[0], stamp_s[0] - step_s * (numbers[0] - frames), found)
+    return np.asarray(found - min(0.0, float(found[0])))
+
+
+def _boxes(data: DataSet) -> list[WrittenBox]:
+    found: dict[tuple[int, int], WrittenBox] = {}
+    first, last = data.numbers[0], data.numbers[-1]
+    for index, number in enumerate(data.numbers):
+        for one in data.boxes(index):
+            frame = number if one.is_dynamic else -1
+            found[one.object_id, frame] = WrittenBox(
+                one.object_id, one.label, one.is_dynamic, frame, first, last, one.box_to_world
+            )
+    return list(found.values())

@@ -1,0 +1,151 @@
+"""A rendered view as a data set: its returns and their noise sampled, its images, cameras and boxes."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.drives.view_entry import MEASURED, ViewEntry
+from nvsf_core.errors import DataError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
+from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
+from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
+from nvsf_core.stages.runner.stage import RunConfig
+from nvsf_core.stages.views.files import cameras_of, file_numbers
+
+_BY_THRESHOLD = "as rendered (probability of one half and more)"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RenderedView:
+    """A rendered view as it is stored, and what was asked for."""
+
+    scene: str
+    sequence: str
+    entry: ViewEntry
+    config: RunConfig
+    arrays: Mapping[str, np.ndarray]
+    attrs: Mapping[str, Any]
+
+    @property
+    def range_noise_m(self) -> float:
+        """Standard deviation of the noise that its ranges get.
+
+        Raises:
+            DataError: The measured one is asked for and the drive's scans do not tell it.
+        """
+        asked = self.entry.range_noise_m
+        if asked is None:
+            return RANGE_NOISE_M
+        if asked != MEASURED:
+            return float(asked)
+        measured = self.attrs.get("measured_range_noise_m")
+        if measured is None:
+            raise DataError(
+                f"view {self.entry.name}: range_noise_m: expected scans whose firings are known, found none; "
+                "give metres instead of `measured`"
+            )
+        return float(measured)
+
+    @property
+    def has_grid(self) -> bool:
+        """Whether all rays were rendered, so that returns can be sampled."""
+        return GRID_ARRAYS[0] in self.arrays
+
+    def what_was_sampled(self) -> dict[str, Any]:
+        """The manifest's words on what is random."""
+        if "points_m" not in self.arrays:
+            return {"hits": "nothing: no LiDAR", "range_noise_m": 0.0}
+        if not self.has_grid:
+            return {"hits": "as rendered (probability above one half)", "range_noise_m": 0.0}
+        if self.entry.hits == "threshold":
+            return {"hits": _BY_THRESHOLD, "range_noise_m": self.range_noise_m}
+        return {
+            "hits": "drawn from the hit probability",
+            "sharpness": SAMPLING_SHARPNESS,
+            "range_noise_m": self.range_noise_m,
+        }
+
+    def scan(self, index: int) -> ScanRecord:
+        """The scan of an instant: sampled from the rendered grid, with the data set's own seed."""
+        a, period_s = self.arrays, float(self.attrs.get("sweep_period_s", 0.0))
+        if not self.has_grid:
+            own = slice(int(a["offsets"][index]), int(a["offsets"][index + 1]))
+            rows = np.concatenate([a["points_m"][own], a["intensity"][own, None]], axis=1).astype(np.float32)
+            ring = a["laser"][own] if "laser" in a else np.zeros(len(rows))
+            # A sensor spins clockwise: a return at azimuth a comes -a / 2 pi of a sweep after the stamp.
+            fraction = -np.arctan2(rows[:, 1].astype(np.float64), rows[:, 0]) / (2.0 * np.pi)
+            support = a["support"][own] if "support" in a else None
+        else:
+            grid = {name: a[name][index] for name in GRID_ARRAYS}
+            rows, ray = sample_scan(
+                grid, np.random.default_rng([self.config.draw_seed, index, *self._words()]),
+                self.range_noise_m, by_threshold=self.entry.hits == "threshold",
+            )  # fmt: skip
+            row, column = np.divmod(ray, grid[GRID_ARRAYS[0]].shape[1])
+            lasers = np.asarray(self.attrs.get("grid_lasers", np.arange(len(grid[GRID_ARRAYS[0]]))))
+            ring = lasers[row]
+            firings = int(a["grid_firings"][index]) if "grid_firings" in a else grid[GRID_ARRAYS[0]].shape[1]
+            fraction = (column + 0.5) / firings - 0.5
+            support = a["grid_support"][index].reshape(-1)[ray] if "grid_support" in a else None
+        return ScanRecord(
+            number=self.numbers[index], rows=rows, ring=ring.astype("<u2"),
+            offset_s=(fraction * period_s).astype("<f4"), support=support, stamp_s=float(self.stamp_s[index]),
+            time_s=float(a["time_s"][index]), lidar_to_world=a["lidar_to_world"][index],
+        )  # fmt: skip
+
+    @property
+    def numbers(self) -> list[int]:
+        """File numbers of the instants."""
+        return file_numbers(self.arrays)
+
+    @property
+    def stamp_s(self) -> np.ndarray:
+        """(n,) times on the sensor's clock."""
+        return np.asarray(self.arrays.get("stamp_s", self.arrays["time_s"]))
+
+    def data_set(self, boxes: Callable[[int], list[BoxRecord]]) -> DataSet:
+        """The data set, for the formats that hold all of it.
+
+        `boxes` gives the labelled objects of an instant. A view of held-out frames may lack an image of some:
+        then its camera is left out of these formats.
+        """
+        a = self.arrays
+        numbers = self.numbers
+        order = np.argsort(numbers)
+        whole = [name for name in cameras_of(a) if len(a[f"{name}_rgb"]) == len(numbers)]
+        models, mounts = self.attrs.get("camera_models", {}), self.attrs.get("camera_in_lidar", {})
+
+        def image(camera: str, index: int) -> ImageRecord:
+            at = int(order[index])
+            return ImageRecord(
+                camera=camera, number=numbers[at], rgb=a[f"{camera}_rgb"][at],
+                stamp_s=float(self.stamp_s[at]), time_s=float(a["time_s"][at]),
+                camera_to_world=a[f"{camera}_camera_to_world"][at],
+            )  # fmt: skip
+
+        return DataSet(
+            name=self.entry.name, sequence=self.sequence, numbers=[numbers[at] for at in order],
+            stamp_s=self.stamp_s[order], time_s=a["time_s"][order], lidar_to_world=a["lidar_to_world"][order],
+            sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)), sensor=self.attrs.get("sensor", ""),
+            cameras={name: _camera(models[name], mounts[name]) for name in whole if name in models},
+            scan=(lambda index: self.scan(int(order[index]))) if "points_m" in a else None,
+            image=image, boxes=lambda index: boxes(int(order[index])),
+        )  # fmt: skip
+
+    def _words(self) -> list[int]:
+        """The seed that scene, view, recipe and seed of training give."""
+        recipe, seed = self.config.recipe.identity(), self.config.seed
+        key = f"{self.scene} {self.entry.name} {recipe} {seed}"
+        words: list[int] = np.frombuffer(hashlib.sha256(key.encode()).digest(), np.uint32).tolist()
+        return words
+
+
+def _camera(facts: Mapping[str, Any], in_lidar: list[float]) -> CameraRecord:
+    values = {name: value for name, value in facts.items() if name != "kind"}
+    model = Pinhole(**values) if facts["kind"] == "pinhole" else MeiFisheye(**values)
+    return CameraRecord(model=model, in_lidar=np.array(in_lidar, np.float64).reshape(4, 4))

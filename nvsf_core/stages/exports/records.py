@@ -1,0 +1,93 @@
+"""What a data set holds, for any format: scans, images, cameras and boxes, read a frame at a time."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ScanRecord:
+    """One scan: N returns in a driver's order, in the sensor's frame at each one's own time."""
+
+    number: int
+    """Of its files."""
+    rows: np.ndarray
+    """(N, 4) float32: x, y, z in metres, intensity 0..1."""
+    ring: np.ndarray
+    """(N,) uint16: laser, 0 = top."""
+    offset_s: np.ndarray
+    """(N,) float32: time after the scan's stamp, on the sensor's clock."""
+    support: np.ndarray | None
+    """(N,) uint8 `Support`; None where it is not known."""
+    stamp_s: float
+    """On the sensor's clock."""
+    time_s: float
+    """Instant of the scene."""
+    lidar_to_world: np.ndarray
+    """(4, 4) at the stamp, metres."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ImageRecord:
+    """One image of a camera."""
+
+    camera: str
+    number: int
+    rgb: np.ndarray
+    """(H, W, 3) uint8."""
+    stamp_s: float
+    time_s: float
+    camera_to_world: np.ndarray
+    """(4, 4) metres."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraRecord:
+    """A camera of a data set."""
+
+    model: Pinhole | MeiFisheye
+    in_lidar: np.ndarray
+    """(4, 4) camera to LiDAR."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BoxRecord:
+    """A labelled object at one instant."""
+
+    object_id: int
+    label: str
+    is_dynamic: bool
+    box_to_world: np.ndarray
+    """(4, 4) unit cube to world; the 3 x 3 part has the size as scale."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataSet:
+    """A data set; its scans and images are made when they are asked for."""
+
+    name: str
+    """Of the view."""
+    sequence: str
+    """Of the recorded drive."""
+    numbers: list[int]
+    """Of its n instants, for file names, ascending."""
+    stamp_s: np.ndarray
+    """(n,) on the sensor's clock."""
+    time_s: np.ndarray
+    """(n,) instants of the scene."""
+    lidar_to_world: np.ndarray
+    """(n, 4, 4)."""
+    sweep_period_s: float
+    sensor: str
+    """Name of the LiDAR; empty without one."""
+    cameras: Mapping[str, CameraRecord]
+    scan: Callable[[int], ScanRecord] | None
+    """The scan of an instant 0..n-1; None without a LiDAR."""
+    image: Callable[[str, int], ImageRecord]
+    """The image of a camera at an instant."""
+    boxes: Callable[[int], list[BoxRecord]]
+    """The labelled objects at an instant."""

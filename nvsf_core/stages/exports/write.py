@@ -1,0 +1,128 @@
+"""Writes a data set: scans and images in each format that its view asks for, and the manifest's rows."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.clouds.laz import write_laz
+from nvsf_core.rendering.support import Support
+from nvsf_core.stages.exports.kitti import write_kitti
+from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.mcap import write_mcap
+from nvsf_core.stages.exports.of_view import RenderedView
+from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
+from nvsf_core.stages.views.files import write_images, write_scans
+from nvsf_core.stores.checksums import file_checksums
+
+SCHEMA_VERSION = 2
+"""Of the manifest and the files that it names."""
+_CLOUDS = ("bin", "ply", "pcd")
+_WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
+    "kitti": write_kitti, "kitti360": write_kitti360, "mcap": write_mcap,
+}  # fmt: skip
+"""Formats that hold a whole data set in a folder of their own."""
+
+
+def write_data_set(
+    folder: Path, view: RenderedView, boxes: Callable[[int], list[BoxRecord]]
+) -> dict[str, Any]:
+    """Write all files of a data set; the manifest's entries on them.
+
+    Args:
+        folder: Folder of the data set.
+        view: The rendered view.
+        boxes: The labelled objects at one of its instants.
+    """
+    a = view.arrays
+    scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
+    images = _images(folder, view)
+    for name in view.entry.exports:
+        if name in _WHOLE:
+            _WHOLE[name](folder, view.data_set(boxes))
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "scans": scans,
+        "images": images,
+        "cameras": _cameras(view),
+        "boxes": _boxes(view, boxes),
+        "checksums": file_checksums(folder),
+    }
+
+
+def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:
+    """Write one scan and what lies beside it; its row of the manifest."""
+    scan, exports, a = view.scan(index), view.entry.exports, view.arrays
+    clouds = [kind for kind in _CLOUDS if kind in exports]
+    (files,) = write_scans(folder, [scan.number], [scan.rows], clouds)
+    if "laz" in exports:
+        files["laz"] = f"velodyne_points/laz/{scan.number:010d}.laz"
+        write_laz(folder / files["laz"], scan.rows, scan.ring, scan.offset_s, scan.support)
+    files |= _beside(folder, scan)
+    return {
+        "number": scan.number,
+        "files": files,
+        "returns": len(scan.rows),
+        **({} if scan.support is None else _support_counts(scan.support)),
+        "nearest_frame": int(a["frame"][index]),
+        "time_s": scan.time_s,
+        "stamp_s": scan.stamp_s,
+        "lidar_to_world": scan.lidar_to_world.reshape(-1).tolist(),
+    }
+
+
+def _beside(folder: Path, scan: ScanRecord) -> dict[str, str]:
+    """Write ring, time and support of a scan's points as files beside it."""
+    columns = {"ring": scan.ring, "time": scan.offset_s, "support": scan.support}
+    files = {}
+    for name, values in columns.items():
+        if values is not None:
+            files[name] = f"velodyne_points/{name}/{scan.number:010d}.bin"
+            (folder / files[name]).parent.mkdir(parents=True, exist_ok=True)
+            (folder / files[name]).write_bytes(values.tobytes())
+    return files
+
+
+def _support_counts(support: np.ndarray) -> dict[str, int]:
+    """Returns of each support, under the name of its region."""
+    return {one.region: int(np.count_nonzero(support == one)) for one in Support}
+
+
+def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
+    """Write every rendered image as PNG; returns one manifest row per image."""
+    rows: list[dict[str, Any]] = []
+    a = view.arrays
+    for camera, index, number, file in write_images(folder, a):
+        row = {
+            "camera": camera, "number": number, "file": file,
+            "nearest_frame": int(a[f"{camera}_frame"][index]),
+        }  # fmt: skip
+        if len(a[f"{camera}_frame"]) == len(a["time_s"]):
+            row |= {"time_s": float(a["time_s"][index]), "stamp_s": float(view.stamp_s[index])}
+        if f"{camera}_camera_to_world" in a:
+            row["camera_to_world"] = a[f"{camera}_camera_to_world"][index].reshape(-1).tolist()
+        rows.append(row)
+    return rows
+
+
+def _cameras(view: RenderedView) -> dict[str, Any]:
+    """Model and mounting of each camera."""
+    mounts = view.attrs.get("camera_in_lidar", {})
+    return {
+        name: {**facts, "camera_in_lidar": mounts[name]}
+        for name, facts in view.attrs.get("camera_models", {}).items()
+    }
+
+
+def _boxes(view: RenderedView, boxes: Callable[[int], list[BoxRecord]]) -> list[dict[str, Any]]:
+    """A row for each labelled object and instant; static objects have one row, of no instant."""
+    found: dict[tuple[int, int | None], dict[str, Any]] = {}
+    for index, number in enumerate(view.numbers):
+        for box in boxes(index):
+            own = number if box.is_dynamic else None
+            found[box.object_id, own] = {
+                "number": own, "object_id": box.object_id, "label": box.label, "dynamic": box.is_dynamic,
+                "box_to_world": box.box_to_world.reshape(-1).tolist(),
+            }  # fmt: skip
+    return list(found.values())

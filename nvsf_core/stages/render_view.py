@@ -1,0 +1,142 @@
+"""Render one view of a scene and write its data set: what a `[[view]]` of the catalogue does, as a call."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from nvsf_core.drives.catalogue import SceneEntry, home_from_environment, sensors_from_environment
+from nvsf_core.drives.catalogue_views import read_view
+from nvsf_core.drives.view_entry import ViewEntry
+from nvsf_core.errors import DataError
+from nvsf_core.recipe import Recipe
+from nvsf_core.stages.dataset import MANIFEST_NAME, boxes_of, dataset_version, identity_of, source_checksums
+from nvsf_core.stages.exports.of_view import RenderedView
+from nvsf_core.stages.exports.write import write_data_set
+from nvsf_core.stages.field import STAGE as FIELD
+from nvsf_core.stages.field import load_trained
+from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.runner.run import (
+    SceneRun,
+    find_scene,
+    plan_run,
+    run_named_stage,
+    say_on_stderr,
+    write_demo_where_absent,
+)
+from nvsf_core.stages.runner.stage import Progress, Task
+from nvsf_core.stages.views.plan import View, asked_view
+from nvsf_core.stages.views.render import asks_images, placed, render_view_arrays, view_attrs, with_images
+
+_MODEL = "model"
+_BEFORE = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
+"""Stages whose outputs a view needs; those that are up to date are skipped."""
+
+
+def view_of(keys: Mapping[str, Any], home: Path | None = None) -> ViewEntry:
+    """A view from the keys that a `[[view]]` of the catalogue has; without a name it is `view`.
+
+    A `sensor` may be one of the catalogue's own.
+
+    Args:
+        keys: Keys and values as TOML has them.
+        home: Folder for `$NVSF_HOME` in a path; default NVSF_HOME.
+
+    Raises:
+        DataError: A key is unknown or of the wrong kind, or what is asked for is impossible.
+    """
+    folder = home_from_environment(os.environ) if home is None else home
+    sensors = sensors_from_environment(os.environ) if isinstance(keys.get("sensor"), str) else {}
+    return read_view({"name": "view", **keys}, "view", Path(), folder, sensors)
+
+
+# Wide: each is a choice of its own; all but the first two have defaults.
+def render_view(
+    scene: str | SceneEntry,
+    view: ViewEntry | Mapping[str, Any],
+    home: Path | str | None = None,
+    *,
+    out: Path | str | None = None,
+    recipe: str | Recipe | None = None,
+    seed: int = 0,
+    draw_seed: int = 0,
+    progress: Progress | None = None,
+) -> Path:
+    """Render a view of a scene by its trained model, and write it as a data set.
+
+    A scene that is not trained yet is trained first. Nothing of it, nor of its other views, is changed.
+
+    Args:
+        scene: A catalogue entry, or its name.
+        view: What to render: a `ViewEntry`, or the keys of a `[[view]]`.
+        home: Folder of all outputs; default NVSF_HOME, else `.nvsf` in the working directory.
+        out: Folder to make; default `dataset/<view>/<version>` of the scene, as the stage `dataset` names it.
+        recipe: A preset's name or a recipe; default the catalogue's choice, else `lean`.
+        seed: Seed of training.
+        draw_seed: Seed of ray drop and range noise.
+        progress: Receives progress lines; default standard error.
+
+    Returns:
+        The folder of the data set, with its `manifest.json`.
+
+    Raises:
+        DataError: The view asks for what is impossible, or `out` is taken; found before anything is trained.
+        NvsfError: A stage failed.
+    """
+    entry = find_scene(scene) if isinstance(scene, str) else scene
+    place = Path(home) if home else home_from_environment(os.environ)
+    asked = view if isinstance(view, ViewEntry) else view_of(view, place)
+    say = progress or say_on_stderr
+    target = None if out is None else Path(out)
+    if target is not None and target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise DataError(f"out: expected no {target}, or an empty folder, found one with files; name another")
+    run = plan_run(
+        replace(entry, views=(asked,)), place, recipe=recipe, seed=seed, draw_seed=draw_seed
+    )  # fmt: skip
+    write_demo_where_absent(entry, say)
+    for name in _BEFORE:
+        run_named_stage(name, run, say)
+    if target is not None:
+        target.mkdir(parents=True, exist_ok=True)
+        _write(run, asked, target, say)
+        return target
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
+    location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
+    with run.store.publish(location) as folder:
+        _write(run, asked, folder, say)
+    return run.store.path(location)
+
+
+def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None:
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=folder, progress=say)
+    recording = read_recording(run.store)
+    view = asked_view(recording, asked)
+    if view is None:
+        raise DataError(
+            f"view {asked.name}: expected sensors that the drive has, found none of those asked for"
+        )
+    model = load_trained(
+        run.store.require(FIELD.location(run.config)), recording, with_camera=_has_images(view)
+    )  # fmt: skip
+    models, _ = with_images(task, recording, {_MODEL: model}, [view])
+    model = models[_MODEL]
+    arrays = render_view_arrays(task, recording, view, model, _MODEL) | placed(recording, view)
+    attrs = view_attrs(recording, view, by_images=asks_images(recording, view, model))
+    rendered = RenderedView(
+        scene=run.scene.name, sequence=run.scene.sequence, entry=asked, config=run.config, arrays=arrays,
+        attrs=attrs,
+    )  # fmt: skip
+    sources = source_checksums(task)
+    manifest = {
+        **identity_of(task, asked, dataset_version(task, asked, sources)),
+        "drawn": rendered.what_was_sampled(),
+        "source_checksums": sources,
+        **write_data_set(folder, rendered, boxes_of(task, arrays["time_s"])),
+    }
+    (folder / MANIFEST_NAME).write_text(json.dumps(manifest, indent=1, allow_nan=False))
+
+
+def _has_images(view: View) -> bool:
+    return bool(view.images or view.other_cameras)

@@ -1,0 +1,93 @@
+"""Plans of views: paths of one's own, times apart from poses, slowed, frozen, between frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nvsf_core.drives.view_entry import ViewEntry
+from nvsf_core.drives.view_parts import PoseFile, SensorEntry, Waypoint
+from nvsf_core.errors import MissingFrameError
+from nvsf_core.geometry.angles import pose_of_angles, rotation_of
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.simulation.view_plan import plan_sweeps, plan_view
+
+FRAMES, TIMES = np.arange(10, 21), np.arange(11) * 0.1
+ORIGIN_M = np.array([1000.0, 2000.0, 100.0])
+START = pose_of_angles((1003.0, 2001.0, 101.0), 40.0, 0.0, 0.0)
+RECORDED = Trajectory(
+    TIMES, np.stack([START @ pose_of_angles((10.0 * t, 0.0, 0.0), 0.0, 0.0, 0.0) for t in TIMES]), ORIGIN_M
+)
+
+
+def plan(**keys):
+    return plan_view(ViewEntry(name="v", **keys), FRAMES, TIMES, RECORDED)
+
+
+def test_angles_turn_left_then_down_then_right():
+    assert np.allclose(rotation_of(90.0, 0.0, 0.0) @ [1, 0, 0], [0, 1, 0])
+    assert np.allclose(rotation_of(0.0, 90.0, 0.0) @ [1, 0, 0], [0, 0, -1])
+    assert np.allclose(rotation_of(0.0, 0.0, 90.0) @ [0, 1, 0], [0, 0, 1])
+    assert np.allclose(rotation_of(90.0, 90.0, 0.0) @ [1, 0, 0], [0, 0, -1])
+
+
+def test_a_frozen_instant_stops_the_scene_and_not_the_car():
+    found = plan(frames=(12, 18), frozen_at_s=0.5)
+    assert found.time_s.tolist() == [0.5, 0.5] and np.allclose(found.moments_s, [0.2, 0.8])
+    assert found.number.tolist() == [12, 18] and np.allclose(found.stamp_s, [0.2, 0.8])
+    assert np.allclose(np.diff(found.poses(RECORDED)[:, :3, 3], axis=0), 6.0 * START[:3, 0])
+    sweeps = plan_sweeps(found, HDL_64E, None)
+    assert np.allclose(sweeps.fired_s(0.5, np.array([-0.5, 0.5]), 0.1), 0.5)
+    one = sweeps.only(1)
+    assert one.near_time_s(0.5) == pytest.approx(0.8) and one.moment_s(0.5) == pytest.approx(0.8)
+
+
+def test_half_speed_shows_twice_as_many_instants_and_stamps_them_by_the_sensors_clock():
+    found = plan(rate_hz=10.0, speed=0.5)
+    assert np.allclose(np.diff(found.time_s), 0.05) and len(found.time_s) == 21
+    assert np.allclose(np.diff(found.stamp_s), 0.1)
+    assert found.number.tolist() == list(range(21)), "between frames files count from 0"
+    sweeps = plan_sweeps(found, HDL_64E, None)
+    assert np.allclose(sweeps.fired_s(0.5, np.array([-0.5, 0.5]), 0.1), [0.475, 0.525])
+
+
+def test_waypoints_are_met_and_left_without_a_kink():
+    points = tuple(
+        Waypoint(time_s=t, position_m=(8.0 * t, y, 0.0), yaw_deg=yaw)
+        for t, y, yaw in ((0.0, 0.0, 0.0), (0.5, 2.0, 30.0), (1.0, 0.0, 0.0))
+    )
+    found = plan(waypoints=points, times_s=(0.0, 0.5, 1.0))
+    world = found.poses(RECORDED)
+    world[:, :3, 3] += ORIGIN_M
+    local = np.linalg.inv(START) @ world
+    assert np.allclose(local[:, :3, 3], [(0, 0, 0), (4, 2, 0), (8, 0, 0)], atol=1e-6)
+    assert np.allclose(local[1, :3, :3], rotation_of(30.0, 0.0, 0.0), atol=1e-6)
+    path = found.path
+    before, at, after = (path.at(np.array([t]))[1][0] for t in (0.46, 0.5, 0.54))
+    assert np.linalg.norm((after - at) - (at - before)) < 0.1
+    assert not found.is_as_recorded and found.near_s is not None
+
+
+def test_a_frozen_path_may_last_longer_than_the_drive_and_another_not():
+    points = (Waypoint(time_s=0.0, position_m=(0, 0, 0)), Waypoint(time_s=9.0, position_m=(5.0, 0, 0)))
+    assert len(plan(waypoints=points, rate_hz=1.0, frozen_at_s=0.3).time_s) == 10
+    with pytest.raises(MissingFrameError, match="from 0 to 1 seconds of the path"):
+        plan(waypoints=points, times_s=(5.0,))
+
+
+def test_a_pose_file_in_the_world_is_the_path():
+    poses = (START, START @ pose_of_angles((0.0, 3.0, 0.0), 0.0, 0.0, 0.0))
+    rows = tuple(tuple(pose[:3].ravel().tolist()) for pose in poses)
+    given = PoseFile(name="p.txt", time_s=(0.0, 1.0), poses=rows)
+    found = plan(pose_file=given, path_in="world", times_s=(0.0, 1.0), shift_m=(1.0, 0.0, 0.0))
+    world = found.poses(RECORDED)[:, :3, 3] + ORIGIN_M
+    assert np.allclose(world, [(pose @ [1.0, 0.0, 0.0, 1.0])[:3] for pose in poses], atol=1e-6)
+
+
+def test_a_sensor_of_ones_own_rotates_at_its_own_rate():
+    sensor = SensorEntry(name="mine", elevation_deg=(5.0, 0.0, -5.0), azimuth_step_deg=0.5, rate_hz=20.0)
+    sweeps = plan_sweeps(plan(frames=(12,)), HDL_64E, sensor)
+    assert not sweeps.is_recorded_sensor and sweeps.sweep_s(0.1) == 0.05
+    assert (sweeps.table.laser_count, sweeps.table.firings_per_turn) == (3, 720)
+    assert plan_sweeps(plan(frames=(12,)), replace(HDL_64E), "HDL-64E").is_recorded_sensor

@@ -1,0 +1,133 @@
+"""Each format, read back by another reader than its writer."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nvsf_core.clouds.laz import write_laz
+from nvsf_core.drives.kitti360.boxes import read_boxes
+from nvsf_core.drives.kitti360.calibration import read_calibration
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.poses import read_poses
+from nvsf_core.drives.kitti360.timestamps import frame_times
+from nvsf_core.geometry.se3 import invert_pose, transform_points
+from nvsf_core.stages.exports.boxes import boxes_at
+from nvsf_core.stages.exports.kitti import write_kitti
+from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.mcap import EPOCH_S, write_mcap
+from tests.stages.exports import small_data_set as small
+
+MCAP_READER = "written by rosbags and read by mcap-ros2-support, of which one is not installed"
+LAZ = "laspy or lazrs is not installed"
+
+
+def test_kitti_is_read_as_odometry_loaders_read_it(tmp_path: Path) -> None:
+    write_kitti(tmp_path, small.data_set())
+    place = tmp_path / "kitti/sequences/00"
+    calib = dict(line.split(": ") for line in (place / "calib.txt").read_text().splitlines())
+    lidar_to_camera = np.vstack([np.fromstring(calib["Tr"], sep=" ").reshape(3, 4), [0, 0, 0, 1]])
+    poses = np.loadtxt(tmp_path / "kitti/poses/00.txt").reshape(-1, 3, 4)
+    assert np.allclose(poses[0], np.eye(4)[:3], atol=1e-9)
+    # KISS-ICP turns camera poses into the LiDAR's by Tr: steps must be those that were asked for.
+    for k in range(1, small.COUNT):
+        whole = np.vstack([poses[k], [0, 0, 0, 1]])
+        step = invert_pose(lidar_to_camera) @ whole @ lidar_to_camera
+        assert np.allclose(step, invert_pose(small.POSES[0]) @ small.POSES[k], atol=1e-6)
+    assert np.allclose(np.loadtxt(place / "times.txt"), small.STAMPS - small.STAMPS[0])
+    rows = np.fromfile(place / "velodyne/000001.bin", "<f4").reshape(-1, 4)
+    assert (rows == small.scan(1).rows).all()
+    assert (np.fromfile(place / "velodyne_ring/000001.bin", "<u2") == small.scan(1).ring).all()
+    picture = cv2.imread(str(place / "image_2/000002.png"))[..., ::-1]
+    assert (picture == small.image("image_00", 2).rgb).all()
+    # P2 projects what the LiDAR sees to where the camera sees it.
+    projection = np.fromstring(calib["P2"], sep=" ").reshape(3, 4)
+    point_m = np.array([[10.0, 1.0, 0.5]])
+    u, v, depth = (projection @ np.append(transform_points(lidar_to_camera, point_m)[0], 1.0)).tolist()
+    expected, inside = small.PINHOLE.project(transform_points(invert_pose(small.IN_LIDAR), point_m))
+    assert inside[0] and np.allclose([u / depth, v / depth], expected[0], atol=1e-6)
+
+
+def test_kitti360_is_read_with_calibration_poses_times_and_boxes(tmp_path: Path) -> None:
+    data = small.data_set()
+    write_kitti360(tmp_path, data)
+    layout = DriveLayout(tmp_path / "kitti360", data.sequence)
+    calibration = read_calibration(layout, None, has_scans=True)
+    camera = calibration.cameras["image_00"]
+    assert camera.intrinsics == small.PINHOLE
+    in_lidar = invert_pose(calibration.lidar_to_pose) @ camera.to_pose
+    assert np.allclose(in_lidar, small.IN_LIDAR, atol=1e-9)
+    poses = read_poses(layout.poses_path)
+    for index, number in enumerate(small.NUMBERS):
+        assert np.allclose(poses[number] @ calibration.lidar_to_pose, small.POSES[index], atol=1e-9)
+        rows = np.fromfile(layout.scan_path(number), "<f4").reshape(-1, 4)
+        assert (rows == small.scan(index).rows).all()
+    times = frame_times(layout, 4, 7, None)
+    assert np.allclose(times.time_s[[0, 1, 3]], small.STAMPS - small.STAMPS[0], atol=1e-6)
+    boxes, left_out = read_boxes(layout.boxes_path("train"), 4, 7)
+    assert left_out == []
+    moving = {row.frame: row for row in boxes if row.dynamic}
+    assert np.allclose(moving[5].box_to_world, small.boxes(1)[0].box_to_world, atol=1e-4)
+
+
+def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason=MCAP_READER)
+    factory = pytest.importorskip("mcap_ros2.decoder", reason=MCAP_READER).DecoderFactory()
+    reading = pytest.importorskip("mcap.reader", reason=MCAP_READER)
+    write_mcap(tmp_path, small.data_set())
+    (file,) = (tmp_path / "mcap").glob("*.mcap")
+    found: dict[str, list] = {}
+    with file.open("rb") as stream:
+        reader = reading.make_reader(stream, decoder_factories=[factory])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, decoded))
+    assert {topic: len(messages) for topic, messages in found.items()} == {
+        "/tf_static": 1, "/tf": 3, "/lidar/points": 3, "/image_00/camera_info": 3,
+        "/image_00/image/compressed": 3,
+    }  # fmt: skip
+    time_ns, cloud = found["/lidar/points"][2]
+    assert time_ns == EPOCH_S * 10**9 + 700_000_000 and cloud.header.frame_id == "lidar"
+    kinds = {2: "u1", 4: "<u2", 7: "<f4"}
+    layout = np.dtype({
+        "names": [one.name for one in cloud.fields], "formats": [kinds[one.datatype] for one in cloud.fields],
+        "offsets": [one.offset for one in cloud.fields], "itemsize": cloud.point_step,
+    })  # fmt: skip
+    points, scan = np.frombuffer(bytes(cloud.data), layout), small.scan(2)
+    assert np.array_equal(np.column_stack([points[name] for name in ("x", "y", "z", "intensity")]), scan.rows)
+    assert (points["ring"] == scan.ring).all() and (points["time"] == scan.offset_s).all()
+    assert (points["support"] == scan.support).all()
+    _, picture = found["/image_00/image/compressed"][1]
+    rgb = cv2.imdecode(np.frombuffer(bytes(picture.data), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert (rgb == small.image("image_00", 1).rgb).all()
+    assert np.allclose(np.array(found["/image_00/camera_info"][0][1].k).reshape(3, 3), small.PINHOLE.matrix)
+    moved = found["/tf"][1][1].transforms[0].transform.translation
+    assert np.allclose([moved.x, moved.y, moved.z], small.POSES[1][:3, 3])
+
+
+def test_laz_holds_ring_time_and_support(tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy", reason=LAZ)
+    pytest.importorskip("lazrs", reason=LAZ)
+    scan = small.scan(0)
+    write_laz(tmp_path / "a.laz", scan.rows, scan.ring, scan.offset_s, scan.support)
+    cloud = laspy.read(tmp_path / "a.laz")
+    assert np.allclose(cloud.xyz, scan.rows[:, :3], atol=6e-5)
+    assert np.allclose(cloud.intensity / 65535.0, scan.rows[:, 3], atol=1e-5)
+    assert (cloud.ring == scan.ring).all() and (cloud.support == scan.support).all()
+    assert (np.asarray(cloud.time) == scan.offset_s).all()
+
+
+def test_boxes_between_frames_lie_between_and_end_with_their_track() -> None:
+    def row(frame: int, x_m: float, dynamic: bool = True) -> dict:
+        pose = np.eye(4)
+        pose[0, 3] = x_m
+        return {
+            "frame": frame, "object_id": 1 if dynamic else 2, "label": "car", "dynamic": dynamic,
+            "box_to_world": pose.ravel().tolist(),
+        }  # fmt: skip
+
+    rows = [row(3, 1.0), row(4, 3.0), row(-1, 9.0, dynamic=False)]
+    at = boxes_at(rows, {3: 0.3, 4: 0.4}, np.array([0.3, 0.35, 0.4, 0.5]))
+    moving = [[box.box_to_world[0, 3] for box in at(k) if box.is_dynamic] for k in range(4)]
+    assert [np.round(one, 9).tolist() for one in moving] == [[1.0], [2.0], [3.0], []]
+    assert all(len([box for box in at(k) if not box.is_dynamic]) == 1 for k in range(4))
