@@ -19,7 +19,7 @@ def ask(tiny_catalogue, tmp_path, monkeypatch):
 def test_its_commands_are_listed(ask):
     said = ask("--help")
     assert said.exit_code == 0
-    for command in ("demo", "train", "view", "report", "scenes", "weights", "doctor"):
+    for command in ("demo", "train", "view", "report", "scenes", "verify", "weights", "doctor"):
         assert f"  {command} " in said.output
 
 
