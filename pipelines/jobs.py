@@ -2,6 +2,7 @@
 
 import dagster as dg
 
+from assets.scenes import key_of
 from pipelines.executors import timing_executor
 from pipelines.reaper import host_tags
 from pipelines.terminal import TERSE_LOGGING
@@ -18,7 +19,7 @@ benchmark = make_train_all_scenes(
     executor=timing_executor(),
 )
 
-_up_to_dataset = dg.AssetSelection.assets("dataset").upstream()
+_up_to_dataset = dg.AssetSelection.assets(key_of("dataset")).upstream().materializable()
 
 train_scene = dg.define_asset_job(
     "train_scene",

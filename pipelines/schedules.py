@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import dagster as dg
 
+from assets.scenes import register
 from assets.workspace import Workspace, catalogue
 from nvsf_core.stages.runner.trained import newest_field
 from pipelines.jobs import regenerate_synthetic
@@ -18,13 +19,14 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
     """Request one run per scene that has a field; the ISO week is the data set's seed."""
     year, week, _ = context.scheduled_execution_time.isocalendar()
     label = f"{year}-W{week:02d}"
-    requested = 0
+    requested: list[str] = []
     for entry in catalogue():
         field = newest_field(Workspace().home() / entry.name)
         if field is None:
             continue
-        requested += 1
+        requested.append(entry.name)
         recipe, seed = field
+        register(context.instance, [entry.name])
         choice = {"recipe": recipe, "seed": seed, "draw_seed": 100 * year + week, "dataset_label": label}
         yield dg.RunRequest(
             run_key=f"{entry.name}-{label}",

@@ -345,7 +345,7 @@ def _checks(made: list[dict[str, Any]]) -> list[Check]:
 
 STAGE = Stage(
     name="dataset",
-    group="synthesis",
+    group="export",
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " a manifest of what they came from.",

@@ -83,6 +83,26 @@ def view_facts(scene: SceneEntry) -> list[Facts]:
     ]
 
 
+def drive_version(scene: SceneEntry, hashes: FileHashes) -> str:
+    """Digest of a recorded drive as the scene uses it: its files, and its entry in the catalogue.
+
+    Raises:
+        DataError: A file cannot be read.
+        TimeIsUpError: The time of `hashes` is up.
+    """
+    return digest_of({"scene": scene_facts(scene), "drive": drive_digest(scene, hashes)})
+
+
+def views_version(scene: SceneEntry, hashes: FileHashes) -> str:
+    """Digest of the views that the catalogue asks of a scene, and of their true images.
+
+    Raises:
+        DataError: A true image is absent or cannot be read.
+        TimeIsUpError: The time of `hashes` is up.
+    """
+    return digest_of({"views": view_facts(scene), "truth": truth_digest(scene, hashes)})
+
+
 def digest_of(facts: Facts) -> str:
     """SHA-256 of the facts: the fingerprint of an output."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

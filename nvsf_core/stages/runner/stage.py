@@ -146,7 +146,7 @@ class Stage:
 
     name: str
     group: str
-    """Asset group: ingest, prepare, train, synthesis or report."""
+    """Asset group: ingest, prepare, train, synthesis, measure or export."""
     inputs: tuple[str, ...]
     """Names of the stages whose outputs it reads."""
     description: str
