@@ -8,13 +8,12 @@ import dagster as dg
 from assets.automation import KEPT, follows_its_scene
 from assets.drives import ASKED_VIEWS, DRIVE
 from assets.metadata import outcome_metadata
-from assets.offers import offer_specs, offer_verdicts
 from assets.scenes import DATA_VERSION, OWNERS, SCENES, key_of
 from assets.schema import schema_metadata
 from assets.verdicts import check_specs, evaluations, failed_verdicts, reason_of, verdicts
 from assets.workspace import Workspace
 from nvsf_core.errors import NvsfError
-from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
+from nvsf_core.stages import STAGES, Outcome, Stage, run_named_stage
 
 _AssetEvent = dg.AssetCheckResult | dg.MaterializeResult
 _KINDS = {
@@ -58,7 +57,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
         owners=OWNERS,
         kinds=set(_KINDS.get(stage.name, ("zarr",))),
         metadata=schema_metadata(stage.name),
-        check_specs=[*check_specs(stage), *offer_specs(stage.name)],
+        check_specs=check_specs(stage),
         retry_policy=_RETRY_KILLED,
         op_tags={"stage": stage.name},
     )
@@ -73,11 +72,10 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
             for verdict in failed_verdicts(stage, scene, error, reason):
                 yield dg.AssetCheckResult(**verdict)
             raise dg.Failure(description=str(error), allow_retries=False) from error
-        found = [*verdicts(stage, outcome, scene), *offer_verdicts(stage.name, plan.scene, workspace)]
         yield dg.MaterializeResult(
             metadata=outcome_metadata(outcome),
             data_version=dg.DataVersion(outcome.content),
-            check_results=[dg.AssetCheckResult(**verdict) for verdict in found],
+            check_results=[dg.AssetCheckResult(**verdict) for verdict in verdicts(stage, outcome, scene)],
         )
 
     return run
@@ -90,7 +88,7 @@ def _observed_by(stage: Stage) -> list[str]:
 
 
 def events_of(
-    stage: Stage, outcome: Outcome, scene: str, workspace: Workspace
+    stage: Stage, outcome: Outcome, scene: str
 ) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
     """Events that an op logs so that Dagster counts the scene's partition as made, with its checks."""
     yield dg.AssetMaterialization(
@@ -99,8 +97,7 @@ def events_of(
         metadata=outcome_metadata(outcome),
         tags={DATA_VERSION: outcome.content},
     )
-    found = [*verdicts(stage, outcome, scene), *offer_verdicts(stage.name, find_scene(scene), workspace)]
-    yield from evaluations(stage.name, scene, found)
+    yield from evaluations(stage.name, scene, verdicts(stage, outcome, scene))
 
 
 def failed_checks(

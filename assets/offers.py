@@ -1,75 +1,92 @@
-"""Checks that need no run: what is offered but never forced, and what has grown old."""
+"""Checks over all scenes that need no run: what is offered but never forced, and what has grown old.
+
+They are of no partition: each says of all scenes which ones it fails for, so that none hides another.
+"""
 
 import time
-from typing import Any
+from collections.abc import Callable
 
 import dagster as dg
 
-from assets.scenes import SCENES, key_of
-from assets.workspace import Workspace
+from assets.scenes import key_of
+from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import preset
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.scene_store import SceneStore, published
 
-RECIPE_CHECK, AGE_CHECK = "recipe_is_asked_for", "made_within_a_week"
-OFFERS = {
-    "field": (RECIPE_CHECK, "The field has the recipe that is asked for now. Another one is never forced: "
-              "launch `train_scene` on the partition to follow."),
-    "dataset": (AGE_CHECK, "The scene's newest data set is at most eight days old, as the weekly schedule "
-                "promises."),
-}  # fmt: skip
-"""Stage to the check of its asset and the check's description."""
+RECIPE_CHECK, AGE_CHECK = "recipes_are_asked_for", "data_sets_are_of_this_week"
 OLDEST_DAYS = 8.0
+"""The weekly schedule makes a data set every seven days."""
 _DAY_S = 86_400.0
+_Fault = Callable[[SceneEntry, Workspace], str]
 
 
-def offer_specs(stage: str) -> list[dg.AssetCheckSpec]:
-    """The specs of a stage's checks."""
-    named = OFFERS.get(stage)
-    if named is None:
-        return []
-    return [dg.AssetCheckSpec(named[0], asset=key_of(stage), description=named[1], partitions_def=SCENES)]
-
-
-def offer_verdicts(stage: str, entry: SceneEntry, workspace: Workspace) -> list[dict[str, Any]]:
-    """Keyword arguments of an `AssetCheckResult` (or evaluation) per check; none if nothing is published."""
-    if stage not in OFFERS:
-        return []
-    found = _recipe(entry, workspace) if stage == "field" else _age(entry, workspace)
-    if found is None:
-        return []
-    passed, words = found
-    return [
-        {
-            "check_name": OFFERS[stage][0],
-            "passed": passed,
-            "severity": dg.AssetCheckSeverity.WARN,
-            "description": f"scene {entry.name}: {words}",
-        }
-    ]
-
-
-def _recipe(entry: SceneEntry, workspace: Workspace) -> tuple[bool, str] | None:
+def recipe_fault(entry: SceneEntry, workspace: Workspace) -> str:
+    """Why a scene's field is not what is asked for now; empty if it is, or if there is none."""
     store = SceneStore(workspace.home(), entry.name)
     newest = newest_field(store.root)
     if newest is None:
-        return None
+        return ""
     (recipe, seed), asked = newest, workspace.recipe_of(entry)
     record = read_record(store.path(f"field/{recipe}/{seed}")) or {}
     identity = record.get("facts", {}).get("recipe")
     if recipe == asked and identity in (None, preset(asked).identity()):
-        return True, f"trained with {recipe}, which is asked for"
-    words = "an earlier version of it" if recipe == asked else recipe
-    return False, f"{asked} is asked for, trained was {words}; launch train_scene on it to follow"
+        return ""
+    trained = "an earlier version of it" if recipe == asked else recipe
+    return f"{asked} is asked for, trained was {trained}; launch `train_scene` on this scene to follow"
 
 
-def _age(entry: SceneEntry, workspace: Workspace) -> tuple[bool, str] | None:
+def age_fault(entry: SceneEntry, workspace: Workspace) -> str:
+    """Why a scene's newest data set is too old; empty if it is not, or if there is none."""
     records = published(workspace.home() / entry.name, f"dataset/.index/*/*/{RECORD_NAME}")
-    if not records:
-        return None
-    days = (time.time() - max(path.stat().st_mtime for path in records)) / _DAY_S
-    return days <= OLDEST_DAYS, f"newest data set {'at most' if days <= OLDEST_DAYS else 'more than'} " + (
-        f"{OLDEST_DAYS:.0f} days old"
+    newest_s = max((path.stat().st_mtime for path in records), default=None)
+    if newest_s is None or time.time() - newest_s <= OLDEST_DAYS * _DAY_S:
+        return ""
+    return f"its newest data set is older than {OLDEST_DAYS:.0f} days; launch `regenerate_synthetic`"
+
+
+OFFERS: dict[str, tuple[str, _Fault]] = {
+    "field": (RECIPE_CHECK, recipe_fault),
+    "dataset": (AGE_CHECK, age_fault),
+}
+"""Stage to the check of its asset, and what it asks of each scene."""
+_DESCRIPTIONS = {
+    "field": "Every scene has the recipe that is asked for. Another one is never forced: it is offered here.",
+    "dataset": "Every scene's newest data set is at most eight days old.",
+}
+
+
+def offer_evaluation(stage: str, workspace: Workspace) -> dg.AssetCheckEvaluation:
+    """The verdict on a stage of all scenes, as an event of no run."""
+    name, fault_of = OFFERS[stage]
+    found = {entry.name: fault_of(entry, workspace) for entry in catalogue()}
+    faults = {scene: words for scene, words in found.items() if words}
+    return dg.AssetCheckEvaluation(
+        asset_key=key_of(stage),
+        check_name=name,
+        passed=not faults,
+        severity=dg.AssetCheckSeverity.WARN,
+        description=f"{len(faults)} of {len(found)} scenes: {', '.join(faults)}" if faults else "all scenes",
+        metadata={scene: dg.MetadataValue.text(words) for scene, words in faults.items()},
     )
+
+
+def _offer(stage: str) -> dg.AssetChecksDefinition:
+    """A stage's check, also to be run by hand."""
+
+    @dg.asset_check(asset=key_of(stage), name=OFFERS[stage][0], description=_DESCRIPTIONS[stage])
+    def offer(workspace: Workspace) -> dg.AssetCheckResult:
+        found = offer_evaluation(stage, workspace)
+        return dg.AssetCheckResult(
+            passed=found.passed,
+            severity=found.severity,
+            description=found.description,
+            metadata=found.metadata,
+        )
+
+    return offer
+
+
+offer_checks = [_offer(stage) for stage in OFFERS]

@@ -6,6 +6,7 @@ from assets.drives import drive_assets
 from assets.export import export_assets
 from assets.ingest import ingest_assets
 from assets.measure import measure_assets
+from assets.offers import offer_checks
 from assets.prepare import prepare_assets
 from assets.report import report_assets
 from assets.synthesis import synthesis_assets
@@ -29,6 +30,7 @@ defs = dg.Definitions(
         *export_assets,
         *report_assets,
     ],
+    asset_checks=offer_checks,
     jobs=JOBS,
     schedules=[weekly_regeneration],
     sensors=[new_drives, scenes_follow, stale_run_reaper],

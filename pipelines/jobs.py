@@ -2,6 +2,7 @@
 
 import dagster as dg
 
+from assets.offers import offer_checks
 from assets.scenes import key_of
 from pipelines.executors import timing_executor
 from pipelines.reaper import host_tags
@@ -20,6 +21,9 @@ benchmark = make_train_all_scenes(
 )
 
 _up_to_dataset = dg.AssetSelection.assets(key_of("dataset")).upstream().materializable()
+# Checks over all scenes belong to no scene's run: `new_drives` makes them.
+for _check in offer_checks:
+    _up_to_dataset -= dg.AssetSelection.checks(_check)
 
 train_scene = dg.define_asset_job(
     "train_scene",

@@ -9,9 +9,8 @@ import dagster as dg
 
 from assets.automation import KEPT_TAGS
 from assets.drives import versions_of
-from assets.offers import OFFERS, offer_verdicts
+from assets.offers import OFFERS, offer_evaluation
 from assets.scenes import DATA_VERSION, SCENES, key_of
-from assets.verdicts import evaluations
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.section import section_of, why_wait
@@ -27,15 +26,18 @@ _MOST_READING_S = 20.0
 _RETRIES = {"dagster/max_retries": "2"}
 """Of a run whose process died; a step that failed is not run again (`run_retries` of the instance)."""
 
+_OFFERS = "/offers"
+"""Key of the cursor for the verdicts on all scenes; no scene can have that name."""
+
 _Seen = dict[str, dict[str, Any]]
-"""Scene to what was last reported of it: data versions of its drive and views, verdicts of its offers."""
+"""Scene to what was last reported of it: data versions of its drive and views."""
 
 
 class _Found(NamedTuple):
     """What a tick found of one scene."""
 
     seen: dict[str, Any]
-    events: list[dg.AssetObservation | dg.AssetCheckEvaluation]
+    events: list[dg.AssetObservation]
 
 
 @dg.sensor(
@@ -46,7 +48,8 @@ class _Found(NamedTuple):
 )
 def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.SkipReason:
     """Report drives that are new or changed."""
-    seen, words, events, new = _load(context.cursor), list[str](), [], []
+    seen, words, new = _load(context.cursor), list[str](), list[str]()
+    events: list[dg.AssetObservation | dg.AssetCheckEvaluation] = []
     known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
     try:
         entries, workspace = catalogue(), Workspace()
@@ -72,6 +75,12 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.Skip
         new += [entry.name] if entry.name not in known else []
         seen[entry.name] = found.seen
         events += found.events
+    try:
+        events += _changed_offers(workspace, seen)
+    except (NvsfError, OSError) as error:
+        words.append(f"offers: {error}")
+    if words:
+        context.log.info("; ".join(words))  # also where something else is reported, which leaves no reason
     return dg.SensorResult(
         skip_reason=dg.SkipReason("; ".join(words) or "nothing new") if not events and not new else None,
         dynamic_partitions_requests=[SCENES.build_add_request(new)] if new else [],
@@ -81,8 +90,8 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.Skip
 
 
 def _look_at(entry: SceneEntry, workspace: Workspace, before: dict[str, Any]) -> _Found:
-    """Data versions and offers of a scene, and the events of those that changed."""
-    events: list[dg.AssetObservation | dg.AssetCheckEvaluation] = []
+    """Data versions of a scene's sources, and the events of those that changed."""
+    events: list[dg.AssetObservation] = []
     now: dict[str, Any] = {}
     for name, version in versions_of(entry, workspace, _MOST_READING_S).items():
         now[name] = version
@@ -95,17 +104,18 @@ def _look_at(entry: SceneEntry, workspace: Workspace, before: dict[str, Any]) ->
                     tags={DATA_VERSION: version},
                 )
             )
-    for stage, verdict in _offers(entry, workspace):
-        now[stage] = [verdict["passed"], verdict["description"]]
-        if before.get(stage) != now[stage]:
-            events += evaluations(stage, entry.name, [verdict])
     return _Found(now, events)
 
 
-def _offers(entry: SceneEntry, workspace: Workspace) -> Iterator[tuple[str, dict[str, Any]]]:
+def _changed_offers(workspace: Workspace, seen: _Seen) -> Iterator[dg.AssetCheckEvaluation]:
+    """Verdicts on all scenes that are not those that were reported last."""
+    before = seen.setdefault(_OFFERS, {})
     for stage in OFFERS:
-        for verdict in offer_verdicts(stage, entry, workspace):
-            yield stage, verdict
+        found = offer_evaluation(stage, workspace)
+        words = [found.passed, {scene: value.value for scene, value in found.metadata.items()}]
+        if before.get(stage, [True, {}]) != words:
+            before[stage] = words
+            yield found
 
 
 def _load(cursor: str | None) -> _Seen:

@@ -121,7 +121,7 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         try:
             outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
-            for event in events_of(stage, outcome, scene, workspace):
+            for event in events_of(stage, outcome, scene):
                 context.log_event(event)
         except NvsfError as error:
             return _failed(context, state, stage, error, reason_of(error, stage, scene))
