@@ -23,6 +23,7 @@ def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
         "seconds": dg.MetadataValue.float(rounded(float(outcome.seconds))),
         "was_up_to_date": dg.MetadataValue.bool(outcome.skipped),
     }
+    metadata |= scalar_metadata(outcome.resources)
     metadata |= {f"path_{view}": dg.MetadataValue.path(str(folder)) for view, folder in exports.items()}
     metadata |= scalar_metadata(outcome.metadata)
     for name, path in outcome.previews.items():

@@ -7,7 +7,9 @@ from nvsf_core.stores.schemas import CONTRACT, Entry, FileSpec
 
 def schema_metadata(stage: str) -> dict[str, dg.TableSchema]:
     """Metadata with the schema of what a stage publishes, by the data contract; empty if it says nothing."""
-    specs = [spec for spec in CONTRACT if spec.stage == stage]
+    specs = sorted(
+        (spec for spec in CONTRACT if spec.stage == stage), key=lambda spec: spec.kind != "parquet"
+    )
     found: dict[str, dg.TableSchema] = {}
     for spec in specs:
         # The UI shows one schema under this name; the others are listed beside it.

@@ -12,6 +12,7 @@ from assets.report import report_assets
 from assets.synthesis import synthesis_assets
 from assets.train import train_assets
 from pipelines.executors import executor_from_environment
+from pipelines.failures import failure_command
 from pipelines.jobs import JOBS
 from pipelines.reaper import stale_run_reaper
 from pipelines.resources import RESOURCES
@@ -33,7 +34,7 @@ defs = dg.Definitions(
     asset_checks=offer_checks,
     jobs=JOBS,
     schedules=[weekly_regeneration],
-    sensors=[new_drives, scenes_follow, stale_run_reaper],
+    sensors=[new_drives, scenes_follow, stale_run_reaper, failure_command],
     resources=RESOURCES,
     executor=executor_from_environment(),
     loggers={"terse": terse_logger},

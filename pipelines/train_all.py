@@ -28,6 +28,7 @@ from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
+from pipelines.failures import call_command
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
@@ -169,7 +170,7 @@ def report_all(
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
     context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata))
-    sys.stdout.write(_closing_words(rows, states, failures, absent, path))
+    sys.stdout.write(_closing_words(rows, states, failures, absent, path) + _in_the_ui(context))
     sys.stdout.flush()
     return [f"{scene}: {reason}" for scene, reason in failures.items()]
 
@@ -202,6 +203,15 @@ def _closing_words(
     return "\n".join(lines)
 
 
+def _in_the_ui(context: dg.OpExecutionContext) -> str:
+    """Where the UI shows a run that no daemon started: neither on its timeline nor under its job."""
+    if context.instance.is_ephemeral:
+        return ""
+    if context.run.remote_job_origin is not None:
+        return ""
+    return f"in the UI: under Runs, as /runs/{context.run_id} (the timeline has the daemon's alone)\n"
+
+
 def _short(path: Path) -> str:
     """The path as seen from here, where that is shorter."""
     here = Path.cwd()
@@ -215,8 +225,16 @@ def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
 
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
-def fail_if_any_failed(failures: list[str]) -> None:
-    """Fail the run if there are recorded failures."""
+def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> None:
+    """Fail the run if there are recorded failures; the user's command is called, if no daemon will do it."""
+    if failures and context.run.remote_job_origin is None:
+        failure = {
+            "run_id": context.run_id,
+            "job": context.job_name,
+            "scene": "",
+            "words": "\n".join(failures),
+        }
+        context.log.info(call_command(failure))
     if failures:
         raise dg.Failure(
             description=f"{len(failures)} scene(s) failed: " + " | ".join(failures), allow_retries=False

@@ -12,6 +12,7 @@ from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
 from nvsf_core.stages.runner.record import RECORD_NAME, content_of, damage_of, listed_files, read_record
+from nvsf_core.stages.runner.resources import Meter
 from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.file_hashes import FileHashes
@@ -145,6 +146,7 @@ def outcome_of(stage: Stage, path: Path, record: dict[str, Any], *, skipped: boo
         previews={name: path / file for name, file in record["previews"].items()},
         fingerprint=record["fingerprint"],
         content=content_of(record),
+        resources=record.get("resources", {}),
     )
 
 
@@ -155,7 +157,7 @@ def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task])
 
     use_threads()
     stage, store = place.stage, place.store
-    started = time.perf_counter()
+    started, meter = time.perf_counter(), Meter()
     with store.publish(place.location) as folder:
         output = stage.run(task(folder))
         _require_contract(place, folder)
@@ -169,6 +171,7 @@ def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task])
             **_checked(stage, task(folder), output.checks),
             "seconds": time.perf_counter() - started,
             "files": listed_files(store, folder, output.previews.values(), output.beside),
+            "resources": meter.taken(),
         }
         before = found.record
         if before is not None and content_of(before) == content_of(record):

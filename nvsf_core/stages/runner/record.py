@@ -86,6 +86,8 @@ def _is_record(record: Mapping[str, Any]) -> bool:
         and all(_is_check(check) for check in record["checks"])
         and _lists_files(record.get("files", {}))
         and isinstance(record.get("facts", {}), dict)
+        and isinstance(record.get("resources", {}), dict)
+        and all(_is_number(value) for value in record.get("resources", {}).values())
     )
 
 

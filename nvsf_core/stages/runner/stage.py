@@ -197,3 +197,5 @@ class Outcome:
     """SHA-256 of all that it was made from."""
     content: str
     """SHA-256 of the checksums of its files: outputs of the same content have the same one."""
+    resources: dict[str, float]
+    """What making it took: `peak_memory_mb`, `read_mb`, `written_mb`; empty for outputs of before."""
