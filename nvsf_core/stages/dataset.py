@@ -24,6 +24,7 @@ from nvsf_core.rendering.support import Support
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
 from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
+from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.views.files import (
@@ -354,4 +355,5 @@ STAGE = Stage(
     per_recipe=True,
     per_draw=True,
     reads_views=True,
+    estimate_bytes=dataset_bytes,
 )

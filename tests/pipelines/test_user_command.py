@@ -6,6 +6,9 @@ import sys
 
 import pytest
 
+from nvsf_core.stages import find_scene, plan_run
+from nvsf_core.stages.dataset_size import dataset_bytes
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.schemas import CONTRACT, violations
 
@@ -68,6 +71,13 @@ def test_what_was_published_keeps_the_data_contract(trained):
             view = "shift_1m" if path.endswith("truth.zarr") else "test"
             path = path.replace("<view>", view).replace("<method>", "model")
             assert violations(spec, read_arrays(trained / "tiny" / path)) == [], path
+
+
+def test_what_a_data_set_takes_on_the_disk_is_estimated_from_its_view(trained):
+    run = plan_run(find_scene("tiny"), trained)
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
+    written = sum(file.stat().st_size for file in (trained / "tiny/dataset").glob("*/manual-*/*/**/*.*"))
+    assert written < dataset_bytes(task) < 3 * written
 
 
 def test_a_second_run_skips_every_stage(run_process, trained, tiny_catalogue):

@@ -9,6 +9,7 @@ from typing import Any
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.stages.runner.contents import hashes_of
+from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
 from nvsf_core.stages.runner.record import RECORD_NAME, content_of, damage_of, listed_files, read_record
@@ -118,6 +119,7 @@ def run_stage(place: StagePlace, progress: Progress) -> Outcome:
     if reason:
         progress(f"{name}: made again, {reason}")
     _require_sound_inputs(place)
+    require_space(stage, task(path))
     progress(f"{name}: started")
     record = _publish(place, found, task)
     progress(f"{name}: done in {record['seconds']:.1f} s")

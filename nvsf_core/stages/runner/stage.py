@@ -164,6 +164,8 @@ class Stage:
     """Whether the catalogue's views of the scene are part of its identity."""
     reads_truth: bool = False
     """Whether the content of the views' true images is part of its identity."""
+    estimate_bytes: Callable[[Task], int] | None = None
+    """Estimates what it will write, from the inputs; a disk without that space is refused before it runs."""
     check: Callable[[Task], list[Check]] | None = None
     """Checks the output in the task's folder, just made or published earlier."""
     check_version: str = ""
