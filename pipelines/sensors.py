@@ -76,7 +76,7 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.Skip
         seen[entry.name] = found.seen
         events += found.events
     try:
-        events += _changed_offers(workspace, seen)
+        events += _changed_offers(context.instance, workspace, seen)
     except (NvsfError, OSError) as error:
         words.append(f"offers: {error}")
     if words:
@@ -107,13 +107,21 @@ def _look_at(entry: SceneEntry, workspace: Workspace, before: dict[str, Any]) ->
     return _Found(now, events)
 
 
-def _changed_offers(workspace: Workspace, seen: _Seen) -> Iterator[dg.AssetCheckEvaluation]:
-    """Verdicts on all scenes that are not those that were reported last."""
+def _changed_offers(
+    instance: dg.DagsterInstance, workspace: Workspace, seen: _Seen
+) -> Iterator[dg.AssetCheckEvaluation]:
+    """Verdicts on all scenes, where they or the asset have changed since they were reported last.
+
+    The UI forgets a verdict once the asset is made again, so it is reported anew.
+    """
     before = seen.setdefault(_OFFERS, {})
     for stage in OFFERS:
+        newest = instance.get_latest_materialization_event(key_of(stage))
+        if newest is None:
+            continue
         found = offer_evaluation(stage, workspace)
-        words = [found.passed, {scene: value.value for scene, value in found.metadata.items()}]
-        if before.get(stage, [True, {}]) != words:
+        words = [newest.timestamp, {scene: value.value for scene, value in found.metadata.items()}]
+        if before.get(stage) != words:
             before[stage] = words
             yield found
 
