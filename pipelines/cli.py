@@ -185,6 +185,5 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
 
 
 def _instance_template() -> resources.abc.Traversable:
-    """Configuration file of a new Dagster instance: from the checkout, else from the wheel."""
-    here = resources.files("pipelines")
-    return beside if (beside := here.joinpath("..", _TEMPLATE)).is_file() else here.joinpath(_TEMPLATE)
+    """Configuration file of a new Dagster instance."""
+    return resources.files("pipelines").joinpath(_TEMPLATE)
