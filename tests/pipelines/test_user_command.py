@@ -97,15 +97,14 @@ from pipelines.schedules import weekly_regeneration
 
 moment = datetime.datetime(2026, 11, 22, 3, tzinfo=datetime.UTC)
 repository = defs.get_repository_def()
-instance = dg.DagsterInstance.ephemeral()
-context = dg.build_schedule_context(
-    instance=instance, scheduled_execution_time=moment, repository_def=repository
-)
-(request,) = weekly_regeneration.evaluate_tick(context).run_requests
-result = defs.resolve_job_def("regenerate_synthetic").execute_in_process(
-    partition_key=request.partition_key, run_config=request.run_config,
-    instance=instance,
-)
+with dg.instance_for_test() as instance:
+    context = dg.build_schedule_context(
+        instance=instance, scheduled_execution_time=moment, repository_def=repository
+    )
+    (request,) = weekly_regeneration.evaluate_tick(context).run_requests
+    result = defs.resolve_job_def("regenerate_synthetic").execute_in_process(
+        partition_key=request.partition_key, run_config=request.run_config, instance=instance
+    )
 print(json.dumps([request.partition_key, request.run_key, request.run_config["resources"], result.success]))
 """
 
