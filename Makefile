@@ -38,9 +38,9 @@ $(DEV): $(STAMP)
 	@touch $@
 
 # Initialised once and by one process: two that meet an empty DAGSTER_HOME race for its tables.
-$(DAGSTER_HOME)/dagster.yaml: dagster.yaml | $(STAMP)
+$(DAGSTER_HOME)/dagster.yaml: pipelines/dagster.yaml | $(STAMP)
 	@mkdir -p $(DAGSTER_HOME)
-	@cp dagster.yaml $@
+	@cp pipelines/dagster.yaml $@
 	@$(BIN)/dagster instance info > /dev/null
 
 demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.2 GB

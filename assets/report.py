@@ -1,24 +1,30 @@
-"""Report: the metrics of each scene, and one page over all of them."""
+"""Report: one page over all scenes."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import dagster as dg
 
-from assets.factory import assets_of_group
+from assets.automation import follows_all_scenes
+from assets.factory import FRESH
+from assets.scenes import OWNERS, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import has_data
 from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 
-METRICS_STAGE = "scene_metrics"
+METRICS_STAGE, REPORT = "scene_metrics", "benchmark_report"
 CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curves"
 """Folder where `make bench` stores error over training time; the report shows it."""
 
 
 @dg.asset(
-    deps=[METRICS_STAGE],
+    key=key_of(REPORT),
+    deps=[key_of(METRICS_STAGE)],
     group_name="report",
+    owners=OWNERS,
+    automation_condition=follows_all_scenes(),
+    freshness_policy=FRESH,
     kinds={"html"},
     description="One offline HTML page over all scenes: tables, range images, camera pairs, loss curves, "
     "speed beside error.",
@@ -52,4 +58,4 @@ def write_benchmark_report(home: Path) -> WrittenReport:
     return WrittenReport(path, len(measured), len(no_data))
 
 
-report_assets = [*assets_of_group("report"), benchmark_report]
+report_assets = [benchmark_report]

@@ -1,4 +1,4 @@
-"""Synthesis: novel views and versioned data sets."""
+"""Synthesis: novel views of the held-out frames, and what the catalogue asks for."""
 
 from assets.factory import assets_of_group
 

@@ -10,6 +10,7 @@ from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, h
 from nvsf_core.recipe import preset, seed_from_text
 from nvsf_core.stages import RunConfig, SceneRun, find_scene, plan_run
 from nvsf_core.stages.runner.run import DEFAULT_RECIPE
+from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.scene_store import require_home
 
 
@@ -29,15 +30,27 @@ class Workspace(dg.ConfigurableResource):
         """NVSF_HOME, else `.nvsf` in the working directory."""
         return home_from_environment(os.environ)
 
-    def plan(self, scene: str) -> SceneRun:
+    def plan(self, scene: str, *, keep: bool = False) -> SceneRun:
         """The run of the scene of that name.
+
+        Args:
+            scene: Name of the scene.
+            keep: Take recipe and seed of the scene's newest field, if it has one and this run names none.
 
         Raises:
             DataError: The catalogue has no such scene, or the label cannot be part of a folder's name.
             RecipeError: There is no such recipe, or a seed is not valid.
             StoreError: The home cannot be written to.
         """
-        return plan_run(find_scene(scene), self.home(), **self._choices())
+        entry, choices = find_scene(scene), self._choices()
+        kept = newest_field(self.home() / scene) if keep and not self.recipe and self.seed is None else None
+        if kept is not None:
+            choices |= {"recipe": kept[0], "seed": kept[1]}
+        return plan_run(entry, self.home(), **choices)
+
+    def recipe_of(self, entry: SceneEntry) -> str:
+        """Name of the recipe that is asked for: by this run, by RECIPE, by the catalogue, else `lean`."""
+        return str(self._choices()["recipe"] or entry.recipe or DEFAULT_RECIPE)
 
     def require_possible(self) -> None:
         """Check everything of a run that does not depend on the scene.

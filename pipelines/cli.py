@@ -155,6 +155,31 @@ def scenes() -> None:
 
 
 @main.command()
+@click.argument("names", nargs=-1, metavar="[SCENES]...")
+def verify(names: Sequence[str]) -> None:
+    """Read every byte of SCENES anew (default: all that are trained), and say what is up to date.
+
+    Drives and outputs are compared with what each output was made from; nothing is made. What is remembered
+    of unchanged files is not believed here. Ends with 1 if an output is damaged.
+    """
+    from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
+    from nvsf_core.stages import STAGES, find_scene, plan_run
+    from nvsf_core.stages.runner.trained import trained_fields
+    from nvsf_core.stages.runner.verify import Verdict, verify_scene
+
+    home = home_from_environment(os.environ)
+    entries = [find_scene(name) for name in names] or catalogue_from_environment(os.environ)
+    damaged = False
+    for entry in entries:
+        for recipe, seed in trained_fields(home / entry.name):
+            for found in verify_scene(plan_run(entry, home, recipe=recipe, seed=seed), STAGES):
+                damaged |= found.verdict is Verdict.DAMAGED
+                words = f" ({found.words})" if found.words else ""
+                click.echo(f"{entry.name} {recipe} seed {seed}, {found.stage}: {found.verdict.value}{words}")
+    sys.exit(1 if damaged else 0)
+
+
+@main.command()
 @click.option(
     "--backbone", type=click.Path(path_type=Path), help="torchvision's squeezenet1_1, if it is here."
 )
@@ -221,6 +246,5 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
 
 
 def _instance_template() -> resources.abc.Traversable:
-    """Configuration file of a new Dagster instance: from the checkout, else from the wheel."""
-    here = resources.files("pipelines")
-    return beside if (beside := here.joinpath("..", _TEMPLATE)).is_file() else here.joinpath(_TEMPLATE)
+    """Configuration file of a new Dagster instance."""
+    return resources.files("pipelines").joinpath(_TEMPLATE)

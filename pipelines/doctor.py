@@ -13,6 +13,7 @@ from nvsf_core.drives.catalogue import catalogue_from_environment, has_data, hom
 from nvsf_core.errors import NvsfError
 from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.scene_store import require_home
+from pipelines.doctor_instance import examine_instance
 
 _FREE_GB = 5.0
 """Free space that is asked for; one scene takes about half of it."""
@@ -31,7 +32,10 @@ class Finding:
 
 def examine(environ: Mapping[str, str]) -> list[Finding]:
     """Examine everything; nothing is written but a temporary folder."""
-    return [_machine(), _gpu(), _home(environ), _catalogue(environ), _open3d(), _lpips(), _executors()]
+    return [
+        _machine(), _gpu(), _home(environ), _catalogue(environ), _open3d(), _lpips(), _executors(),
+        Finding("Dagster instance", *examine_instance(environ)),
+    ]  # fmt: skip
 
 
 def _machine() -> Finding:

@@ -2,6 +2,8 @@
 
 import dagster as dg
 
+from assets.offers import offer_checks
+from assets.scenes import key_of
 from pipelines.executors import timing_executor
 from pipelines.reaper import host_tags
 from pipelines.terminal import TERSE_LOGGING
@@ -18,7 +20,10 @@ benchmark = make_train_all_scenes(
     executor=timing_executor(),
 )
 
-_up_to_dataset = dg.AssetSelection.assets("dataset").upstream()
+_up_to_dataset = dg.AssetSelection.assets(key_of("dataset")).upstream().materializable()
+# Checks over all scenes belong to no scene's run: `new_drives` makes them.
+for _check in offer_checks:
+    _up_to_dataset -= dg.AssetSelection.checks(_check)
 
 train_scene = dg.define_asset_job(
     "train_scene",

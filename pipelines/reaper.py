@@ -52,17 +52,25 @@ def reap(instance: dg.DagsterInstance, quiet_s: float = _QUIET_S) -> list[str]:
     Returns:
         Ids of the marked runs.
     """
-    started = dg.RunsFilter(statuses=[dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING])
     reaped = []
-    for run in instance.get_runs(started):
-        if not _is_stale(instance, run, quiet_s):
-            continue
+    for run in stale_runs(instance, quiet_s):
         instance.report_run_failed(run, _MESSAGE)
         storage = instance.event_log_storage
         if storage.supports_global_concurrency_limits:
             storage.free_concurrency_slots_for_run(run.run_id)
         reaped.append(run.run_id)
     return reaped
+
+
+def stale_runs(instance: dg.DagsterInstance, quiet_s: float = _QUIET_S) -> list[dg.DagsterRun]:
+    """Runs that are said to run, and whose processes on this machine are gone.
+
+    Args:
+        instance: The Dagster instance.
+        quiet_s: A run with an event in the last `quiet_s` seconds is not stale.
+    """
+    started = dg.RunsFilter(statuses=[dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING])
+    return [run for run in instance.get_runs(started) if _is_stale(instance, run, quiet_s)]
 
 
 def _is_stale(instance: dg.DagsterInstance, run: dg.DagsterRun, quiet_s: float) -> bool:

@@ -1,15 +1,12 @@
 """The schedule that makes new data sets every week."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import dagster as dg
 
+from assets.scenes import register
 from assets.workspace import Workspace, catalogue
-from nvsf_core.errors import RecipeError
-from nvsf_core.recipe import is_seed_folder, preset
-from nvsf_core.stages.runner.record import RECORD_NAME, read_record
-from nvsf_core.stores.scene_store import published
+from nvsf_core.stages.runner.trained import newest_field
 from pipelines.jobs import regenerate_synthetic
 
 
@@ -22,13 +19,14 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
     """Request one run per scene that has a field; the ISO week is the data set's seed."""
     year, week, _ = context.scheduled_execution_time.isocalendar()
     label = f"{year}-W{week:02d}"
-    requested = 0
+    requested: list[str] = []
     for entry in catalogue():
         field = newest_field(Workspace().home() / entry.name)
         if field is None:
             continue
-        requested += 1
+        requested.append(entry.name)
         recipe, seed = field
+        register(context.instance, [entry.name])
         choice = {"recipe": recipe, "seed": seed, "draw_seed": 100 * year + week, "dataset_label": label}
         yield dg.RunRequest(
             run_key=f"{entry.name}-{label}",
@@ -38,22 +36,3 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
         )
     if not requested:
         yield dg.SkipReason("no scene has a trained field")
-
-
-def _is_known(folder: Path) -> bool:
-    """Whether a field's folder is named by a seed, below a preset's name."""
-    try:
-        preset(folder.parent.name)
-    except RecipeError:
-        return False
-    return is_seed_folder(folder.name)
-
-
-def newest_field(scene_root: Path) -> tuple[str, int] | None:
-    """Recipe and seed of the scene's latest published field; None if there is no readable one."""
-    fields = [path.parent for path in published(scene_root, f"field/*/*/{RECORD_NAME}")]
-    sound = [folder for folder in fields if _is_known(folder) and read_record(folder) is not None]
-    if not sound:
-        return None
-    newest = max(sound, key=lambda folder: ((folder / RECORD_NAME).stat().st_mtime, str(folder)))
-    return newest.parent.name, int(newest.name)

@@ -15,16 +15,20 @@ from typing import Any
 import dagster as dg
 from pydantic import Field
 
-from assets.factory import events_of, failed_checks, reason_of
-from assets.report import CURVES, METRICS_STAGE
+from assets.factory import events_of, failed_checks
+from assets.metadata import exported_folders
+from assets.report import CURVES, METRICS_STAGE, REPORT
+from assets.scenes import key_of, register
+from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.metrics.headline import headline
-from nvsf_core.stages import STAGES, Outcome, Stage, find_scene, run_named_stage
+from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
+from pipelines.failures import call_command
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
@@ -62,6 +66,7 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
     asked = config.scenes or os.environ.get("SCENES", "").split()
     names = list(dict.fromkeys(asked)) or [entry.name for entry in catalogue()]
     absent: list[str] = []
+    there: list[str] = []
     keys: set[str] = set()
     for name in names:
         failure = _prepare_drive(name, context)
@@ -74,8 +79,11 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
         while key in keys:
             key += "_"
         keys.add(key)
+        if not failure:
+            there.append(name)
         state: SceneState = {"scene": name, "failed": failure, "stages": [], "exports": []}
         yield dg.DynamicOutput(state, mapping_key=key, output_name="scene")
+    register(context.instance, there)
     yield dg.Output(absent, output_name="absent")
 
 
@@ -123,7 +131,7 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             context.log.exception(f"[{scene}] {stage.name}: unexpected error")
             return _failed(context, state, stage, error, f"{type(error).__name__}: {error}")
         done = {"stage": stage.name, "seconds": outcome.seconds, "skipped": outcome.skipped}
-        exports = [*state["exports"], *_exports(outcome)]
+        exports = [*state["exports"], *map(str, exported_folders(outcome).values())]
         return {**state, "stages": [*state["stages"], done], "exports": exports}
 
     return run
@@ -137,18 +145,6 @@ def _failed(
     for event in failed_checks(stage, state["scene"], error, reason):
         context.log_event(event)
     return {**state, "failed": reason}
-
-
-def _exports(outcome: Outcome) -> list[str]:
-    """Folders of the data sets that a stage published beside its own output."""
-    scene_root = outcome.path
-    while scene_root.name != outcome.stage:
-        scene_root = scene_root.parent
-    return [
-        str(scene_root / key.removesuffix("_version") / str(value))
-        for key, value in outcome.metadata.items()
-        if outcome.stage == "dataset" and key.endswith("_version")
-    ]
 
 
 @dg.op(
@@ -173,8 +169,8 @@ def report_all(
             failures[scene] = f"report: {error}"
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
-    context.log_event(dg.AssetMaterialization(asset_key="benchmark_report", metadata=metadata))
-    sys.stdout.write(_closing_words(rows, states, failures, absent, path))
+    context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata))
+    sys.stdout.write(_closing_words(rows, states, failures, absent, path) + _in_the_ui(context))
     sys.stdout.flush()
     return [f"{scene}: {reason}" for scene, reason in failures.items()]
 
@@ -207,6 +203,15 @@ def _closing_words(
     return "\n".join(lines)
 
 
+def _in_the_ui(context: dg.OpExecutionContext) -> str:
+    """Where the UI shows a run that no daemon started: neither on its timeline nor under its job."""
+    if context.instance.is_ephemeral:
+        return ""
+    if context.run.remote_job_origin is not None:
+        return ""
+    return f"in the UI: under Runs, as /runs/{context.run_id} (the timeline has the daemon's alone)\n"
+
+
 def _short(path: Path) -> str:
     """The path as seen from here, where that is shorter."""
     here = Path.cwd()
@@ -220,8 +225,16 @@ def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
 
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
-def fail_if_any_failed(failures: list[str]) -> None:
-    """Fail the run if there are recorded failures."""
+def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> None:
+    """Fail the run if there are recorded failures; the user's command is called, if no daemon will do it."""
+    if failures and context.run.remote_job_origin is None:
+        failure = {
+            "run_id": context.run_id,
+            "job": context.job_name,
+            "scene": "",
+            "words": "\n".join(failures),
+        }
+        context.log.info(call_command(failure))
     if failures:
         raise dg.Failure(
             description=f"{len(failures)} scene(s) failed: " + " | ".join(failures), allow_retries=False

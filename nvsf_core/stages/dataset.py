@@ -22,6 +22,7 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
+from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.exports.boxes import boxes_at
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord
@@ -265,7 +266,7 @@ def _checks(made: list[dict[str, Any]]) -> list[Check]:
 
 STAGE = Stage(
     name="dataset",
-    group="synthesis",
+    group="export",
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " a manifest of what they came from.",
@@ -274,4 +275,5 @@ STAGE = Stage(
     per_recipe=True,
     per_draw=True,
     reads_views=True,
+    estimate_bytes=dataset_bytes,
 )

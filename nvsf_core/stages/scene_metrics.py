@@ -194,7 +194,7 @@ def _commit() -> str:
 
 STAGE = Stage(
     name="scene_metrics",
-    group="report",
+    group="measure",
     inputs=("frames", "sweeps", "undistorted", "novel_views"),
     description=(
         "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "

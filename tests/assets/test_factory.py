@@ -1,10 +1,16 @@
 """From stage to asset: nothing is lost, nothing unsound is published."""
 
+import json
+
 import dagster as dg
 import pytest
 
-from assets.factory import CHECK_NAME, asset_of, picture, scalar_metadata
+from assets.factory import asset_of
+from assets.metadata import picture, rounded, scalar_metadata
+from assets.scenes import register
+from assets.verdicts import CHECK_NAME
 from assets.workspace import Workspace
+from nvsf_core.stages.runner.record import content_of
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -21,9 +27,11 @@ def materialize(tmp_path, monkeypatch):
 
     def make(run):
         stage = _stage(run)
+        instance = dg.DagsterInstance.ephemeral()
+        register(instance, ["demo"])
         return dg.materialize(
             [asset_of(stage, [stage])], partition_key="demo", resources={"workspace": Workspace()},
-            instance=dg.DagsterInstance.ephemeral(), raise_on_error=False,
+            instance=instance, raise_on_error=False,
         )  # fmt: skip
 
     return make
@@ -46,6 +54,9 @@ def test_an_output_has_numbers_a_picture_and_a_check(materialize, tmp_path):
     assert metadata["preview_top"].value.startswith("![top](data:image/png;base64,")
     (check,) = result.get_asset_check_evaluations()
     assert check.check_name == CHECK_NAME and check.passed and check.metadata["law"].value == "holds: 3 of 3"
+    assert check.partition == "demo"
+    record = json.loads((tmp_path / "demo/frames/stage.json").read_text())
+    assert event.materialization.tags["dagster/data_version"] == content_of(record)
 
 
 def test_a_failed_blocking_law_publishes_nothing(materialize, tmp_path):
@@ -66,6 +77,13 @@ def test_a_large_picture_is_named_instead_of_stored(tmp_path):
     path = tmp_path / "large.png"
     path.write_bytes(PNG + bytes(100_000))
     assert picture(path) == dg.MetadataValue.path(str(path))
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(0.123456789, 0.12346), (1234567.891, 1234568), (-2.0, -2.0), (1.23e-9, 1.23e-9)]
+)
+def test_numbers_are_rounded_for_reading(value, shown):
+    assert rounded(value) == shown
 
 
 def test_values_keep_their_type():

@@ -25,11 +25,11 @@ from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.checkpoints import StoredWeights, save_tensors
 from nvsf_core.stores.scene_store import SceneStore, publish_folder
 from nvsf_core.stores.tables import read_rows, write_rows
-from pipelines.schedules import newest_field
 from tests.hostile import harm
 from tests.reporting.street_store import write_street
 
@@ -367,6 +367,7 @@ def test_what_changed_after_it_was_validated_is_refused(
         (layout.image_path("image_00", k) if file == "image_path" else layout.scan_path(k)) for k in (0, 1)
     )
     shutil.copy(one, other)
+    shutil.rmtree(run.store.path(stage))
     with pytest.raises(NvsfError, match="changed since the stage `frames` validated it"):
         run_named_stage(stage, run, lambda line: None)
 

@@ -2,11 +2,14 @@
 
 import os
 
+import dagster as dg
 import pytest
 from click.testing import CliRunner
 
 from pipelines.cli import main
 from pipelines.doctor import examine
+from pipelines.doctor_instance import examine_instance
+from pipelines.reaper import host_tags
 
 
 @pytest.fixture
@@ -19,7 +22,7 @@ def ask(tiny_catalogue, tmp_path, monkeypatch):
 def test_its_commands_are_listed(ask):
     said = ask("--help")
     assert said.exit_code == 0
-    for command in ("demo", "train", "view", "report", "scenes", "weights", "doctor"):
+    for command in ("demo", "train", "view", "report", "scenes", "verify", "weights", "doctor"):
         assert f"  {command} " in said.output
 
 
@@ -66,9 +69,36 @@ def test_the_doctor_looks_at_everything_and_nothing_that_is_needed_is_missing_he
     said = ask("doctor")
     subjects = {finding.subject for finding in examine(os.environ)}
     assert said.exit_code == 0, said.output
-    assert {"machine", "GPU", "NVSF_HOME", "catalogue", "open3d", "LPIPS weights", "executors"} == subjects
+    assert {
+        "machine", "GPU", "NVSF_HOME", "catalogue", "open3d", "LPIPS weights", "executors",
+        "Dagster instance",
+    } == subjects  # fmt: skip
     assert all(f" {subject}: " in said.output for subject in subjects)
     assert not (list(os.scandir(os.environ["NVSF_HOME"])) if os.path.isdir(os.environ["NVSF_HOME"]) else [])
+
+
+@pytest.mark.parametrize(
+    ("template", "is_fine", "words"),
+    [("pipelines/dagster.yaml", True, "no daemon runs"), (None, False, "lacks `run_retries: enabled: true`")],
+)
+def test_an_instance_s_settings_daemon_and_hanging_runs_are_examined(
+    repo, tmp_path, monkeypatch, template, is_fine, words
+):
+    (tmp_path / "dagster.yaml").write_text((repo / template).read_text() if template else "")
+    monkeypatch.setenv("DAGSTER_HOME", str(tmp_path))
+    with dg.DagsterInstance.get() as instance:
+        hanging = instance.create_run_for_job(waiting, status=dg.DagsterRunStatus.STARTED, tags=host_tags())
+    fine, said = examine_instance(os.environ)
+    assert not fine and f"processes are gone: {hanging.run_id[:8]}" in said
+    with dg.DagsterInstance.get() as instance:
+        instance.delete_run(hanging.run_id)
+    fine, said = examine_instance(os.environ)
+    assert fine is is_fine and words in said
+
+
+@dg.job
+def waiting():
+    pass
 
 
 def test_a_catalogue_that_cannot_be_read_is_what_the_doctor_says(ask, monkeypatch, tmp_path):

@@ -5,8 +5,11 @@ import datetime
 import dagster as dg
 import pytest
 
-from assets.factory import CHECK_NAME
+from assets.offers import OFFERS
+from assets.scenes import SCENES, key_of
+from assets.verdicts import CHECK_NAME
 from nvsf_core.errors import RecipeError
+from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages import STAGE_NAMES, STAGES
 from pipelines.definitions import defs
 from pipelines.executors import executor_from_environment
@@ -25,15 +28,38 @@ def test_stages_are_in_an_order_that_has_every_input_first():
 
 def test_every_stage_is_an_asset_with_group_description_partitions_and_its_checks():
     graph = defs.resolve_asset_graph()
-    assert {key.to_user_string() for key in graph.get_all_asset_keys()} == {*STAGE_NAMES, "benchmark_report"}
+    observed = {"drive", "asked_views"}
+    named = {key.to_user_string() for key in graph.get_all_asset_keys()}
+    assert named == {f"nvsf/{name}" for name in (*STAGE_NAMES, *observed, "benchmark_report")}
     for stage in STAGES:
-        node = graph.get(dg.AssetKey(stage.name))
-        assert {key.to_user_string() for key in node.parent_keys} == set(stage.inputs)
+        node = graph.get(key_of(stage.name))
+        parents = {key.path[-1] for key in node.parent_keys}
+        assert parents - observed == set(stage.inputs) and ("drive" in parents) == stage.reads_drive
         assert node.group_name == stage.group and node.description and node.is_partitioned
         specs = [graph.get_check_spec(key) for key in graph.get_check_keys_for_assets({node.key})]
         expected = {CHECK_NAME: True} | {named.name: named.blocking for named in stage.named_checks}
+        expected |= {OFFERS[stage.name][0]: False} if stage.name in OFFERS else {}
         assert {spec.name: spec.blocking for spec in specs} == expected
+        offer = OFFERS[stage.name][0] if stage.name in OFFERS else None
         assert all(spec.description for spec in specs)
+        assert all(spec.partitions_def == SCENES for spec in specs if spec.name != offer)
+        assert node.owners and node.kinds and node.automation_condition
+        assert (node.pools == {"device"}) == (stage.name == "field")
+
+
+def test_the_arrows_between_groups_run_one_way():
+    graph = defs.resolve_asset_graph()
+    order = ["drives", "ingest", "prepare", "train", "synthesis", "measure", "export", "report"]
+    for key in graph.get_all_asset_keys():
+        node = graph.get(key)
+        for parent in node.parent_keys:
+            assert order.index(graph.get(parent).group_name) <= order.index(node.group_name), key
+
+
+def test_what_tables_hold_is_said_by_their_schema():
+    metadata = defs.resolve_asset_graph().get(key_of("scene_metrics")).metadata
+    columns = [column.name for column in metadata["dagster/column_schema"].columns]
+    assert columns == list(COLUMNS)
 
 
 def test_what_may_go_wrong_unnoticed_is_a_check_of_its_own():

@@ -84,7 +84,7 @@ def test_a_failing_scene_leaves_the_others_and_fails_the_run(run_job, tmp_path):
     result, said = run_job()
     assert not result.success
     events = _events(result, "ASSET_MATERIALIZATION")
-    made = {(event.asset_key.to_user_string(), event.partition) for event in events}
+    made = {(event.asset_key.path[-1], event.partition) for event in events}
     assert made == {("frames", "good"), ("scene_metrics", "good"), ("benchmark_report", None)}
     assert "FAILED  bad: frames: the scan is torn" in said
     assert (tmp_path / "home/benchmark_report/index.html").is_file()

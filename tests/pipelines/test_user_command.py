@@ -4,12 +4,13 @@ import json
 import shutil
 import sys
 
-import dagster as dg
 import pytest
 
+from nvsf_core.stages import find_scene, plan_run
+from nvsf_core.stages.dataset_size import dataset_bytes
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.schemas import CONTRACT, violations
-from pipelines.definitions import defs
 
 pytestmark = pytest.mark.cli
 COMMAND = ("dagster", "job", "execute", "-j", "train_all_scenes")
@@ -72,6 +73,13 @@ def test_what_was_published_keeps_the_data_contract(trained):
             assert violations(spec, read_arrays(trained / "tiny" / path)) == [], path
 
 
+def test_what_a_data_set_takes_on_the_disk_is_estimated_from_its_view(trained):
+    run = plan_run(find_scene("tiny"), trained)
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
+    written = sum(file.stat().st_size for file in (trained / "tiny/dataset").glob("*/manual-*/*/**/*.*"))
+    assert written < dataset_bytes(task) < 3 * written
+
+
 def test_a_second_run_skips_every_stage(run_process, trained, tiny_catalogue):
     done = run_process(
         *COMMAND, DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_SCENES=str(tiny_catalogue),
@@ -89,12 +97,14 @@ from pipelines.schedules import weekly_regeneration
 
 moment = datetime.datetime(2026, 11, 22, 3, tzinfo=datetime.UTC)
 repository = defs.get_repository_def()
-context = dg.build_schedule_context(scheduled_execution_time=moment, repository_def=repository)
-(request,) = weekly_regeneration.evaluate_tick(context).run_requests
-result = defs.resolve_job_def("regenerate_synthetic").execute_in_process(
-    partition_key=request.partition_key, run_config=request.run_config,
-    instance=dg.DagsterInstance.ephemeral(),
-)
+with dg.instance_for_test() as instance:
+    context = dg.build_schedule_context(
+        instance=instance, scheduled_execution_time=moment, repository_def=repository
+    )
+    (request,) = weekly_regeneration.evaluate_tick(context).run_requests
+    result = defs.resolve_job_def("regenerate_synthetic").execute_in_process(
+        partition_key=request.partition_key, run_config=request.run_config, instance=instance
+    )
 print(json.dumps([request.partition_key, request.run_key, request.run_config["resources"], result.success]))
 """
 
@@ -126,9 +136,11 @@ def test_dg_launch_works_bare(run_process, trained, tiny_catalogue):
 def _dagster_home(home):
     folder = home.parent / "dagster_home"
     folder.mkdir(exist_ok=True)
-    shutil.copy("dagster.yaml", folder)
+    shutil.copy("pipelines/dagster.yaml", folder)
     return folder
 
 
-def test_definitions_have_the_scenes_of_the_catalogue():
-    assert "demo" in defs.resolve_asset_graph().get(dg.AssetKey("field")).partitions_def.get_partition_keys()
+def test_a_run_registers_its_scenes_as_partitions(run_process, trained):
+    code = "import dagster as dg; print(dg.DagsterInstance.get().get_dynamic_partitions('scenes'))"
+    said = run_process(sys.executable, "-c", code, DAGSTER_HOME=str(_dagster_home(trained)))
+    assert said.stdout.strip().endswith("['tiny']"), "launched by dg, in the test above"

@@ -20,13 +20,14 @@ from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.rendering.support import Support
 from nvsf_core.stages import Outcome, mesh, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.render_view import render_view
-from nvsf_core.stages.runner.listings import truth_listing
+from nvsf_core.stages.runner.contents import truth_digest
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stages.scoring.trust.view_rows import measure_trust, recorded_sensors
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.checksums import file_checksums
+from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.tables import read_rows
 
 VIEWS = (
@@ -318,8 +319,13 @@ def test_changed_true_images_are_measured_again_and_render_nothing_anew(run: Run
     shutil.copy(source, tmp_path / "truth")
     view = ViewEntry(name="v", frames=(1,), truth=(("image_00", tmp_path / "truth"),))
     scene = replace(run.plan.scene, views=(view,))
-    before = truth_listing(scene)
-    assert before == truth_listing(scene) != truth_listing(replace(scene, views=()))
+
+    def digest(scene: SceneEntry) -> str:
+        with FileHashes(tmp_path / "hashes.json") as hashes:
+            return truth_digest(scene, hashes)
+
+    before = digest(scene)
+    assert before == digest(scene) != digest(replace(scene, views=()))
     (tmp_path / "truth" / source.name).write_bytes(source.read_bytes() + b" ")
-    assert truth_listing(scene) != before
+    assert digest(scene) != before
     assert scene_metrics.STAGE.reads_truth and not novel_views.STAGE.reads_truth

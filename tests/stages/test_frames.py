@@ -10,7 +10,8 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.recipe import preset
 from nvsf_core.stages.frames import STAGE
-from nvsf_core.stages.runner.stage import Outcome, RunConfig, run_stage
+from nvsf_core.stages.runner.execution import StagePlace, run_stage
+from nvsf_core.stages.runner.stage import Outcome, RunConfig
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 from tests.conftest import SHARED
@@ -52,7 +53,9 @@ def drive(root: Path) -> SceneEntry:
 
 def run(entry: SceneEntry, home: Path) -> Outcome:
     store = SceneStore(home, entry.name)
-    return run_stage(STAGE, entry, store, RunConfig(recipe=preset("quick")), lambda line: None, {})
+    config = RunConfig(recipe=preset("quick"))
+    place = StagePlace(stage=STAGE, scene=entry, store=store, config=config, inputs={})
+    return run_stage(place, lambda line: None)
 
 
 def remove_pose(entry: SceneEntry, frame: int) -> None:

@@ -65,7 +65,7 @@ def frame_times(
     if path is None:
         return _nominal(count, period_s, "no timestamp file", is_refused=False)
     stamps = read_timestamps(path)
-    first_line = _line_of_first_frame(len(stamps), first_frame, last_frame, _recorded_frames(layout))
+    first_line = _line_of_first_frame(len(stamps), first_frame, last_frame, recorded_frames(layout))
     if first_line is None:
         misfit = f"{len(stamps)} lines fit frames {first_frame}..{last_frame} neither by number nor by count"
         return _nominal(count, period_s, f"{path.name}: {misfit}", is_refused=True)
@@ -140,7 +140,7 @@ def _timestamp_file(layout: DriveLayout) -> Path | None:
     return next((path for path in candidates if lexists(path)), None)
 
 
-def _recorded_frames(layout: DriveLayout) -> list[int]:
+def recorded_frames(layout: DriveLayout) -> list[int]:
     """Frame numbers of the scans on disk, ascending; in a camera-only drive, of the first camera's images."""
     folders = [layout.scan_path(0).parent] + [layout.camera_dir(name) for name in CAMERAS]
     for folder in folders:

@@ -1,5 +1,7 @@
 """The record of each output, `stage.json`: its fingerprint, metadata, checks and file checksums."""
 
+import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -50,6 +52,17 @@ def listed_files(
     return {_OWN: own, **{place: file_checksums(store.path(place)) for place in beside}}
 
 
+def content_of(record: Mapping[str, Any]) -> str:
+    """SHA-256 of the checksums of an output's files: what its readers depend on.
+
+    Older records list no files; their outputs are identified by what they were made from.
+    """
+    files = record.get("files")
+    if not files:
+        return str(record["fingerprint"])
+    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
+
+
 def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:
     """The first file of an output that is absent or changed; None if all are as published.
 
@@ -72,6 +85,9 @@ def _is_record(record: Mapping[str, Any]) -> bool:
         and all(_is_inside(file) for file in record["previews"].values())
         and all(_is_check(check) for check in record["checks"])
         and _lists_files(record.get("files", {}))
+        and isinstance(record.get("facts", {}), dict)
+        and isinstance(record.get("resources", {}), dict)
+        and all(_is_number(value) for value in record.get("resources", {}).values())
     )
 
 

@@ -19,9 +19,9 @@ from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.runner.device_lock import device_lock
+from nvsf_core.stages.runner.execution import StagePlace, made_from, run_stage
 from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
-from nvsf_core.stages.runner.record import read_record
-from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, made_from, run_stage
+from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
 DEMO_SCENE, STREET_SCENE = "demo", "street"
@@ -137,14 +137,12 @@ def run_named_stage(
     if name not in by_name:
         raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
     stage = by_name[name]
-    inputs = _input_fingerprints(stage, by_name, run)
-    places = [by_name[source].location(run.config) for source in stage.inputs]
     try:
         with (
             _device_for(stage, run, progress),
             Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
         ):
-            return run_stage(stage, run.scene, run.store, run.config, say, inputs, places)
+            return run_stage(place_of(stage, run, by_name), say)
     except OSError as error:
         raise StoreError(
             f"scene {run.scene.name}, stage {name}: the disk refused {error.filename or run.store.root} "
@@ -163,8 +161,7 @@ def field_made_from(run: SceneRun) -> str:
         StoreError: An input was never published.
     """
     by_name = {stage.name: stage for stage in _own_stages()}
-    stage = by_name["field"]
-    return made_from(stage, run.scene, run.config, _input_fingerprints(stage, by_name, run))
+    return made_from(place_of(by_name["field"], run, by_name))
 
 
 def find_scene(name: str) -> SceneEntry:
@@ -213,17 +210,17 @@ def say_on_stderr(line: str, /) -> None:
     sys.stderr.flush()
 
 
-def _input_fingerprints(stage: Stage, by_name: Mapping[str, Stage], run: SceneRun) -> dict[str, str]:
-    return {source: _fingerprint_of(by_name[source], run) for source in stage.inputs}
-
-
-def _fingerprint_of(stage: Stage, run: SceneRun) -> str:
-    folder = run.store.require(stage.location(run.config))
-    record = read_record(folder)
-    if record is None:
-        raise StoreError(f"{folder}: expected the record of stage {stage.name}, found none; run that stage")
-    fingerprint: str = record["fingerprint"]
-    return fingerprint
+def place_of(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage]) -> StagePlace:
+    """A stage on a run's scene; `by_name` has the stages that it reads."""
+    earlier = os.environ.get("NVSF_EARLIER_HOME")
+    return StagePlace(
+        stage=stage,
+        scene=run.scene,
+        store=run.store,
+        config=run.config,
+        inputs={source: by_name[source].location(run.config) for source in stage.inputs},
+        earlier_home=Path(earlier).absolute() if earlier else None,
+    )
 
 
 @contextlib.contextmanager

@@ -35,12 +35,12 @@ with device_lock(Path(sys.argv[1]), print):
 """
 
 
-def _make(name, inputs, made, group="ingest", **facts):
+def _make(name, inputs, made, group="ingest", content="", **facts):
     def run(task):
         made.append(name)
         for source in inputs:
             task.store.require(source)
-        (task.folder / "content").write_text(name)
+        (task.folder / "content").write_text(content or name)
         return StageOutput(metadata={"n": 1})
 
     return Stage(name=name, group=group, inputs=inputs, description=name, version="1", run=run, **facts)
@@ -69,14 +69,19 @@ def test_stages_run_in_order_and_once(entry, tmp_path):
     assert "[tiny] b: up to date, skipped" in said
 
 
-def test_a_new_version_of_a_stage_runs_what_reads_it_again(entry, tmp_path):
-    made = []
+@pytest.mark.parametrize(("content", "again"), [("other", ["a", "b"]), ("a", ["a"])])
+def test_a_new_version_of_a_stage_runs_what_reads_it_again_where_its_content_changed(
+    entry, tmp_path, content, again
+):
+    made, said = [], []
     flow = [_make("a", (), made), _make("b", ("a",), made)]
-    run_scene(entry, tmp_path, progress=made.append, stages=flow)
+    run_scene(entry, tmp_path, progress=str, stages=flow)
     made.clear()
-    flow[0] = replace(flow[0], version="2")
-    assert [one.skipped for one in run_scene(entry, tmp_path, progress=str, stages=flow)] == [False, False]
-    assert made == ["a", "b"]
+    flow[0] = replace(_make("a", (), made, content=content), version="2")
+    run_scene(entry, tmp_path, progress=said.append, stages=flow)
+    assert made == again
+    assert "[tiny] a: made again, for the stage's code (version 1, now 2) changed" in said
+    assert ("[tiny] b: made again, for its input a changed" in said) == (again == ["a", "b"])
 
 
 def test_a_stage_alone_needs_its_inputs(entry, tmp_path):

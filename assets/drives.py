@@ -1,0 +1,64 @@
+"""Drives: what the project reads and does not make, observed by content."""
+
+import time
+from collections.abc import Callable
+
+import dagster as dg
+
+from assets.scenes import SCENES, key_of
+from assets.workspace import Workspace, catalogue
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.stages.runner.contents import hashes_of
+from nvsf_core.stages.runner.facts import drive_version, views_version
+from nvsf_core.stores.file_hashes import FileHashes
+from nvsf_core.stores.scene_store import SceneStore
+
+DRIVE, ASKED_VIEWS = "drive", "asked_views"
+VERSIONS: dict[str, Callable[[SceneEntry, FileHashes], str]] = {
+    DRIVE: drive_version,
+    ASKED_VIEWS: views_version,
+}
+"""Data version of each observed asset of a scene."""
+_DESCRIPTIONS = {
+    DRIVE: "The recorded drive: every file that the scene reads, by content, and its entry in the catalogue.",
+    ASKED_VIEWS: "The views that the catalogue asks for, and the content of their true images.",
+}
+_KINDS = {DRIVE: {"kitti360"}, ASKED_VIEWS: {"toml"}}
+
+
+def versions_of(entry: SceneEntry, workspace: Workspace, most_s: float = float("inf")) -> dict[str, str]:
+    """Data version of each observed asset of a scene; files are read only where they changed.
+
+    Args:
+        entry: The scene.
+        workspace: Names the home, where hashes are remembered.
+        most_s: Seconds after which no further file is read.
+
+    Raises:
+        DataError: A file cannot be read.
+        TimeIsUpError: The time is up; what was read is remembered, so that the next call goes on from there.
+    """
+    store = SceneStore(workspace.home(), entry.name)
+    with hashes_of(store, until_s=time.monotonic() + most_s) as hashes:
+        return {name: version(entry, hashes) for name, version in VERSIONS.items()}
+
+
+def _observed(name: str) -> dg.AssetsDefinition | dg.SourceAsset:
+    """An asset that is observed, by the UI's button or the sensor `new_drives`, and never made."""
+
+    @dg.observable_source_asset(
+        key=key_of(name),
+        partitions_def=SCENES,
+        group_name="drives",
+        description=_DESCRIPTIONS[name],
+        tags={f"dagster/kind/{kind}": "" for kind in _KINDS[name]},
+    )
+    def observe(context: dg.OpExecutionContext, workspace: Workspace) -> dg.DataVersionsByPartition:
+        known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
+        entries = [entry for entry in catalogue() if entry.name in known]
+        return dg.DataVersionsByPartition({one.name: versions_of(one, workspace)[name] for one in entries})
+
+    return observe
+
+
+drive_assets = [_observed(name) for name in VERSIONS]

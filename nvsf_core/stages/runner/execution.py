@@ -1,0 +1,284 @@
+"""How one stage is run: skipped if nothing that it is made from changed, else published whole."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.errors import DataError, StoreError
+from nvsf_core.stages.runner.contents import hashes_of
+from nvsf_core.stages.runner.disk_space import require_space
+from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
+from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
+from nvsf_core.stages.runner.record import RECORD_NAME, content_of, damage_of, listed_files, read_record
+from nvsf_core.stages.runner.resources import Meter
+from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
+from nvsf_core.stores.documents import write_document
+from nvsf_core.stores.file_hashes import FileHashes
+from nvsf_core.stores.scene_store import SceneStore
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StagePlace:
+    """A stage on a scene: where its output and its inputs lie, and what they are made with."""
+
+    stage: Stage
+    scene: SceneEntry
+    store: SceneStore
+    config: RunConfig
+    inputs: Mapping[str, str]
+    """Name of each input stage to the path of its output below the scene's folder."""
+    earlier_home: Path | None = None
+    """Where the home lay before it was moved; only homes of NVSF 0.1 need it."""
+
+    @property
+    def location(self) -> str:
+        """Path of the output below the scene's folder."""
+        return self.stage.location(self.config)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """Whether a stage's output is up to date, and what it is compared by."""
+
+    record: dict[str, Any] | None
+    """Its record; None if there is none, or a damaged one."""
+    facts: Facts
+    """All that decides the output now."""
+    reason: str
+    """Why it has to be made again; empty if it is up to date or was never made."""
+    is_up_to_date: bool
+
+
+def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
+    """Compare what a published output was made from with what is there now; its own files are not read.
+
+    Args:
+        place: The stage and its scene.
+        hashes: Of the recorded files.
+
+    Raises:
+        StoreError: An input was never published.
+        DataError: A recorded file cannot be read.
+        TimeIsUpError: The time of `hashes` is up.
+    """
+    records = _input_records(place)
+    contents = {name: content_of(record) for name, record in records.items()}
+    facts = facts_of(place.stage, place.scene, place.config, contents, hashes)
+    record = read_record(place.store.recovered(place.location))
+    if record is None:
+        return Comparison(record=None, facts=facts, reason="", is_up_to_date=False)
+    if record["fingerprint"] == digest_of(facts):
+        return Comparison(record=record, facts=facts, reason="", is_up_to_date=True)
+    if not is_earlier(record):
+        reason = f"for {difference(record['facts'], facts)} changed"
+        return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=False)
+    earlier = {name: earlier_fingerprint(one) for name, one in records.items()}
+    homes = (place.store.home, place.earlier_home)
+    if is_taken_over(record, place.stage, place.scene, place.config, earlier, homes):
+        return Comparison(record=record, facts=facts, reason="", is_up_to_date=True)
+    return Comparison(record=record, facts=facts, reason=_earlier_reason(place, record), is_up_to_date=False)
+
+
+def run_stage(place: StagePlace, progress: Progress) -> Outcome:
+    """Run one stage, or skip it if its code, its configuration and the content of its inputs are unchanged.
+
+    An output whose files have changed since it was published is made again. Input files are compared with
+    their checksums first, so that damaged data are never used.
+
+    Args:
+        place: The stage, its scene and its store.
+        progress: Receives progress lines.
+
+    Raises:
+        StoreError: The files of an input have changed since it was published.
+        DataError: A recorded file changed while it was read.
+        UnsoundOutputError: A blocking check failed; nothing was published.
+        NvsfError: The stage failed.
+    """
+    stage, store, name = place.stage, place.store, f"[{place.scene.name}] {place.stage.name}"
+    with hashes_of(store) as hashes:
+        found = compared(place, hashes)
+
+    def task(folder: Path) -> Task:
+        return Task(
+            scene=place.scene, store=store, config=place.config, folder=folder, progress=progress,
+            made_from=without_recipe(found.facts),
+        )  # fmt: skip
+
+    path, reason = store.path(place.location), found.reason
+    if found.is_up_to_date and found.record is not None:
+        damage = damage_of(store, place.location, found.record)
+        if damage is None:
+            progress(f"{name}: up to date, skipped")
+            record = _checked_again(stage, task(path), _taken_over(path, found, progress, name))
+            return outcome_of(stage, path, record, skipped=True)
+        reason = f"{damage} is not what was published"
+    if reason:
+        progress(f"{name}: made again, {reason}")
+    _require_sound_inputs(place)
+    require_space(stage, task(path))
+    progress(f"{name}: started")
+    record = _publish(place, found, task)
+    progress(f"{name}: done in {record['seconds']:.1f} s")
+    return outcome_of(stage, path, record, skipped=False)
+
+
+def made_from(place: StagePlace) -> str:
+    """SHA-256 of all that decides a stage's output except the recipe.
+
+    Raises:
+        StoreError: An input was never published.
+    """
+    with hashes_of(place.store) as hashes:
+        return without_recipe(compared(place, hashes).facts)
+
+
+def outcome_of(stage: Stage, path: Path, record: dict[str, Any], *, skipped: bool) -> Outcome:
+    """The outcome that a record tells of."""
+    return Outcome(
+        stage=stage.name,
+        path=path,
+        skipped=skipped,
+        seconds=record["seconds"],
+        metadata=record["metadata"],
+        checks=tuple(Check(**check) for check in record["checks"]),
+        previews={name: path / file for name, file in record["previews"].items()},
+        fingerprint=record["fingerprint"],
+        content=content_of(record),
+        resources=record.get("resources", {}),
+    )
+
+
+def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task]) -> dict[str, Any]:
+    """Make the output and publish it; returns its record."""
+    # Here, because it loads torch and numba: asking what is there must not wait for them.
+    from nvsf_core.kernels.threads import use_threads
+
+    use_threads()
+    stage, store = place.stage, place.store
+    started, meter = time.perf_counter(), Meter()
+    with store.publish(place.location) as folder:
+        output = stage.run(task(folder))
+        _require_contract(place, folder)
+        _require_unchanged(place, found.facts)
+        record = {
+            "fingerprint": digest_of(found.facts),
+            "facts": found.facts,
+            "version": stage.version,
+            "metadata": output.metadata,
+            "previews": output.previews,
+            **_checked(stage, task(folder), output.checks),
+            "seconds": time.perf_counter() - started,
+            "files": listed_files(store, folder, output.previews.values(), output.beside),
+            "resources": meter.taken(),
+        }
+        before = found.record
+        if before is not None and content_of(before) == content_of(record):
+            # Its readers of NVSF 0.1 name it by the fingerprint that it had before.
+            earlier = earlier_fingerprint(before)
+            record |= {EARLIER: earlier} if earlier else {}
+        write_document(folder / RECORD_NAME, record)
+    return record
+
+
+def _input_records(place: StagePlace) -> dict[str, dict[str, Any]]:
+    found = {}
+    for name, location in place.inputs.items():
+        folder = place.store.require(location)
+        record = read_record(folder)
+        if record is None:
+            raise StoreError(f"{folder}: expected the record of stage {name}, found none; run that stage")
+        found[name] = record
+    return found
+
+
+def _require_sound_inputs(place: StagePlace) -> None:
+    """Refuse inputs whose files are not what was published."""
+    for name, location in place.inputs.items():
+        damage = damage_of(place.store, location, read_record(place.store.require(location)) or {})
+        if damage is not None:
+            raise StoreError(f"{damage} is not what was published; run the stage {name} again")
+
+
+def _require_unchanged(place: StagePlace, facts: Facts) -> None:
+    """Refuse to publish what was made of a drive that changed meanwhile."""
+    if not (place.stage.reads_drive or place.stage.reads_truth):
+        return
+    contents = facts["inputs"]
+    with hashes_of(place.store) as hashes:
+        now = facts_of(place.stage, place.scene, place.config, contents, hashes)
+    if now != facts:
+        raise DataError(
+            f"scene {place.scene.name}, stage {place.stage.name}: not published, for "
+            f"{difference(facts, now)} under {place.scene.root} changed while they were read; wait until all "
+            "is copied, and run again"
+        )
+
+
+def _require_contract(place: StagePlace, folder: Path) -> None:
+    """Check an output against the data contract before it is published.
+
+    Raises:
+        StoreError: An array or a column differs from the contract.
+    """
+    # Loads zarr and pyarrow, which importing this module must not.
+    from nvsf_core.stores.contract_check import contract_faults
+
+    faults = contract_faults(place.stage.name, place.location, folder)
+    if faults:
+        raise StoreError(
+            f"scene {place.scene.name}, stage {place.stage.name}: not published, for {len(faults)} of its "
+            f"arrays or columns are not what docs/data_contract.md says: {'; '.join(faults[:3])}; correct "
+            "either"
+        )
+
+
+def _earlier_reason(place: StagePlace, record: Mapping[str, Any]) -> str:
+    if record.get("version") != place.stage.version:
+        now = {"version": place.stage.version}
+        return f"for {difference({'version': record.get('version')}, now)} changed"
+    return (
+        "for it was made before fingerprints were of content, and what it was made from, or its place or "
+        "times, changed since; if only the home was moved, NVSF_EARLIER_HOME=<where it lay> takes it over"
+    )
+
+
+def _taken_over(path: Path, found: Comparison, progress: Progress, name: str) -> dict[str, Any]:
+    """The record of an output that is up to date; one of NVSF 0.1 gets its fingerprint of content."""
+    record = found.record or {}
+    if not is_earlier(record):
+        return record
+    progress(f"{name}: taken over from before fingerprints were of content")
+    facts = {"fingerprint": digest_of(found.facts), "facts": found.facts, EARLIER: record["fingerprint"]}
+    write_document(path / RECORD_NAME, record | facts)
+    return record | facts
+
+
+def _checked(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
+    """The record's entries on checks: those of `run`, replaced or extended by those of `check`.
+
+    Raises:
+        UnsoundOutputError: A blocking one failed.
+    """
+    found = {check.name: check for check in made}
+    if stage.check is not None:
+        found |= {check.name: check for check in stage.check(task)}
+    failed = [check for check in found.values() if check.blocking and not check.passed]
+    if failed:
+        reasons = "; ".join(f"{check.name}: {check.detail}" for check in failed)
+        raise UnsoundOutputError(
+            f"scene {task.scene.name}, stage {stage.name}: {reasons}", tuple(found.values())
+        )
+    return {"checks": [asdict(check) for check in found.values()], "check_version": stage.check_version}
+
+
+def _checked_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
+    """The record of a published output; if `check_version` has changed, with the checks made again."""
+    if record.get("check_version", "") == stage.check_version:
+        return record
+    record = record | _checked(stage, task, [Check(**check) for check in record["checks"]])
+    write_document(task.folder / RECORD_NAME, record)
+    return record

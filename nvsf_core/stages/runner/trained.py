@@ -1,0 +1,30 @@
+"""Which fields of a scene are published."""
+
+from pathlib import Path
+
+from nvsf_core.errors import RecipeError
+from nvsf_core.recipe import is_seed_folder, preset
+from nvsf_core.stages.runner.record import RECORD_NAME, read_record
+from nvsf_core.stores.scene_store import published
+
+
+def trained_fields(scene_root: Path) -> list[tuple[str, int]]:
+    """Recipe and seed of each published field below a scene's folder, the newest last; only readable ones."""
+    fields = [path.parent for path in published(scene_root, f"field/*/*/{RECORD_NAME}")]
+    sound = [folder for folder in fields if _is_known(folder) and read_record(folder) is not None]
+    sound.sort(key=lambda folder: ((folder / RECORD_NAME).stat().st_mtime, str(folder)))
+    return [(folder.parent.name, int(folder.name)) for folder in sound]
+
+
+def newest_field(scene_root: Path) -> tuple[str, int] | None:
+    """Recipe and seed of the scene's latest published field; None if there is no readable one."""
+    return next(reversed(trained_fields(scene_root)), None)
+
+
+def _is_known(folder: Path) -> bool:
+    """Whether a field's folder is named by a seed, below a preset's name."""
+    try:
+        preset(folder.parent.name)
+    except RecipeError:
+        return False
+    return is_seed_folder(folder.name)

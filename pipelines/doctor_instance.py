@@ -1,0 +1,64 @@
+"""Examine a Dagster instance: its configuration, its daemon, and runs that hang."""
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import dagster as dg
+
+from nvsf_core.drives.catalogue import home_from_environment
+from pipelines.reaper import stale_runs
+
+TEMPLATE = "dagster.yaml"
+_BEAT_S = 120.0
+"""A daemon says at least every half a minute that it lives."""
+_SETTINGS = {
+    "run_retries": "runs whose process died are not launched again",
+    "run_monitoring": "runs that the daemon launched and that died stay STARTED",
+    "freshness": "nothing says that a data set or the report is old",
+}
+
+
+def instance_place(environ: Mapping[str, str]) -> Path:
+    """DAGSTER_HOME; by default the one that `make` and `nvsf` use, in the home."""
+    return Path(environ.get("DAGSTER_HOME") or home_from_environment(environ) / "dagster").absolute()
+
+
+def examine_instance(environ: Mapping[str, str]) -> tuple[bool, str]:
+    """Whether the instance is as it should be, and what was found; nothing is written.
+
+    An instance that does not exist yet is fine: the first run makes it.
+    """
+    place = instance_place(environ)
+    if not (place / TEMPLATE).is_file():
+        return True, f"none at {place} yet; `make ui` or the first run makes it"
+    if not (place / "history").is_dir():
+        return True, f"{place}, without any run yet"
+    try:
+        with dg.DagsterInstance.from_config(str(place)) as instance:
+            faults = list(_faults(instance))
+            words = f"{place}, {instance.get_runs_count()} runs, {_daemon(instance)}"
+    # Whatever is wrong with a configuration or a database, the doctor says it and goes on.
+    except Exception as error:
+        return False, f"{place} cannot be opened ({type(error).__name__}: {error!s:.200})"
+    return not faults, f"{words}{''.join('; ' + fault for fault in faults)}"
+
+
+def _faults(instance: dg.DagsterInstance) -> Iterator[str]:
+    for name, cost in _SETTINGS.items():
+        settings = instance.get_settings(name)
+        if not (isinstance(settings, dict) and settings.get("enabled")):
+            yield f"{TEMPLATE} lacks `{name}: enabled: true`: {cost}"
+    pools = (instance.get_settings("concurrency") or {}).get("pools") or {}
+    if not pools.get("default_limit"):
+        yield f"{TEMPLATE} lacks `concurrency: pools: default_limit: 1`: what waits for a device is not shown"
+    stale = stale_runs(instance)
+    if stale:
+        named = ", ".join(run.run_id[:8] for run in stale)
+        yield f"runs whose processes are gone: {named} (the sensor `stale_run_reaper` ends them)"
+
+
+def _daemon(instance: dg.DagsterInstance) -> str:
+    beats = instance.get_daemon_heartbeats().values()
+    newest = max((beat.timestamp for beat in beats), default=0.0)
+    return "its daemon runs" if time.time() - newest < _BEAT_S else "no daemon runs: nothing starts by itself"

@@ -1,0 +1,61 @@
+"""`failure_command`: a sensor that calls a command of the user's when a run has failed."""
+
+import json
+import os
+import shlex
+import subprocess
+from typing import Any
+
+import dagster as dg
+
+COMMAND_VARIABLE = "NVSF_ON_FAILURE"
+_LONGEST_S = 60.0
+_MOST_WORDS = 4000
+
+
+def call_command(failure: dict[str, Any]) -> str:
+    """Call the user's command with a failure as JSON on its standard input; returns what came of it.
+
+    A command that is absent, fails or hangs fails nothing else: only the returned words say so.
+
+    Args:
+        failure: `run_id`, `job`, `scene` (empty for a run over several), `words`.
+    """
+    command = os.environ.get(COMMAND_VARIABLE, "")
+    if not command.strip():
+        return f"{COMMAND_VARIABLE} names no command"
+    try:
+        done = subprocess.run(
+            shlex.split(command), input=json.dumps(failure), text=True, capture_output=True,
+            timeout=_LONGEST_S, check=False,
+        )  # fmt: skip
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
+        return f"{COMMAND_VARIABLE}: {error}"
+    said = (done.stderr or done.stdout).strip()[:_MOST_WORDS]
+    return f"{COMMAND_VARIABLE}: ended with {done.returncode}" + (f": {said}" if said else "")
+
+
+@dg.run_failure_sensor(
+    default_status=dg.DefaultSensorStatus.RUNNING,
+    description="Calls the command that NVSF_ON_FAILURE names, the failure as JSON on its standard input.",
+)
+def failure_command(context: dg.RunFailureSensorContext) -> dg.SkipReason:
+    """Call the command for a failed run of the daemon's; others call it themselves."""
+    run, event = context.dagster_run, context.failure_event
+    words = [event.message or "", *_step_errors(context)]
+    failure = {
+        "run_id": run.run_id,
+        "job": run.job_name,
+        "scene": run.tags.get("dagster/partition", ""),
+        "words": "\n".join(one for one in words if one)[:_MOST_WORDS],
+    }
+    return dg.SkipReason(call_command(failure))
+
+
+def _step_errors(context: dg.RunFailureSensorContext) -> list[str]:
+    """`<step>: <message>` of each failed step."""
+    found = []
+    for event in context.get_step_failure_events():
+        error = event.step_failure_data.error
+        found.append(f"{event.step_key}: {'' if error is None else error.message.strip()}")
+    return found

@@ -1,0 +1,153 @@
+"""`new_drives`: a sensor that watches the catalogue and its roots; `scenes_follow` makes what they change."""
+
+import json
+import os
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import dagster as dg
+
+from assets.automation import KEPT_TAGS
+from assets.drives import versions_of
+from assets.offers import OFFERS, offer_evaluation
+from assets.scenes import DATA_VERSION, SCENES, key_of
+from assets.workspace import Workspace, catalogue
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.drives.kitti360.section import section_of, why_wait
+from nvsf_core.errors import NvsfError
+from nvsf_core.stores.file_hashes import TimeIsUpError
+from pipelines.reaper import host_tags
+
+QUIET_VARIABLE, AUTOMATE_VARIABLE = "NVSF_QUIET_S", "NVSF_AUTOMATE"
+_QUIET_S = 60.0
+"""A drive is whole once nothing of it has changed for so long."""
+_MOST_READING_S = 20.0
+"""Of one scene in one tick; Dagster ends a tick after 60 s. The next tick goes on from there."""
+_RETRIES = {"dagster/max_retries": "2"}
+"""Of a run whose process died; a step that failed is not run again (`run_retries` of the instance)."""
+
+_OFFERS = "/offers"
+"""Key of the cursor for the verdicts on all scenes; no scene can have that name."""
+
+_Seen = dict[str, dict[str, Any]]
+"""Scene to what was last reported of it: data versions of its drive and views."""
+
+
+class _Found(NamedTuple):
+    """What a tick found of one scene."""
+
+    seen: dict[str, Any]
+    events: list[dg.AssetObservation]
+
+
+@dg.sensor(
+    minimum_interval_seconds=30,
+    default_status=dg.DefaultSensorStatus.RUNNING,
+    description="Watches the catalogue and its roots: a scene whose drive is whole becomes a partition, a "
+    "changed drive or view is reported by the content of its files. Half-copied drives wait. Starts no run.",
+)
+def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.SkipReason:
+    """Report drives that are new or changed."""
+    seen, words, new = _load(context.cursor), list[str](), list[str]()
+    events: list[dg.AssetObservation | dg.AssetCheckEvaluation] = []
+    known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
+    try:
+        entries, workspace = catalogue(), Workspace()
+        quiet_s = float(os.environ.get(QUIET_VARIABLE) or _QUIET_S)
+    except (NvsfError, ValueError) as error:
+        return dg.SkipReason(f"the catalogue or {QUIET_VARIABLE} cannot be read: {error}")
+    for entry in entries:
+        try:
+            section = section_of(entry)
+            if not section.folders:
+                continue
+            waits = why_wait(section, quiet_s)
+            if waits:
+                words.append(f"{entry.name} waits: {waits}")
+                continue
+            found = _look_at(entry, workspace, seen.get(entry.name, {}))
+        except TimeIsUpError:
+            words.append(f"{entry.name}: its files are still being read")
+            continue
+        except (NvsfError, OSError) as error:
+            words.append(f"{entry.name}: {error}")
+            continue
+        new += [entry.name] if entry.name not in known else []
+        seen[entry.name] = found.seen
+        events += found.events
+    try:
+        events += _changed_offers(context.instance, workspace, seen)
+    except (NvsfError, OSError) as error:
+        words.append(f"offers: {error}")
+    if words:
+        context.log.info("; ".join(words))  # also where something else is reported, which leaves no reason
+    return dg.SensorResult(
+        skip_reason=dg.SkipReason("; ".join(words) or "nothing new") if not events and not new else None,
+        dynamic_partitions_requests=[SCENES.build_add_request(new)] if new else [],
+        asset_events=events,
+        cursor=json.dumps(seen),
+    )
+
+
+def _look_at(entry: SceneEntry, workspace: Workspace, before: dict[str, Any]) -> _Found:
+    """Data versions of a scene's sources, and the events of those that changed."""
+    events: list[dg.AssetObservation] = []
+    now: dict[str, Any] = {}
+    for name, version in versions_of(entry, workspace, _MOST_READING_S).items():
+        now[name] = version
+        if before.get(name) != version:
+            events.append(
+                dg.AssetObservation(
+                    asset_key=key_of(name),
+                    partition=entry.name,
+                    metadata={"path": dg.MetadataValue.path(str(entry.root))},
+                    tags={DATA_VERSION: version},
+                )
+            )
+    return _Found(now, events)
+
+
+def _changed_offers(
+    instance: dg.DagsterInstance, workspace: Workspace, seen: _Seen
+) -> Iterator[dg.AssetCheckEvaluation]:
+    """Verdicts on all scenes, where they or the asset have changed since they were reported last.
+
+    The UI forgets a verdict once the asset is made again, so it is reported anew.
+    """
+    before = seen.setdefault(_OFFERS, {})
+    for stage in OFFERS:
+        newest = instance.get_latest_materialization_event(key_of(stage))
+        if newest is None:
+            continue
+        found = offer_evaluation(stage, workspace)
+        words = [newest.timestamp, {scene: value.value for scene, value in found.metadata.items()}]
+        if before.get(stage) != words:
+            before[stage] = words
+            yield found
+
+
+def _load(cursor: str | None) -> _Seen:
+    try:
+        found = json.loads(cursor or "{}")
+    except ValueError:
+        return {}
+    return (
+        {name: one for name, one in found.items() if isinstance(one, dict)} if isinstance(found, dict) else {}
+    )
+
+
+def _is_automated() -> bool:
+    return os.environ.get(AUTOMATE_VARIABLE, "") not in ("", "0", "off", "no")
+
+
+scenes_follow = dg.AutomationConditionSensorDefinition(
+    "scenes_follow",
+    target=dg.AssetSelection.all(),
+    minimum_interval_seconds=30,
+    default_status=dg.DefaultSensorStatus.RUNNING if _is_automated() else dg.DefaultSensorStatus.STOPPED,
+    run_tags={**host_tags(), **KEPT_TAGS, **_RETRIES},
+    emit_backfills=False,
+    description="Ingests, trains, renders, measures and writes what is new, and what a changed drive or view "
+    "changes, one scene a run; a trained scene keeps its recipe and seed. Off unless NVSF_AUTOMATE=1 is set "
+    "or it is switched on here.",
+)

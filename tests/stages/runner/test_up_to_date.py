@@ -1,0 +1,199 @@
+"""What is up to date: content decides, not its place or its times; homes of before are taken over."""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
+from nvsf_core.drives.entries import ViewEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.errors import DataError
+from nvsf_core.stages import STAGES, plan_run, run_named_stage
+from nvsf_core.stages.runner.run import run_scene
+from nvsf_core.stages.runner.stage import Stage, StageOutput
+from nvsf_core.stages.runner.verify import Verdict, verify_scene
+
+PREPARED = STAGES[:4]
+Prepare = Callable[[SceneEntry, Path], list[str]]
+
+
+@pytest.fixture(scope="module")
+def drive(tiny_catalogue: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive and a home, prepared up to `undistorted`, side by side."""
+    folder = tmp_path_factory.mktemp("moved")
+    shutil.copytree(tiny_catalogue.parent / "drive", folder / "drive")
+    _prepare(_entry(tiny_catalogue, folder), folder / "home")
+    return folder
+
+
+@pytest.fixture
+def copy(drive: Path, tmp_path: Path) -> Path:
+    shutil.copytree(drive, tmp_path / "copy", copy_function=shutil.copy)  # other places, times and inodes
+    return tmp_path / "copy"
+
+
+def _entry(catalogue: Path, folder: Path) -> SceneEntry:
+    entry = next(one for one in load_catalogue([catalogue], None) if one.name == "tiny")
+    return replace(entry, root=folder / "drive")
+
+
+def _prepare(entry: SceneEntry, home: Path, said: list[str] | None = None) -> list[str]:
+    """Run the stages; names of those that were not skipped."""
+    progress = (lambda line: None) if said is None else said.append
+    done = run_scene(entry, home, recipe="smoke", progress=progress, stages=PREPARED)
+    return [one.stage for one in done if not one.skipped]
+
+
+def test_a_copied_drive_and_home_are_up_to_date(copy: Path, tiny_catalogue: Path) -> None:
+    assert _prepare(_entry(tiny_catalogue, copy), copy / "home") == []
+
+
+def test_changed_bytes_are_seen_although_size_and_times_stay(copy: Path, tiny_catalogue: Path) -> None:
+    entry = _entry(tiny_catalogue, copy)
+    path = DriveLayout(entry.root, entry.sequence).scan_path(1)
+    found, said = path.stat(), list[str]()
+    content = bytearray(path.read_bytes())
+    content[12:16], content[28:32] = content[28:32], content[12:16]
+    path.write_bytes(content)
+    os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
+    assert _prepare(entry, copy / "home", said) == ["frames", "sweeps", "pano", "undistorted"]
+    assert "[tiny] frames: made again, for the files of the drive changed" in said
+
+
+def test_frames_that_the_scene_does_not_use_decide_nothing(copy: Path, tiny_catalogue: Path) -> None:
+    entry = replace(_entry(tiny_catalogue, copy), last_frame=2)
+    _prepare(entry, copy / "home")
+    layout = DriveLayout(entry.root, entry.sequence)
+    layout.scan_path(3).write_bytes(bytes(16))
+    assert _prepare(entry, copy / "home") == []
+
+
+def test_a_change_that_leaves_the_tables_as_they_are_stops_there(copy: Path, tiny_catalogue: Path) -> None:
+    entry = _entry(tiny_catalogue, copy)
+    with DriveLayout(entry.root, entry.sequence).poses_path.open("a") as poses:
+        poses.write("\n")
+    assert _prepare(entry, copy / "home") == ["frames", "sweeps"], "both read the drive itself"
+
+
+def test_a_new_key_of_the_catalogue_changes_no_fingerprint(copy: Path, tiny_catalogue: Path) -> None:
+    entry = _entry(tiny_catalogue, copy)
+    assert _prepare(replace(entry, compensate=True, cameras=None, views=()), copy / "home") == []
+
+
+def test_a_drive_that_changes_while_it_is_read_is_not_published(copy: Path, tiny_catalogue: Path) -> None:
+    entry = _entry(tiny_catalogue, copy)
+    poses = DriveLayout(entry.root, entry.sequence).poses_path
+
+    def run(task: object) -> StageOutput:
+        poses.write_text(poses.read_text() + "\n")
+        return StageOutput()
+
+    stage = Stage(
+        name="a", group="ingest", inputs=(), description="a", version="1", run=run, reads_drive=True
+    )
+    with pytest.raises(DataError, match=r"the files of the drive under .* changed while they were read"):
+        run_scene(entry, copy / "home", progress=str, stages=[stage])
+    assert not (copy / "home/tiny/a").exists()
+
+
+def _make_earlier(home: Path, entry: SceneEntry) -> None:
+    """Give the records of a home the fingerprints that NVSF 0.1 gave them, computed as it did."""
+    known: dict[str, str] = {}
+    for stage in PREPARED:
+        path = home / entry.name / stage.name / "stage.json"
+        record = json.loads(path.read_text())
+        facts = {
+            "stage": stage.name,
+            "version": stage.version,
+            "inputs": {name: known[name] for name in sorted(stage.inputs)},
+            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in ("views", "recipe")},
+        }
+        if stage.reads_drive:
+            facts["drive"] = _listing(entry)
+        known[stage.name] = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+        del record["facts"]
+        path.write_text(json.dumps(record | {"fingerprint": known[stage.name]}))
+
+
+def _listing(entry: SceneEntry) -> str:
+    digest = hashlib.sha256()
+    folders = [entry.root / "calibration"]
+    folders += [entry.root / kind / entry.sequence for kind in ("data_3d_raw", "data_2d_raw", "data_poses")]
+    files = [path for folder in folders for path in sorted(folder.rglob("*")) if path.is_file()]
+    files += sorted((entry.root / "data_3d_bboxes").glob(f"*/{entry.sequence}.xml"))
+    for path in files:
+        name = path.relative_to(entry.root).as_posix()
+        digest.update(f"{name} {path.stat().st_size} {path.stat().st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+def test_a_home_of_before_is_taken_over_where_nothing_changed(copy: Path, tiny_catalogue: Path) -> None:
+    entry, said = _entry(tiny_catalogue, copy), list[str]()
+    _make_earlier(copy / "home", entry)
+    assert _prepare(entry, copy / "home", said) == []
+    assert sum("taken over" in line for line in said) == len(PREPARED)
+    again = list[str]()
+    assert _prepare(entry, copy / "home", again) == [] and not any("taken over" in line for line in again)
+
+
+def test_of_a_home_of_before_only_what_reads_the_drive_is_made_again_where_times_changed(
+    copy: Path, tiny_catalogue: Path
+) -> None:
+    entry, said = _entry(tiny_catalogue, copy), list[str]()
+    _make_earlier(copy / "home", entry)
+    poses = DriveLayout(entry.root, entry.sequence).poses_path
+    os.utime(poses, (1.0, 1.0))
+    assert _prepare(entry, copy / "home", said) == ["frames", "sweeps"]
+    assert any("made before fingerprints were of content" in line for line in said)
+
+
+def test_a_home_of_before_that_was_moved_is_taken_over_if_its_place_is_named(
+    copy: Path, tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "copy"  # the drive lies inside, as the embedded street does
+    _make_earlier(copy / "home", _entry(tiny_catalogue, copy))
+    shutil.move(copy / "home/tiny", home / "tiny")
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(home, moved)
+    entry, said = _entry(tiny_catalogue, moved), list[str]()
+    monkeypatch.setenv("NVSF_EARLIER_HOME", str(home))
+    assert _prepare(entry, moved, said) == [], said
+    assert sum("taken over" in line for line in said) == len(PREPARED)
+
+
+def test_what_would_be_made_again_and_what_is_damaged_is_said(copy: Path, tiny_catalogue: Path) -> None:
+    entry = _entry(tiny_catalogue, copy)
+    run = plan_run(entry, copy / "home", recipe="smoke")
+    assert {one.verdict for one in verify_scene(run, PREPARED)} == {Verdict.UP_TO_DATE}
+    (copy / "home/tiny/undistorted/stage.json").unlink()
+    (copy / "home/tiny/pano/pano.zarr/zarr.json").write_bytes(b"1")
+    changed = plan_run(replace(entry, test_frames=(1,)), copy / "home", recipe="smoke")
+    found = {one.stage: one for one in verify_scene(changed, PREPARED)}
+    assert found["frames"].words == "for the scene's entry in the catalogue (test_frames) changed"
+    assert found["pano"].verdict is Verdict.DAMAGED and "pano.zarr" in found["pano"].words
+    assert found["undistorted"].verdict is Verdict.ABSENT
+
+
+def test_a_view_s_place_of_true_images_decides_nothing_its_cameras_do(tiny_catalogue: Path) -> None:
+    from nvsf_core.stages.runner.facts import view_facts
+
+    entry = _entry(tiny_catalogue, Path())
+    one, other = (replace(entry, views=(_view("v", place),)) for place in ("here", "there"))
+    assert view_facts(one) == view_facts(other) != view_facts(replace(entry, views=(ViewEntry(name="v"),)))
+
+
+def _view(name: str, place: str) -> ViewEntry:
+    return ViewEntry(name=name, truth=(("image_00", Path(place)),))
+
+
+def test_a_stage_that_reads_a_changed_home_is_named(copy: Path, tiny_catalogue: Path) -> None:
+    run = plan_run(replace(_entry(tiny_catalogue, copy), test_frames=(1,)), copy / "home", recipe="smoke")
+    said: list[str] = []
+    run_named_stage("frames", run, said.append)
+    assert said[0].startswith("[tiny] frames: made again, for the scene's entry in the catalogue")
