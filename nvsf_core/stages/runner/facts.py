@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from nvsf_core.drives.catalogue import SceneEntry
@@ -141,5 +141,11 @@ def _not_default(entry: SceneEntry | ViewEntry, left_out: tuple[str, ...]) -> Fa
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON gives it back."""
+    """A value as JSON gives it back; a part of a view, as a camera, without its defaults."""
+    if is_dataclass(value):
+        return {
+            one.name: _plain(getattr(value, one.name))
+            for one in fields(value)
+            if getattr(value, one.name) != one.default
+        }
     return [_plain(one) for one in value] if isinstance(value, tuple) else value

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.trust.cues import (
     AWAY,
@@ -41,11 +42,13 @@ from nvsf_core.metrics.trust.scan_statistics import (
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.support import Support
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
-from nvsf_core.sensors.tables import sensor_table
+from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import rays_return
+from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
+from nvsf_core.stages.views.stored_plan import stored_plan
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _LEFT_OUT = 4
@@ -102,9 +105,14 @@ class _Rendered(NamedTuple):
     points_m: np.ndarray
     """(n, 3) in the sensor's frame at firing time."""
     laser: np.ndarray
-    sensor: str
-    time_s: float
+    table: LaserTable
+    moment_s: float
+    """Of the path."""
     lidar_to_world: np.ndarray
+    path: Trajectory
+    """Where the sensor, or what it is mounted on, goes."""
+    sweep_s: float
+    """By how much the path's moment changes in a sweep."""
 
 
 class RecordedScans:
@@ -168,17 +176,16 @@ class RecordedScans:
         sweeps = self.sweeps
         kept = _is_counted(scan.points_m)
         points_m, laser = scan.points_m[kept].astype(np.float64), scan.laser[kept]
-        rotation, position_m = sweeps.trajectory.at(np.array([scan.time_s]))
+        path = scan.path
+        rotation, position_m = path.at(np.array([scan.moment_s]))
         reference = np.eye(4)
-        reference[:3, :3], reference[:3, 3] = rotation[0], position_m[0] + sweeps.scene_origin_m
+        reference[:3, :3], reference[:3, 3] = rotation[0], position_m[0] + path.scene_origin_m
         mount = invert_pose(reference) @ scan.lidar_to_world
-        path = sweeps.trajectory
-        mounted = Trajectory(path.times_s, path.lidar_to_world @ mount, path.scene_origin_m)
-        is_own = scan.sensor == self.sensor
+        mounted = Trajectory(path.times_s, path.lidar_to_world @ mount, sweeps.scene_origin_m)
+        is_own = scan.table.name == self.sensor
         azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
         origin_m, direction, range_m = compensate(
-            sweeps.table if is_own else sensor_table(scan.sensor), points_m, laser,
-            scan.time_s + sweep_fraction(azimuth_rad) * sweeps.period_s, mounted,
+            scan.table, points_m, laser, scan.moment_s + sweep_fraction(azimuth_rad) * scan.sweep_s, mounted,
             elevation_correction_rad=sweeps.elevation_correction_rad if is_own else None,
         )  # fmt: skip
         return np.asarray(origin_m + direction * range_m[:, None])
@@ -217,19 +224,29 @@ def read_training_scans(task: Task) -> RecordedScans | None:
     return found if found is not None and found.scans else None
 
 
-def scan_cues(path: Path, recorded: RecordedScans) -> Iterator[tuple[int, Mapping[str, float]]]:
+def scan_cues(
+    path: Path, recorded: RecordedScans, asked: Mapping[str, str | SensorEntry | None]
+) -> Iterator[tuple[int, Mapping[str, float]]]:
     """Cues of each sweep of a stored view: its frame, and cue to value.
 
     Args:
         path: Zarr group of the model's view.
         recorded: The drive's training scans.
+        asked: The LiDAR that each view of the catalogue asks for; None = the recording one.
     """
-    a, sensor = read_arrays(path, *_VIEW), str(read_attrs(path)["sensor"])
+    a, attrs = read_arrays(path, *_VIEW), read_attrs(path)
+    sensor = str(attrs["sensor"])
     is_comparable = sensor == recorded.sensor and recorded.has_grid
     is_comparable = is_comparable and a["grid_hit"].shape[1] == len(recorded.lasers)
+    plan, table = stored_plan(path, attrs), table_of(asked.get(path.parent.name), recorded.sweeps.table)
+    goes = plan.path or recorded.sweeps.trajectory
+    sweep_s = float(attrs["sweep_period_s"]) * plan.path_rate
     for i, frame in enumerate(a["frame"].tolist()):
         own, firings, time_s = part(a["offsets"], i), int(a["grid_firings"][i]), float(a["time_s"][i])
-        scan = _Rendered(a["points_m"][own], a["laser"][own], sensor, time_s, a["lidar_to_world"][i])
+        scan = _Rendered(
+            a["points_m"][own], a["laser"][own], table, float(plan.moments_s[i]), a["lidar_to_world"][i],
+            goes, sweep_s,
+        )  # fmt: skip
         points_m = recorded.placed(scan)
         hit = a["grid_hit"][i][:, :firings].astype(np.float64)
         guessed = a["grid_support"][i][:, :firings] == Support.GUESSED

@@ -13,7 +13,7 @@ from nvsf_core.metrics.trust.verdict import LIDAR, Band, score_of
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues
+from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues, recorded_cameras
 from nvsf_core.stages.scoring.trust.odometry import odometry_errors
 from nvsf_core.stages.scoring.trust.scans import read_training_scans, scan_cues
 from nvsf_core.stores.arrays import array_names, read_attrs
@@ -47,10 +47,14 @@ def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
     scans = read_training_scans(task) if any(shows(path, LIDAR) for path in paths) else None
     if scans is not None:
         task.progress(f"[{task.scene.name}] scene_metrics: how far recorded scans are apart")
-        band = _band(scans.band(), LIDAR)
-        found.append(RecordedSensor(LIDAR, partial(scan_cues, recorded=scans), band, scans.sweeps))
+        band, asked = _band(scans.band(), LIDAR), {view.name: view.sensor for view in task.scene.views}
+        found.append(
+            RecordedSensor(LIDAR, partial(scan_cues, recorded=scans, asked=asked), band, scans.sweeps)
+        )
     held_out = next((path for path in paths if path.parent.name == HELD_OUT), None)
-    for name in sorted({name for path in paths for name in read_attrs(path).get("cameras", [])}):
+    shown = {name for path in paths for name in read_attrs(path).get("cameras", [])}
+    # A view's own cameras, of other intrinsics, have recorded nothing.
+    for name in sorted(shown & recorded_cameras(task)):
         if any(shows(path, name) for path in paths):
             task.progress(f"[{task.scene.name}] scene_metrics: how far recorded images of {name} are apart")
             camera = RecordedCamera(task, name, held_out)
