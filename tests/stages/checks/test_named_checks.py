@@ -8,7 +8,9 @@ import dagster as dg
 import numpy as np
 import pytest
 
-from assets.factory import CHECK_NAME, asset_of
+from assets.factory import asset_of
+from assets.scenes import key_of, register
+from assets.verdicts import CHECK_NAME
 from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.rendering.support import Support
@@ -182,6 +184,7 @@ def _views_stage(damage, scan=None):
 
 
 def _materialize(stage, instance):
+    register(instance, [SCENE])
     return dg.materialize(
         [asset_of(stage, [stage])], partition_key=SCENE, resources={"workspace": Workspace(recipe="smoke")},
         instance=instance, raise_on_error=False,
@@ -190,7 +193,7 @@ def _materialize(stage, instance):
 
 def _shown(instance, stage, names):
     """The latest verdict of each check as the UI asks for it: whether it passed, and how severe it is."""
-    keys = [dg.AssetCheckKey(dg.AssetKey(stage), name) for name in names]
+    keys = [dg.AssetCheckKey(key_of(stage), name) for name in names]
     records = instance.event_log_storage.get_latest_asset_check_execution_by_key(keys)
     found = {key.name: record.event.dagster_event.event_specific_data for key, record in records.items()}
     return {name: (one.passed, one.severity.value, one.metadata) for name, one in found.items()}
