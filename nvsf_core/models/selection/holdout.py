@@ -43,11 +43,11 @@ class Comparison:
         """Whether a candidate's errors are smaller than another's, in the geometric mean of all metrics.
 
         So a large gain in one metric counts for more than small losses in others. A metric in which either is
-        undefined does not count.
+        undefined does not count; where most are, nobody wins.
         """
         gains = [math.log(self._error(other, m) / self._error(candidate, m)) for m in self.metrics]
         defined = [gain for gain in gains if not math.isnan(gain)]
-        return sum(defined) > 0.0
+        return len(defined) > len(self.metrics) // 2 and sum(defined) > 0.0
 
     def _error(self, candidate: str, metric: str) -> float:
         """A mean as an error, positive: of a PSNR the root mean square, of a share (0..1) what is missing."""

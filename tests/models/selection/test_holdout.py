@@ -31,6 +31,7 @@ def test_scores_are_means_over_the_left_out_data():
         ((2.0, 26.1, 0.5), True),
         ((2.0, 25.9, 0.5), False),
         ((1.0, math.nan, 0.6), True),
+        ((math.nan, math.nan, 0.9), False),
         ((math.nan, math.nan, math.nan), False),
     ],
 )
