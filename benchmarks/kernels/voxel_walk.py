@@ -19,7 +19,7 @@ from benchmarks.common.stored import write_measured
 from benchmarks.kernels.voxel_walk_table import WALK_RESULTS
 from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
+from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays

@@ -31,8 +31,8 @@ from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M
 from nvsf_core.evidence.moving.ground import build_ground
 from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels
-from nvsf_core.evidence.static.voxels import PLANE_POINTS
+from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.evidence.voxels import PLANE_POINTS
 from nvsf_core.recording.sweeps import training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps

@@ -31,8 +31,8 @@ from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.models.paper.family import train_on_frames
 from nvsf_core.models.paper.scene import load, training_frames
-from nvsf_core.models.paper.training.train import train_on_frames
 from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.warping import shrunk

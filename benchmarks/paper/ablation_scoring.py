@@ -17,7 +17,7 @@ from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, lidar4d, project_scan
 from nvsf_core.metrics.table import HELD_OUT
-from nvsf_core.models.paper.training.frames import PaperFrames
+from nvsf_core.models.paper.training_frames import PaperFrames
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.runner.run import SceneRun

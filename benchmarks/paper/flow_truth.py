@@ -9,7 +9,7 @@ from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.geometry.se3 import pose_from_parts
-from nvsf_core.models.paper.training.flow import flow_cloud
+from nvsf_core.models.paper.flow_training import flow_cloud
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.scoring.demo_truth import DemoTruth
 

@@ -19,8 +19,8 @@ from benchmarks.common.stored import read_rows, write_json
 from benchmarks.paper.ablation import prepared_recording
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.models.paper.scene import training_frames
-from nvsf_core.models.paper.training.frames import PaperFrames, PaperTrainee
-from nvsf_core.models.paper.training.step import paper_step
+from nvsf_core.models.paper.step import paper_step
+from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene

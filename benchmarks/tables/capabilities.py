@@ -41,7 +41,7 @@ CAPABILITIES = (
     ),
     Capability(
         "scans recorded at a standstill",
-        ("evidence/raydrop/stationary_scans.py", "kernels/scan_lookup.py"),
+        ("evidence/stationary_scans.py", "kernels/scan_lookup.py"),
         "other_standing: F .9749; copying, which used to win there, .9480 (docs/results.md)",
     ),
     Capability(
@@ -52,7 +52,7 @@ CAPABILITIES = (
     ),
     Capability(
         "unobserved space",
-        ("evidence/static/unobserved.py",),
+        ("evidence/unobserved.py",),
         "every 4th scan: CD .0882 to .0856 (kitti0005), .0455 to .0411 (k360_street) (0014)",
     ),
     Capability(
@@ -108,7 +108,7 @@ CAPABILITIES = (
     ),
     Capability(
         "above the recorded lasers: images",
-        ("models/residual/outside_fov.py", "evidence/images"),
+        ("models/residual/outside_fov.py", "evidence/image_surfels.py"),
         "street's vlp16: CD 1.0 to .5 m2, where a quarter of the returns had no answer (0014)",
     ),
 )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels
 
 
 def scene_profile(evidence: SceneEvidence, cameras: list[str], duration_s: float) -> dict[str, Scalar]:

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectRays
 from nvsf_core.evidence.moving.rigid_path import MovingObject
-from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.raydrop.stationary_scans import StationaryScans
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.stationary_scans import StationaryScans
+from nvsf_core.evidence.surfels import Surfels
 
 _RENDERED, _UNKNOWN = "rendered_", "unknown_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"

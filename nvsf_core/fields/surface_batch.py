@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on
 from nvsf_core.evidence.moving.rigid_path import MovingObject
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kernels.surface_list import list_surfaces
 

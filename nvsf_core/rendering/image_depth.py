@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nvsf_core.evidence.images.image_surfels import DepthRays
+from nvsf_core.evidence.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.reproject_camera import (
     FAR_M,

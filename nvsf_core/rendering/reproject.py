@@ -6,7 +6,7 @@ from torch import Tensor
 
 from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on, merge_objects
-from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.surfel_rendering import render_by_surfels
 from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.rendered import RenderedRays

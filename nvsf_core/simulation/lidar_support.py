@@ -10,7 +10,7 @@ if no scan looked that way. All else is *extrapolated*.
 import numpy as np
 
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.scan_lookup import EMPTY, SAME, THROUGH
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays

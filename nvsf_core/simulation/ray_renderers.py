@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from nvsf_core.evidence.moving.objects import NearObjects
-from nvsf_core.evidence.static.surfels import Surfels, candidates_of
+from nvsf_core.evidence.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import object_surfaces, surface_batch
 from nvsf_core.recipe import EvidenceSpec

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.raydrop.stationary_scans import FiredRays, look_up_stationary
 from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.stationary_scans import FiredRays, look_up_stationary
 from nvsf_core.kernels.moved_rays import move_sweep
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays

@@ -6,7 +6,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.inputs import read_sweeps

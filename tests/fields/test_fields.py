@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.bounds import Bounds

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
-from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.scene_evidence import DynamicEvidence
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import (
     ObjectSurfaces,

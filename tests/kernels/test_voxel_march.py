@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.kernels.voxel_march import WalkLimits, find_candidates
 
 VOXEL_M = 0.5

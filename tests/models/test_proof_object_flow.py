@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.evidence.profile import scene_profile
-from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.proof import choose_flow
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.recording.scan_grids import RecordedSweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.images.image_surfels import DepthRays
+from nvsf_core.evidence.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.image_depth import image_depth
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import DivergedError, ShapeError
-from nvsf_core.evidence.static.surfels import build_surfels, candidates_of
+from nvsf_core.evidence.surfels import build_surfels, candidates_of
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays, weighted_median_index
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
+from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.moving.objects import NearObjects
-from nvsf_core.evidence.raydrop.prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.bounds import Bounds

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.rendered import RenderedRays

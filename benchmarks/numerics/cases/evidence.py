@@ -10,9 +10,9 @@ import torch
 from benchmarks.numerics.cases.case import Case, Reading, largest, refused
 from benchmarks.numerics.cases.tolerances import ELEMENTWISE_ULP, EPS
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels, candidates_of
-from nvsf_core.evidence.static.voxels import index_points
+from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
+from nvsf_core.evidence.voxels import index_points
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.rendering.reproject import weighted_median_index
 
@@ -144,7 +144,7 @@ def _stray(name: str, *point: float) -> Case:
     return Case(_INDEX, f"{name} (outside)", refused(DataError, lambda: index_points(points, 0.25)))
 
 
-_INDEX, _SURFELS = "evidence.static.voxels.index_points", "evidence.static.surfels"
+_INDEX, _SURFELS = "evidence.voxels.index_points", "evidence.surfels"
 CASES = (
     Case(f"{_SURFELS}.Surfels.opacity", "0 to 1e6 hits and passes", _opacity, ELEMENTWISE_ULP, "eps"),
     Case("fields.surface_batch.surface_batch", "logits after 0 and 1e6 observations", _logit, 16.2,
@@ -154,7 +154,7 @@ CASES = (
     Case(f"{_SURFELS}.build_surfels", "a wall at 10 m, voxels of 0.1 to 2 m: rays' ranges",
          _wall_ranges, 1e-3, "m (99.9 % of rays)"),
     Case(f"{_SURFELS}.candidates_of", "rays along axes, borders and edges", _axis_rays),
-    Case("evidence.raydrop.prior.DropPrior.hit_prior",
+    Case("evidence.drop_prior.DropPrior.hit_prior",
          "all, none; fractions at and beyond a sweep's ends; one firing a sweep", _votes),
     Case(_INDEX, "1e7 points at once, 0.2 m voxels", _voxels, 0.0, "of 2,000 sampled"),
     Case(_INDEX, "no point (outside)", refused(DataError, lambda: index_points(np.zeros((0, 3)), 0.25))),

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.moving.soft_motion import flow_between, flow_to
-from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.kernels.grid_hit_priors import FiringLasers, share_of_scans
 from nvsf_core.sensors.sweep import Trajectory

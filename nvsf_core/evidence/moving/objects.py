@@ -12,7 +12,7 @@ from nvsf_core.evidence.moving.object_evidence import (
     ObjectRays,
 )
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
-from nvsf_core.evidence.static.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
 from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 
 _MOST_CANDIDATES = 12

@@ -14,9 +14,9 @@ from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.metrics.depth import lidar_depth_images
 from nvsf_core.models.family import Weights
+from nvsf_core.models.paper.flow_training import flow_cloud
 from nvsf_core.models.paper.render import PaperModel
-from nvsf_core.models.paper.training.flow import flow_cloud
-from nvsf_core.models.paper.training.frames import Images, Panos, PaperFrames
+from nvsf_core.models.paper.training_frames import Images, Panos, PaperFrames
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraRecording

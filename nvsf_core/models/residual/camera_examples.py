@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+from nvsf_core.models.holdout import validation_numbers
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
-from nvsf_core.models.selection.holdout import validation_numbers
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view, middle_factor
 from nvsf_core.rendering.learned_warp import coarse_colour

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.profile import motion_in_words, point_spacing_m, surface_m2
-from nvsf_core.evidence.static.surfels import Surfels, candidates_of
+from nvsf_core.evidence.surfels import Surfels, candidates_of
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
@@ -16,8 +16,8 @@ from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.holdout import compare
 from nvsf_core.models.residual.training_rays import LidarRays, training_rays
-from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core._types import Say
-from nvsf_core.evidence.images.image_surfels import DepthRays, image_surfels
+from nvsf_core.evidence.image_surfels import DepthRays, image_surfels
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.models.baselines.reproject import depth_points
 from nvsf_core.recipe import EvidenceSpec

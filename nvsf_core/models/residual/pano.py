@@ -16,6 +16,7 @@ from nvsf_core.kernels.threads import in_parts
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.holdout import compare, validation_numbers
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import recorded_pano
 from nvsf_core.models.residual.pano_estimate import PanoEstimate, estimate_pano
@@ -30,7 +31,6 @@ from nvsf_core.models.residual.pano_neighbours import (
     intensity_prior,
     phases_alone,
 )
-from nvsf_core.models.selection.holdout import compare, validation_numbers
 from nvsf_core.recipe import PanoSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano

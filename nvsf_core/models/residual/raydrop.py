@@ -8,11 +8,12 @@ import numpy as np
 import torch
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.holdout import compare
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import fire_left_out
 from nvsf_core.models.residual.raydrop_grid import (
@@ -22,7 +23,6 @@ from nvsf_core.models.residual.raydrop_grid import (
     sweep_cells,
 )
 from nvsf_core.models.residual.training_rays import learned_scans
-from nvsf_core.models.selection.holdout import compare
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.recording.scan_grids import RecordedSweeps

@@ -9,7 +9,7 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate

@@ -9,11 +9,11 @@ import torch
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.models.paper.camera_step import camera_losses
+from nvsf_core.models.paper.family import train_on_frames
 from nvsf_core.models.paper.scene import training_frames
-from nvsf_core.models.paper.training.camera import camera_losses
-from nvsf_core.models.paper.training.frames import PaperTrainee
-from nvsf_core.models.paper.training.step import paper_step
-from nvsf_core.models.paper.training.train import train_on_frames
+from nvsf_core.models.paper.step import paper_step
+from nvsf_core.models.paper.training_frames import PaperTrainee
 from nvsf_core.recipe import PaperLosses, PaperRecipe, Recipe, ReferenceQuirks, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel

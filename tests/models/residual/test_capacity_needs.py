@@ -13,7 +13,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.profile import point_spacing_m
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.models.proof import FIELD_VOXEL_M
 from nvsf_core.models.residual.capacity import make_fields, needed_field, needs
 from nvsf_core.recipe import FieldSpec, ResidualRecipe, preset

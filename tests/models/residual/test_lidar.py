@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.capacity import make_fields
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
-from nvsf_core.evidence.raydrop.prior import DropPrior
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
-from nvsf_core.evidence.static.surfels import build_surfels
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.models.residual.training_rays import LidarRays, learned_scans, training_rays

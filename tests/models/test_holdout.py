@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from nvsf_core.models.selection.holdout import compare, is_sure, validation_numbers
+from nvsf_core.models.holdout import compare, is_sure, validation_numbers
 
 METRICS = {"error_m": False, "psnr_db": True, "f_score": True}
 

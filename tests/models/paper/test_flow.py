@@ -7,7 +7,7 @@ import torch
 
 from nvsf_core.fields.flow import FlowField
 from nvsf_core.losses.chamfer import chamfer_distance
-from nvsf_core.models.paper.training.flow import flow_loss, train_flow
+from nvsf_core.models.paper.flow_training import flow_loss, train_flow
 from nvsf_core.recipe.paper import FlowSpec, GridSpec, PaperOptimiser, PaperRecipe
 
 SPEC = FlowSpec(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError, ShapeError
-from nvsf_core.models.paper.training.flow import flow_cloud, is_ground, is_stray
+from nvsf_core.models.paper.flow_training import flow_cloud, is_ground, is_stray
 
 HERE = np.eye(4)
 ORIGIN = np.zeros(3)

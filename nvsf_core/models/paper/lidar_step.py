@@ -13,7 +13,7 @@ from nvsf_core.losses.gradient_mask import gradient_mask
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
 from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.models.paper.training.frames import Panos, PaperFrames, PaperTrainee
+from nvsf_core.models.paper.training_frames import Panos, PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.rendering.scaled_rays import ScaledRays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, render_volume

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nvsf_core.evidence.images.image_surfels import DepthRays, image_surfels
-from nvsf_core.evidence.static.surfels import Surfels
+from nvsf_core.evidence.image_surfels import DepthRays, image_surfels
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.simulation.ray_renderers import image_renderer
 
 WALL_X_M = 10.0

@@ -10,8 +10,8 @@ from torch import Tensor
 from nvsf_core.losses.image import squared_colour_error
 from nvsf_core.losses.lidar import absolute_range_error
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.models.paper.training.frames import Images, PaperFrames, PaperTrainee
-from nvsf_core.models.paper.training.lidar import SUMS
+from nvsf_core.models.paper.lidar_step import SUMS
+from nvsf_core.models.paper.training_frames import Images, PaperFrames, PaperTrainee
 from nvsf_core.rendering.scaled_rays import camera_rays
 from nvsf_core.rendering.volume import on_white, render_volume
 from nvsf_core.sampling.error_map import ErrorMap

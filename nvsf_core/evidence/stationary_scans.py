@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.raydrop.prior import DropPrior, FiredCells
+from nvsf_core.evidence.drop_prior import DropPrior, FiredCells
 from nvsf_core.geometry.se3 import log_so3
 from nvsf_core.sensors.sweep import Trajectory
 

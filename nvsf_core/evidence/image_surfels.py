@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.static.surfels import Surfels, build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 
 _VOXEL_M = 0.4
 _LEAST_VIEWS = 3

@@ -8,7 +8,7 @@ this unit on this vehicle alone: to another sensor they tell nothing.
 import numpy as np
 from scipy import ndimage
 
-from nvsf_core.evidence.raydrop.prior import DropPrior
+from nvsf_core.evidence.drop_prior import DropPrior
 
 GAP_CELLS = 2000
 """Cells around the sensor."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nvsf_core.evidence.raydrop.prior import DropPrior
-from nvsf_core.evidence.raydrop.stationary_scans import (
+from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.stationary_scans import (
     FiredRays,
     StationaryScans,
     find_stationary_scans,

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 
 from nvsf_core.losses.total import LossBreakdown
-from nvsf_core.models.paper.training.camera import camera_losses
-from nvsf_core.models.paper.training.flow import flow_loss
-from nvsf_core.models.paper.training.frames import PaperFrames, PaperTrainee
-from nvsf_core.models.paper.training.lidar import lidar_losses
+from nvsf_core.models.paper.camera_step import camera_losses
+from nvsf_core.models.paper.flow_training import flow_loss
+from nvsf_core.models.paper.lidar_step import lidar_losses
+from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.training.loop import Part
 
 _EPOCH_SEED = 1_000_003

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.raydrop.prior import build_drop_prior
+from nvsf_core.evidence.drop_prior import build_drop_prior
 
 
 def three_scans():

@@ -1,1 +1,0 @@
-"""Surfels that images prove."""

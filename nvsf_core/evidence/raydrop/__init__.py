@@ -1,1 +1,0 @@
-"""Which rays return, counted in the training scans."""

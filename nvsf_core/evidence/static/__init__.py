@@ -1,1 +1,0 @@
-"""The static part of a scene: surfels, the ground, and unobserved voxels."""

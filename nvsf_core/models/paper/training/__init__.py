@@ -1,1 +1,0 @@
-"""The training of the paper's family (paper, Sec. III)."""
