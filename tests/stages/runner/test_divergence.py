@@ -14,7 +14,7 @@ from torch import nn
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DivergedError
-from nvsf_core.models.paper import train as paper_training
+from nvsf_core.models.paper import family as paper_training
 from nvsf_core.models.residual import lidar as residual_training
 from nvsf_core.recipe import FieldSpec, Recipe, TrainingSpec, preset, slower
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
