@@ -29,8 +29,8 @@ from benchmarks.common.markers import write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M
-from nvsf_core.evidence.moving.ground import build_ground
 from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXEL_M, ObjectEvidence
+from nvsf_core.evidence.moving.visibility import build_ground
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.evidence.voxels import PLANE_POINTS
 from nvsf_core.recording.sweeps import training_returns

@@ -24,7 +24,7 @@ from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
-from nvsf_core.training.device import training_device
+from nvsf_core.training.session import training_device
 
 RESULTS = places.RESULTS / "paper_step.json"
 DOCUMENT = places.DOCS / "paper_fidelity.md"

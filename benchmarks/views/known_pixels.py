@@ -20,7 +20,7 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose, transform_points
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs

@@ -20,7 +20,7 @@ from benchmarks.common.markers import write_between
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import HELD_OUT, Row, mean_rows
 from nvsf_core.metrics.trust.verdict import LIDAR, Trust, Verdict, verdicts
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.stores.tables import read_rows
 
 _SCENES = "street kitti0005_van_cyclist"

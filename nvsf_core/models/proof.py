@@ -9,7 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior, find_cells
+from nvsf_core.evidence.drop_prior import (
+    GAP_CELLS,
+    DropPrior,
+    build_drop_prior,
+    find_cells,
+    find_unit_gaps,
+    places_apart,
+)
 from nvsf_core.evidence.moving.detection import find_moving_objects
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
@@ -18,7 +25,6 @@ from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
 from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.evidence.unit_gaps import GAP_CELLS, find_unit_gaps, places_apart
 from nvsf_core.evidence.unobserved import unobserved_beside
 from nvsf_core.models.holdout import is_sure
 from nvsf_core.recipe import EvidenceSpec

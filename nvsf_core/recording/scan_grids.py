@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.drop_prior import DropPrior, find_cells
+from nvsf_core.evidence.drop_prior import DropPrior, cells_of, find_cells
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.evidence.unit_gaps import cells_of
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, Lasers, SweepGrid, look_up_scans
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.sensors.sweep import Trajectory

@@ -5,8 +5,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.rendering.camera_view import CameraView
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.rendering.sources import SeenPoints, look_up
-from nvsf_core.rendering.support import Support
 from nvsf_core.rendering.warping import plane_rays
 
 _MOST_ANGLE_RAD = 0.1

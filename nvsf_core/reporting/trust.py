@@ -16,7 +16,7 @@ from nvsf_core.metrics.trust.verdict import (
     Verdict,
     verdicts,
 )
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.html import escape, number, plain_table
 from nvsf_core.reporting.scene_outputs import FieldRun
 from nvsf_core.reporting.tables import Row

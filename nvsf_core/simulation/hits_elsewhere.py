@@ -6,7 +6,7 @@ ray meets a surface of the evidence, the nearest scans are asked whether they ha
 
 import numpy as np
 
-from nvsf_core.evidence.unit_gaps import cells_of
+from nvsf_core.evidence.drop_prior import cells_of
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.simulation.ray_renderers import evidence_renderer, render_in_chunks

@@ -13,8 +13,7 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.scan_lookup import EMPTY, SAME, THROUGH
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import RenderedRays, Support
 from nvsf_core.sensors.own_vehicle import NEAR_M
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scan import SweepRays

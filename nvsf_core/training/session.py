@@ -1,13 +1,24 @@
-"""What the caller of a training provides: the seed, checkpoints and progress lines."""
+"""What a training runs with: the device, and from its caller the seed, checkpoints and progress lines."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
+import torch
+
 from nvsf_core._types import Say
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.training.loop import Save, Step, TrainingState, train
+
+
+def training_device() -> torch.device:
+    """CUDA's first visible device, else the CPU; `CUDA_VISIBLE_DEVICES=` keeps a training on the CPU."""
+    return torch.device(_kind())
+
+
+def _kind() -> str:
+    return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,8 @@ from nvsf_core.rendering.learned_warp import blend_sources, coarse_colour, hypot
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view, moving_pixels
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_features, plane_inverses, resized
 from nvsf_core.rendering.plane_volume import agreement
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.rendering.sources import SeenPoints
-from nvsf_core.rendering.support import Support
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import plane_rays
 

@@ -10,7 +10,7 @@ from nvsf_core.rendering.hole_filling import without_holes
 from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.pixel_support import pixel_support
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources, covering_sources, spread_ranks
 
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)

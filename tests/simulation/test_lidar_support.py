@@ -9,8 +9,7 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import RenderedRays, Support
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.lidar_support import support_of_sweep

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density
-from nvsf_core.evidence.moving.ground import build_ground
+from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density, link_tracks
 from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path, start_path
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
-from nvsf_core.evidence.moving.tracks import link_tracks
-from nvsf_core.evidence.moving.visibility import AboveGround, classify_returns
+from nvsf_core.evidence.moving.visibility import AboveGround, build_ground, classify_returns
 
 ABOVE_GROUND_M = 0.25
 """Lower returns are taken as ground and cannot move."""

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.spatial import cKDTree
 
+from nvsf_core.evidence.moving.clusters import Track
 from nvsf_core.evidence.moving.registration import Cloud, PairMotions, make_cloud, register
 from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
-from nvsf_core.evidence.moving.tracks import Track
 from nvsf_core.evidence.moving.visibility import AboveGround
 
 _STRIDES = (1, 2, 4)

@@ -20,10 +20,9 @@ from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
-from nvsf_core.training.device import training_device
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Part, Step, TrainingState
-from nvsf_core.training.session import TrainingSession, fit
+from nvsf_core.training.session import TrainingSession, fit, training_device
 
 __all__ = ["load", "train", "train_on_frames"]
 

@@ -21,7 +21,7 @@ from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.training.device import training_device
+from nvsf_core.training.session import training_device
 
 CAMERA_REACH_M = 60.0
 """Half an edge of the cube around the cameras' path, for drives without LiDAR."""

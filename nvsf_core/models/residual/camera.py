@@ -34,9 +34,8 @@ from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.simulation.scene_model import ImageRenderer
-from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import Part, fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit
+from nvsf_core.training.session import TrainingSession, fit, training_device
 
 _METRICS = {"psnr_db": True}
 LEARNED = "learned_cameras"

@@ -30,9 +30,8 @@ from nvsf_core.simulation.scan import RenderedSweep, SweepRays
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit
+from nvsf_core.training.session import TrainingSession, fit, training_device
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""

@@ -39,9 +39,8 @@ from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit
+from nvsf_core.training.session import TrainingSession, fit, training_device
 
 _METRICS = {"psnr_db": True, "hit_accuracy": True, "intensity_psnr_db": True}
 CORRECTED = "pano_corrected"

@@ -31,9 +31,8 @@ from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scan import SweepRays
 from nvsf_core.simulation.scene_model import SweepCorrector
-from nvsf_core.training.device import training_device
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit
+from nvsf_core.training.session import TrainingSession, fit, training_device
 
 HITS_BLEND = "hits_blend"
 """Name of the fact: the fields of `HitBlend`; None where the ray head alone gives the hit probability."""

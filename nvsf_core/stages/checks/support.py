@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 

@@ -13,7 +13,7 @@ from typing import Any
 from nvsf_core.metrics.table import HEADLINES, HELD_OUT
 from nvsf_core.metrics.trust.cues import PROTOCOL
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 
 JSON_NAME, MARKDOWN_NAME = "card.json", "card.md"
 NO_LICENCE = "not stated: the scene's entry in the catalogue has no `licence`"

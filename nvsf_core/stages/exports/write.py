@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.clouds.laz import write_laz
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.exports.card import write_card
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360

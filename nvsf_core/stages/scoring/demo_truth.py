@@ -30,7 +30,7 @@ from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.point_cloud import point_cloud_metrics, point_cloud_part_metrics
 from nvsf_core.metrics.protocols import Scan, near_returns
 from nvsf_core.metrics.range_and_intensity import ray_intensity_metrics, ray_range_metrics
-from nvsf_core.rendering.support import SUPPORTED, Support
+from nvsf_core.rendering.rendered import SUPPORTED, Support
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.raydrop import rays_return
@@ -38,7 +38,7 @@ from nvsf_core.simulation.view_plan import ViewPlan, table_of
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stages.views.stored_plan import stored_plan
+from nvsf_core.stages.views.plan import stored_plan
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")

@@ -12,7 +12,7 @@ import numpy as np
 
 from nvsf_core.metrics.image import MISSING, image_metrics, image_part_metrics, missing_share
 from nvsf_core.metrics.lpips import Lpips
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.scene_outputs import TRUTH_NAME
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import array_names, read_arrays, write_arrays

@@ -1,7 +1,9 @@
-"""Sensors and instants of the views: the held-out frames, and each view of the catalogue."""
+"""Sensors and instants of the views: the held-out frames, each view of the catalogue, and views as stored."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +12,11 @@ from nvsf_core.drives.view_parts import CameraEntry
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
+from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+
+_PATH = ("path_knot_s", "path_to_world")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,3 +102,41 @@ def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
 
 def _plan(recording: Recording, entry: ViewEntry) -> ViewPlan:
     return plan_view(entry, recording.posed_frame, recording.posed_time_s, recording.trajectory)
+
+
+def plan_arrays(plan: ViewPlan) -> dict[str, np.ndarray]:
+    """Arrays of the data contract on a plan: its instants, and its path if it is not the drive's."""
+    arrays = {
+        "number": plan.number,
+        "frame": plan.frame, "time_s": plan.time_s, "path_time_s": plan.moments_s, "stamp_s": plan.stamp_s,
+    }  # fmt: skip
+    if plan.path is not None:
+        arrays["path_knot_s"] = plan.path.times_s
+        arrays["path_to_world"] = plan.path.lidar_to_world
+    return arrays
+
+
+def plan_attrs(plan: ViewPlan) -> dict[str, Any]:
+    """Attributes of the data contract on a plan."""
+    mount = None if plan.mount is None else plan.mount.reshape(-1).tolist()
+    return {"scene_rate": plan.scene_rate, "path_rate": plan.path_rate, "mount": mount}
+
+
+def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
+    """The plan of a stored view; its path is in the world.
+
+    Args:
+        path: Zarr group of one method's view.
+        attrs: Its attributes, if they are known.
+    """
+    attrs = read_attrs(path) if attrs is None else attrs
+    a = read_arrays(path, "frame", "time_s", "path_time_s")
+    own = None
+    if _PATH[0] in array_names(path, "f"):
+        knots = read_arrays(path, *_PATH)
+        own = Trajectory(knots["path_knot_s"], knots["path_to_world"], np.zeros(3))
+    mount = None if attrs["mount"] is None else np.array(attrs["mount"], np.float64).reshape(4, 4)
+    return ViewPlan(
+        path.parent.name, a["frame"], a["time_s"], mount, path_time_s=a["path_time_s"], path=own,
+        scene_rate=float(attrs["scene_rate"]), path_rate=float(attrs["path_rate"]),
+    )  # fmt: skip

@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.range_noise import measured_range_noise_m
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
+from nvsf_core.simulation.scan import measured_range_noise_m
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.camera import camera_in_lidar, image_arrays, other_image_arrays
 from nvsf_core.stages.views.lidar import own_panos, sweep_arrays
-from nvsf_core.stages.views.plan import View, reference_poses, to_world
-from nvsf_core.stages.views.stored_plan import plan_arrays, plan_attrs
+from nvsf_core.stages.views.plan import View, plan_arrays, plan_attrs, reference_poses, to_world
 
 MESH = "mesh"
 

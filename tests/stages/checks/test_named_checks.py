@@ -13,7 +13,7 @@ from assets.scenes import key_of, register
 from assets.verdicts import CHECK_NAME
 from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput, UnsoundOutputError

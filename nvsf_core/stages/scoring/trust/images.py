@@ -22,7 +22,7 @@ from nvsf_core.metrics.trust.photo_consistency import (
     parallax_curve,
 )
 from nvsf_core.recording.images import CameraImages
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.checks.norms import training_frames
 from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.runner.stage import Task

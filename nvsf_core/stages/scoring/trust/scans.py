@@ -40,7 +40,7 @@ from nvsf_core.metrics.trust.scan_statistics import (
     table_distance,
 )
 from nvsf_core.recording.sweeps import Sweeps
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import rays_return
@@ -48,7 +48,7 @@ from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
-from nvsf_core.stages.views.stored_plan import stored_plan
+from nvsf_core.stages.views.plan import stored_plan
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _LEFT_OUT = 4

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.unit_gaps import GAP_CELLS, cells_of, find_unit_gaps, places_apart
+from nvsf_core.evidence.drop_prior import GAP_CELLS, DropPrior, cells_of, find_unit_gaps, places_apart
 
 SCANS, LASERS = 8, 3
 FRACTION = ((np.arange(GAP_CELLS, dtype=np.float32) + 0.5) / GAP_CELLS - 0.5).astype(np.float32)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.moving.ground import build_ground
+from nvsf_core.evidence.moving.visibility import build_ground
 
 
 def road(generator: np.random.Generator) -> np.ndarray:
