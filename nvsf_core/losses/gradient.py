@@ -1,11 +1,19 @@
-"""Loss of differences between neighbouring ranges: the shape of surfaces, not their distance."""
+"""Loss of differences between neighbouring ranges: the shape of surfaces, not their distance.
 
+Its masks say which pixels of a pano lie on smooth surfaces, where the loss applies; not across edges.
+"""
+
+from itertools import pairwise
 from typing import Literal
 
+import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from nvsf_core.errors import ShapeError
+from nvsf_core.errors import RecipeError, ShapeError
+
+BAND_EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0)
+"""Borders of the distance bands of `mask_coverage`."""
 
 
 def gradient_loss(
@@ -45,3 +53,88 @@ def gradient_loss(
     if norm == "l1":
         return along_x.abs() * mask_x + along_y.abs() * mask_y
     return along_x**2 * mask_x + along_y**2 * mask_y
+
+
+def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
+    """M^(2) of eq. 2 of the paper: where the absolute gradient hardly changes, ||g|[k] - |g|[k + 1]| < tau.
+
+    g[k] = D[k] - D[k + 1]. The last g of a row or column is repeated, and so is the last of its changes (as
+    in the authors' code), so that the last two pixels of each always pass. A pixel without a return never
+    passes; its neighbour can.
+
+    On a plane seen at a grazing angle the gradient is large, but its change is small: the pixel passes,
+    where |g| < tau would fail. A single spike passes too: its two gradients differ in sign only.
+
+    Args:
+        range_m: (..., H, W) recorded ranges, 0 = no return.
+        threshold_m: tau, above 0.
+
+    Returns:
+        Masks (..., H, W) bool for gradients along columns (x) and along rows (y). An axis of one pixel has no
+        gradient: False throughout.
+
+    Raises:
+        RecipeError: The threshold is not above 0.
+        ShapeError: Fewer than two axes.
+    """
+    along_x, along_y = (
+        _repeat_last((g[..., :-1] - g[..., 1:]).abs() < threshold_m)
+        for g in (gradient.abs() for gradient in _gradients(range_m, threshold_m))
+    )
+    return _on_hits(along_x, along_y, range_m)
+
+
+def single_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
+    """Where the range hardly changes: |D[k] - D[k + 1]| < tau. Source: LiDAR-NeRF, with tau = 0.01 m.
+
+    Arguments, results and errors as in `double_gradient_mask`.
+    """
+    along_x, along_y = (gradient.abs() < threshold_m for gradient in _gradients(range_m, threshold_m))
+    return _on_hits(along_x, along_y, range_m)
+
+
+def gradient_mask(
+    range_m: Tensor, kind: Literal["double", "single"], threshold_m: float
+) -> tuple[Tensor, Tensor]:
+    """`double_gradient_mask` or `single_gradient_mask` of ranges (..., H, W), as a recipe names it."""
+    chosen = double_gradient_mask if kind == "double" else single_gradient_mask
+    return chosen(range_m, threshold_m)
+
+
+def mask_coverage(
+    mask: Tensor, range_m: Tensor, edges_m: tuple[float, ...] = BAND_EDGES_M
+) -> list[tuple[int, int]]:
+    """For each band of distance: the number of pixels with a return, and of those that the mask holds.
+
+    Args:
+        mask: (..., H, W) bool.
+        range_m: (..., H, W), 0 = no return.
+        edges_m: Of the bands [e0, e1), [e1, e2), ...
+
+    Returns:
+        One pair a band.
+    """
+    hit = range_m > 0
+    bands = [hit & (range_m >= low) & (range_m < high) for low, high in pairwise(edges_m)]
+    return [(int(band.sum()), int((band & mask).sum())) for band in bands]
+
+
+def _gradients(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
+    """Gradients along x (..., H, W) and along y (..., W, H); NaN along an axis of one pixel."""
+    if not threshold_m > 0.0:
+        raise RecipeError(f"gradient mask: expected a threshold above 0 m, found {threshold_m}")
+    if range_m.ndim < 2:
+        raise ShapeError(f"gradient mask: expected (..., H, W), found {tuple(range_m.shape)}")
+    return tuple(  # type: ignore[return-value]
+        _repeat_last(ranges[..., :-1] - ranges[..., 1:]) if ranges.shape[-1] > 1 else ranges * torch.nan
+        for ranges in (range_m, range_m.transpose(-1, -2))
+    )
+
+
+def _repeat_last(values: Tensor) -> Tensor:
+    return torch.cat([values, values[..., -1:]], dim=-1)
+
+
+def _on_hits(along_x: Tensor, along_y: Tensor, range_m: Tensor) -> tuple[Tensor, Tensor]:
+    hit = range_m > 0
+    return along_x & hit, along_y.transpose(-1, -2) & hit

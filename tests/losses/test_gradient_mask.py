@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import RecipeError, ShapeError
-from nvsf_core.losses.gradient_mask import (
+from nvsf_core.losses.gradient import (
     double_gradient_mask,
     gradient_mask,
     mask_coverage,

@@ -9,15 +9,16 @@ import torch
 from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.losses.chamfer import (
     chamfer_distance,
+    flow_magnitude,
     nearest_by_all_pairs,
     ray_batch_chamfer,
+    scene_flow_loss,
     squared_nearest_distances,
 )
 from nvsf_core.losses.gradient import gradient_loss
 from nvsf_core.losses.image import squared_colour_error
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
 from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
-from nvsf_core.losses.scene_flow import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import total_loss
 
 INSIDE = torch.ones(1, 2, 3, dtype=torch.bool)

@@ -11,8 +11,12 @@ from benchmarks.numerics.cases.case import Case, Reading, largest, refused
 from benchmarks.numerics.cases.references import against, by_autograd
 from benchmarks.numerics.cases.tolerances import SUM_EPS
 from nvsf_core.errors import DivergedError
-from nvsf_core.losses.chamfer import chamfer_distance, nearest_by_all_pairs, ray_batch_chamfer
-from nvsf_core.losses.scene_flow import scene_flow_loss
+from nvsf_core.losses.chamfer import (
+    chamfer_distance,
+    nearest_by_all_pairs,
+    ray_batch_chamfer,
+    scene_flow_loss,
+)
 from nvsf_core.metrics.depth import ray_depth_rmse
 from nvsf_core.metrics.elementwise import PSNR_CAP_DB, median_abs_error, psnr, rmse
 from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
@@ -227,7 +231,7 @@ CASES = (
     Case("losses.chamfer.nearest_by_all_pairs", "at the origin and 3.8 km out", _all_pairs, 1e-5,
          "m farther than the nearest"),
     Case("losses.chamfer.ray_batch_chamfer", "64 rays, no return", _no_return, 0.0, "m²"),
-    Case("losses.scene_flow.scene_flow_loss", "no neighbour, empty clouds, one neighbour", _no_neighbour),
+    Case("losses.chamfer.scene_flow_loss", "no neighbour, empty clouds, one neighbour", _no_neighbour),
     Case(_CLOUD, "two clouds at 0 and 5e6 m out", _far_metrics, 1e-8, "m²"),
     Case(_CLOUD, "1e6 points against 1e6", _lattice, 1e-12, "m²"),
     _measured("identical", _POINT, _POINT, 0.0, 1.0),

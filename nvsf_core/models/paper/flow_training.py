@@ -10,7 +10,7 @@ from torch import Tensor
 
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.fields.flow import FlowField
-from nvsf_core.losses.scene_flow import flow_magnitude, scene_flow_loss
+from nvsf_core.losses.chamfer import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.training.loop import Part, TrainingState, train

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.losses.chamfer import ray_batch_chamfer
-from nvsf_core.losses.gradient import gradient_loss
-from nvsf_core.losses.gradient_mask import gradient_mask
+from nvsf_core.losses.gradient import gradient_loss, gradient_mask
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
 from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
 from nvsf_core.losses.total import LossBreakdown, total_loss
