@@ -181,7 +181,7 @@ def find_cells(
 
 
 def places_apart(position_m: np.ndarray, most: int) -> np.ndarray:
-    """Numbers (k,) of at most `most` scans whose sensors (n, 3) stand at least a metre apart in turn."""
+    """Numbers (k,) of at most `most` scans, each at least a metre from the one before; positions (n, 3)."""
     chosen = list[int]()
     for number, position in enumerate(position_m):
         if not chosen or np.linalg.norm(position - position_m[chosen[-1]]) >= _APART_M:
@@ -216,6 +216,6 @@ def find_unit_gaps(prior: DropPrior, scans: np.ndarray, is_met: np.ndarray) -> n
 
 
 def cells_of(fraction: np.ndarray, cells: int) -> np.ndarray:
-    """Cells (f,) int64, of so many around the sensor, of sweep fractions (f,) -0.5..0.5."""
+    """Cell numbers (f,) int64 of sweep fractions (f,) -0.5..0.5; a sweep has `cells` cells."""
     found: np.ndarray = np.clip(np.floor((fraction + 0.5) * cells), 0, cells - 1).astype(np.int64)
     return found
