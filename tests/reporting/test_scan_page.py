@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from nvsf_core.rendering.support import Support
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.scan_page.clouds import RECORDED, Cloud, Instant
 from nvsf_core.reporting.scan_page.page import MOST_BYTES, scan_page
 from tests.browser import open_page
