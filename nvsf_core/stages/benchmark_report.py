@@ -10,6 +10,7 @@ from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
 from nvsf_core.stages import STAGE_NAMES
+from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import publish_folder, published
 
@@ -55,7 +56,8 @@ def make_benchmark_report(
     # Curves of scenes that this home never trained would only look like its own.
     shown = {scene.name for scene in scenes}
     try:
-        with publish_folder(target) as folder:
+        lock = file_lock(home / LOCKS / f"{target.name}.lock", _silent, "another run's report")
+        with lock, publish_folder(target) as folder:
             written = write_report(folder, scenes, no_data, speed_section(curves, shown))
             (folder / _SOURCE).write_text(source)
     except OSError as error:
@@ -80,6 +82,10 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
     code = [*sorted(_REPORTING.glob("*.py")), Path(__file__)]
     state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
     return hashlib.sha256(repr((list(names), said, sorted(state))).encode()).hexdigest()
+
+
+def _silent(line: str) -> None:
+    """A page takes seconds: who waits for one need not be told."""
 
 
 def _written(path: Path) -> str | None:

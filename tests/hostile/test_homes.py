@@ -225,11 +225,17 @@ def test_a_flipped_bit_anywhere_in_a_table_never_becomes_a_value(tmp_path: Path)
     assert refused > 0.1 * len(whole) / 3
 
 
-def test_a_stage_never_reads_an_input_that_is_not_what_was_published(run: SceneRun) -> None:
-    harm.flip(_first_chunk(run.store.path(RETURNS)))
+@pytest.mark.parametrize("harmed", ["chunk", "stage.json"])
+def test_a_stage_never_reads_an_input_that_is_not_what_was_published(run: SceneRun, harmed: str) -> None:
+    content = _first_chunk(run.store.path(RETURNS)).read_bytes()
+    path = _first_chunk(run.store.path(RETURNS)) if harmed == "chunk" else run.store.path("sweeps") / harmed
+    harm.flip(path) if harmed == "chunk" else harm.cut(path)
     shutil.rmtree(run.store.path("pano"))
-    with pytest.raises(StoreError, match="is not what was published; run the stage sweeps again"):
-        run_named_stage("pano", run, lambda line: None)
+    said: list[str] = []
+    run_named_stage("pano", run, said.append)
+    assert any("pano: its input sweeps is made again first" in line for line in said), said
+    assert _first_chunk(run.store.path(RETURNS)).read_bytes() == content
+    assert _prepare(run) == []
 
 
 @pytest.mark.parametrize("part", ["metadata", "previews", "checks", "files"])

@@ -177,7 +177,7 @@ def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path, monkeypatch
     with pytest.raises(StoreError, match="No space left"):
         make_benchmark_report(tmp_path, ["street"], {"street": "out of memory"}, [])
     assert (tmp_path / "benchmark_report" / "index.html").read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".publishing")] == []
 
 
 def test_a_page_is_made_again_only_where_something_that_it_is_made_from_changed(tmp_path: Path) -> None:
