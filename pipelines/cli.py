@@ -156,7 +156,9 @@ def scenes() -> None:
 
 @main.command()
 @click.argument("names", nargs=-1, metavar="[SCENES]...")
-@click.option("--mend", is_flag=True, help="Make damaged data sets anew, where nothing of theirs has changed.")
+@click.option(
+    "--mend", is_flag=True, help="Make damaged data sets anew, where nothing of theirs has changed."
+)
 def verify(names: Sequence[str], mend: bool) -> None:
     """Read every byte of SCENES anew (default: all that are trained), and say what is up to date.
 

@@ -53,7 +53,7 @@ def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progres
         progress: Receives progress lines.
 
     Returns:
-        Whether it is whole now. If the model, the drive or the code has changed since, it cannot be made again.
+        Whether it is whole now. It cannot be made again if the model, the drive or the code has changed.
 
     Raises:
         NvsfError: A stage failed.
@@ -62,7 +62,8 @@ def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progres
         # As `Stage.location` names it: <recipe>/<seed>-<draw seed>-<label>.
         seed, draw_seed, label = folder.name.split("-", 2)
         run = plan_run(
-            scene, home, recipe=folder.parent.name, seed=int(seed), draw_seed=int(draw_seed), dataset_label=label
+            scene, home, recipe=folder.parent.name, seed=int(seed), draw_seed=int(draw_seed),
+            dataset_label=label,
         )  # fmt: skip
         try:
             run_named_stage("dataset", run, progress)

@@ -201,4 +201,4 @@ def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_
         folder.rename(folder.with_name(f"lost_{array}"))
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert "street failed: what was published cannot be read" in text
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".publishing")] == []

@@ -1,4 +1,4 @@
-"""The manifest of a data set: sealed, so that each version says by itself whether it is as it was published."""
+"""The manifest of a data set: sealed, so that a version says by itself whether it is as it was published."""
 
 import hashlib
 import json

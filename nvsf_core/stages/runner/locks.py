@@ -52,7 +52,9 @@ def file_lock(path: Path, progress: Progress, awaited: str, *, shared: bool = Fa
 
 
 @contextlib.contextmanager
-def output_locks(folder: Path, written: str | None, read: Iterable[str], progress: Progress) -> Iterator[None]:
+def output_locks(
+    folder: Path, written: str | None, read: Iterable[str], progress: Progress
+) -> Iterator[None]:
     """Hold the locks of outputs that are read and, if one is, of the one that is written.
 
     All processes take them in the order of the flow, so that none waits for another that waits for it.
