@@ -11,13 +11,13 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from nvsf_core.errors import StoreError
 from nvsf_core.names import RESERVED_SCENES, name_fault
-from nvsf_core.stores.writers import is_left, is_mark, own_mark
+from nvsf_core.stores.writers import is_left, mark_of, own_mark
 
 _TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
@@ -228,22 +228,23 @@ def _retire(target: Path) -> Path | None:
 
 def _sweep_leftovers(target: Path) -> None:
     """Clean up after a killed writer: restore a retired folder, remove temporary ones of dead processes."""
-    for retired, _ in _leftovers(target, _RETIRED, lambda ending: bool(_CHANCE.fullmatch(ending))):
+    for retired in _retired(target):
         if target.exists():
             _remove(retired)
         else:
             _put_back(retired, target)
-    for temporary, mark in _leftovers(target, _TEMPORARY, is_mark):
-        if is_left(mark, temporary):
+    # Of every output in the folder: what was left of a version that is never made again would stay for ever.
+    for temporary in target.parent.glob(f"{_TEMPORARY}*"):
+        mark = mark_of(temporary.name)
+        if mark is not None and is_left(mark, temporary):
             _remove(temporary)
 
 
-def _leftovers(target: Path, prefix: str, is_ending: Callable[[str], bool]) -> list[tuple[Path, str]]:
-    """Hidden folders of this target, not of one whose name only begins alike (`left` and `left-2`)."""
-    start = f"{prefix}{target.name}-"
+def _retired(target: Path) -> list[Path]:
+    """Retired folders of this target, not of one whose name only begins alike (`left` and `left-2`)."""
+    start = f"{_RETIRED}{target.name}-"
     hidden = [path for path in target.parent.iterdir() if path.name.startswith(start)]
-    found = [(path, path.name.removeprefix(start)) for path in hidden]
-    return [(path, ending) for path, ending in found if is_ending(ending)]
+    return [path for path in hidden if _CHANCE.fullmatch(path.name.removeprefix(start))]
 
 
 def _remove(path: Path) -> None:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 FORGOTTEN_S = 86_400.0
 """Age after which what a writer elsewhere left counts as left by a dead one."""
-_MARK = re.compile(r"([0-9a-f]{8})-(\d{1,10})-(\d{1,20})-[0-9a-f]{8}")
+_MARK = re.compile(r"([0-9a-f]{8})-(\d{1,10})-(\d{1,20})-[0-9a-f]{8}$")
 """Machine, process id, start of the process in ticks, random digits."""
-_EARLIER = re.compile(r"\d{1,10}-[0-9a-f]{8}")
+_EARLIER = re.compile(r"\d{1,10}-[0-9a-f]{8}$")
 """The mark of NVSF 0.1: process id, random digits."""
 _DEAD_STATES = ("Z", "X")
 
@@ -26,9 +26,10 @@ def own_mark() -> str:
     return f"{_machine()}-{os.getpid()}-{_process(os.getpid())[1]}-{uuid.uuid4().hex[:8]}"
 
 
-def is_mark(text: str) -> bool:
-    """Whether a text is a writer's mark."""
-    return bool(_MARK.fullmatch(text) or _EARLIER.fullmatch(text))
+def mark_of(name: str) -> str | None:
+    """The writer's mark that a name ends with; None if it has none."""
+    found = _MARK.search(name) or _EARLIER.search(name)
+    return None if found is None else found[0]
 
 
 def is_left(mark: str, folder: Path) -> bool:
