@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.sensors.bonnet import Bonnet
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
@@ -30,12 +31,13 @@ class Sweeps:
         return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
 
     def is_of_world(self, chosen: slice = slice(None)) -> np.ndarray:
-        """(m,) bool: whether chosen returns are neither on the own vehicle nor beyond the sensor's range.
+        """(m,) bool: whether chosen returns show the world, within the sensor's range.
 
-        This is the only place that excludes the own vehicle.
+        This is the only place that excludes the own vehicle, and what its bonnet mirrors.
         """
         a = self.arrays
-        world: np.ndarray = ~a["is_own_vehicle"][chosen] & (a["range_m"][chosen] < self.table.max_range_m)
+        own = a["is_own_vehicle"][chosen] | a["is_mirrored"][chosen]
+        world: np.ndarray = ~own & (a["range_m"][chosen] < self.table.max_range_m)
         return world
 
     def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
@@ -43,6 +45,12 @@ class Sweeps:
         laser = self.arrays["laser"][chosen]
         gain = np.where(laser >= 0, self.table.intensity_gain[laser], 1.0)
         return (self.arrays["intensity"][chosen] / gain).astype(np.float32)
+
+    @property
+    def bonnet(self) -> Bonnet | None:
+        """The recording car's bonnet; None where it mirrored nothing."""
+        shape = self.arrays.get("bonnet_shape")
+        return None if shape is None else Bonnet(shape)
 
     @property
     def count(self) -> int:
@@ -71,7 +79,7 @@ def training_returns(sweeps: Sweeps) -> TimedReturns:
         point_m=a["origin_m"][kept] + a["direction"][kept] * a["range_m"][kept, None],
         recorded_m=a["points_m"][kept],
         laser=a["laser"][kept],
-        is_own_vehicle=a["is_own_vehicle"][kept],
+        is_own_vehicle=a["is_own_vehicle"][kept] | a["is_mirrored"][kept],
         time_s=np.repeat(a["time_s"], lengths)[kept] + lag_s,
         offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
         scan_time_s=a["time_s"][sweeps.is_training],

@@ -12,6 +12,7 @@ from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.footprint import render_beams
 from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.lidar_support import support_of_sweep
+from nvsf_core.simulation.mirrored import add_mirrored
 from nvsf_core.simulation.ray_renderers import render_in_chunks
 from nvsf_core.simulation.scan import (
     RenderedSweep,
@@ -133,6 +134,8 @@ def fire_sweep(
         rendered = measured_when_stationary(rendered, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
     if plan.is_recorded_sensor:
         rendered = put_back_own_vehicle(rendered, rays, evidence)
+    if is_in_place and not model.as_recorded:
+        rendered = add_mirrored(rendered, rays, lidar, model.lidar, time_s, leave_out_s=leave_out_s)
     return rays, rendered
 
 

@@ -10,6 +10,7 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.scans import read_scan
 from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.reporting.previews import scan_top_view
+from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
 from nvsf_core.sensors.sweep import compensate, trajectory_of
@@ -58,6 +59,7 @@ def _run(task: Task) -> StageOutput:
     correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
     rays = _placed(task, posed, scans, drive, correction_rad)
     arrays = _arrays(scans, rays, _learn_own_vehicle(scans, rays, np.array(drive["scene_origin_m"])))
+    arrays |= _mirrored(scans)
     arrays |= _laser_errors(scans, arrays)
     evidence = _evidence(scans, sources)
     attrs = {
@@ -126,6 +128,17 @@ def _learn_own_vehicle(scans: list[_Scan], rays: list[_Rays], scene_origin_m: np
     return learn_own_vehicle(SENSOR, placed, cells)
 
 
+def _mirrored(scans: list[_Scan]) -> dict[str, np.ndarray]:
+    """The bonnet, learned from training scans, and which returns of all scans it mirrored."""
+    returns = [ScanReturns(scan.points_m, scan.timing.laser) for scan in scans]
+    is_training = [scan.row["split"] == "train" for scan in scans]
+    bonnet = fit_bonnet(SENSOR, [one for one, is_used in zip(returns, is_training, strict=True) if is_used])
+    if bonnet is None:
+        return {"is_mirrored": np.zeros(sum(len(one.laser) for one in returns), np.bool_)}
+    mirrored = [bonnet.is_mirrored(SENSOR, one) for one in returns]
+    return {"is_mirrored": _joined(mirrored, np.bool_), "bonnet_shape": bonnet.shape}
+
+
 def _arrays(scans: list[_Scan], rays: list[_Rays], own: OwnVehicle) -> dict[str, np.ndarray]:
     counts = [len(scan.points_m) for scan in scans]
     poses = np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
@@ -169,7 +182,7 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
 def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Range bias and intensity gain of each laser, learned from training scans; all ranges without bias."""
     of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
-    used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"])
+    used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"] & ~arrays["is_mirrored"])
     bias_m = learn_range_bias(
         arrays["origin_m"][used], arrays["direction"][used], arrays["range_m"][used], arrays["laser"][used],
         SENSOR.laser_count,
@@ -241,6 +254,7 @@ def _output(
             "laser_source": attrs["laser_source"],
             "laser_evidence": attrs["laser_evidence"],
             "own_vehicle_returns_per_scan": float(own_per_scan),
+            "mirrored_returns_per_scan": float(arrays["is_mirrored"].sum() / len(scans)),
             "map_thickness_m": _thickness(arrays),
             "compensated": attrs["compensated"],
             "sweep_period_s": drive["sweep_period_s"],
@@ -313,7 +327,7 @@ STAGE = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="7",
+    version="8",
     run=_run,
     reads_drive=True,
     check=check_registration,

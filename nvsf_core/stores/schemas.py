@@ -114,6 +114,12 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("laser_range_bias_m", "f8", ("lasers",), "m", "what its recorded ranges are too long by"),
             Entry("laser_intensity_gain", "f8", ("lasers",), "1", "what its intensities are too high by"),
             Entry("is_own_vehicle", "bool", ("returns",), "", "whether the recording car itself was hit"),
+            Entry("is_mirrored", "bool", ("returns",), "", "whether the recording car's bonnet mirrored it"),
+            Entry(
+                "bonnet_shape", "f8", ("terms",), "m",
+                "z = c0 + c1 x + c2 y + c3 x^2 + c4 y^2, sensor's frame; absent where nothing is mirrored",
+                optional=True,
+            ),
             Entry(
                 "own_vehicle_range_m", "f4", ("lasers", "azimuth_cells"), "m",
                 "median over training scans, from the sensor's centre; 0 = not the own vehicle",

@@ -20,7 +20,7 @@ class TimedReturns:
     laser: np.ndarray
     """(N,) int16, 0 on top, -1 unknown."""
     is_own_vehicle: np.ndarray
-    """(N,) bool: on the recording car, which moves with the sensor."""
+    """(N,) bool: on the recording car, which moves with the sensor, or mirrored by it."""
     time_s: np.ndarray
     """(N,) float64, each return's own instant."""
     offsets: np.ndarray

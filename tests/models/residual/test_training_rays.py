@@ -63,6 +63,7 @@ def drive() -> LidarRecording:
     )  # fmt: skip
     arrays = {
         "time_s": instants, "offsets": offsets, "is_own_vehicle": np.zeros(len(scan), bool),
+        "is_mirrored": np.zeros(len(scan), bool),
         "laser": np.zeros(len(scan), np.int16), "range_m": range_m, "intensity": intensity,
         "sweep_fraction": fraction.astype(np.float32), "origin_m": rays[0], "direction": direction,
     }  # fmt: skip
