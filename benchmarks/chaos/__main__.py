@@ -17,11 +17,18 @@ from pathlib import Path
 from benchmarks.chaos.aftermath import Ledger, ledger_of, left_behind, losses, next_run
 from benchmarks.chaos.document import Row, write_document_of
 from benchmarks.chaos.event import Event, Random
-from benchmarks.chaos.events import disks, files, kills, limits, twice
+from benchmarks.chaos.events import daemons, disks, files, kills, limits, twice
 from benchmarks.chaos.instance import hanging
 from benchmarks.chaos.world import LONGEST_RUN_S, World, made_world
 
-EVENTS = [*kills.EVENTS, *disks.EVENTS, *files.EVENTS, *twice.EVENTS, *limits.EVENTS]
+EVENTS = [
+    *kills.EVENTS,
+    *disks.EVENTS,
+    *files.EVENTS,
+    *twice.EVENTS,
+    *limits.EVENTS,
+    *daemons.EVENTS,
+]
 
 
 def main() -> int:
@@ -30,11 +37,13 @@ def main() -> int:
     minutes, seed = float(os.environ.get("MINUTES") or 60.0), int(os.environ.get("SEED") or 0)
     only = os.environ.get("ONLY", "").split()
     chance, started_s = random.Random(seed), time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="nvsf-chaos-") as folder:
-        with made_world(Path(folder), bare=is_short) as world:
-            events = [event for event in _possible(world) if not only or event.name in only]
-            chosen = iter(events) if is_short else _chosen(events, chance, started_s + 60 * minutes)
-            rows = list(_rows(world, chosen, chance))
+    with (
+        tempfile.TemporaryDirectory(prefix="nvsf-chaos-") as folder,
+        made_world(Path(folder), bare=is_short) as world,
+    ):
+        events = [event for event in _possible(world) if not only or event.name in only]
+        chosen = iter(events) if is_short else _chosen(events, chance, started_s + 60 * minutes)
+        rows = list(_rows(world, chosen, chance))
     faults = [f"{row['event']}: {row['how']}: {fault}" for row in rows for fault in row["faults"]]
     print(f"{len(rows)} events, {len(faults)} faults", *faults, sep="\n")
     if not is_short and not only:
@@ -69,9 +78,11 @@ def _rows(world: World, events: Iterator[Event], chance: Random) -> Iterator[Row
             faults.append(f"expected to be told {harm.expected!r}, found {harm.said[-800:]!r}")
         faults += _after(world, before)
         seconds = time.monotonic() - started_s
-        row = {"event": event.name, "what": event.what, "how": harm.how, "seconds": seconds, "faults": faults}
-        print(f"{seconds:5.0f} s  {event.name}: {harm.how}: {'; '.join(faults) or 'nothing lost'}", flush=True)
-        yield row
+        outcome = "; ".join(faults) or "nothing lost"
+        print(f"{seconds:5.0f} s  {event.name}: {harm.how}: {outcome}", flush=True)
+        yield {
+            "event": event.name, "what": event.what, "how": harm.how, "seconds": seconds, "faults": faults
+        }  # fmt: skip
 
 
 def _after(world: World, before: Ledger) -> Iterator[str]:

@@ -8,7 +8,10 @@ from assets.factory import DEVICE_POOL
 from benchmarks.chaos.world import World
 from pipelines.reaper import reap
 
-_ENDED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
+_AT_WORK = [
+    dg.DagsterRunStatus.QUEUED, dg.DagsterRunStatus.STARTING, dg.DagsterRunStatus.STARTED,
+    dg.DagsterRunStatus.CANCELING,
+]  # fmt: skip
 
 
 def hanging(world: World) -> Iterator[str]:
@@ -27,3 +30,9 @@ def newest_run(world: World, job: str | None = None) -> tuple[str, str]:
     with dg.DagsterInstance.from_config(str(world.instance)) as instance:
         runs = instance.get_runs(dg.RunsFilter(job_name=job), limit=1)
         return (runs[0].run_id, runs[0].status.value) if runs else ("", "")
+
+
+def waits_or_runs(world: World) -> bool:
+    """Whether any run waits or is at work."""
+    with dg.DagsterInstance.from_config(str(world.instance)) as instance:
+        return bool(instance.get_runs(dg.RunsFilter(statuses=_AT_WORK), limit=1))

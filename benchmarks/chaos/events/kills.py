@@ -5,7 +5,7 @@ from benchmarks.chaos.processes import Running, descendants, kill, words_of
 from benchmarks.chaos.world import LONGEST_RUN_S, World
 
 _A_RUN_S = 45.0
-_A_BARE_RUN_S = 2.0
+_A_BARE_RUN_S = 1.5
 _GOES_ON = r"dagster/job|died twice|report  |RUN_SUCCESS|next: open the report"
 
 
