@@ -35,6 +35,7 @@ from nvsf_core.stages.exports.records import BoxRecord
 from nvsf_core.stages.exports.write import write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
+from nvsf_core.stages.runner.code_commit import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -109,6 +110,7 @@ def _run(task: Task) -> StageOutput:
                     **identity_of(task, view, version),
                     "drawn": rendered_view.what_was_sampled(),
                     "software": _software(),
+                    "rendered_from": _rendered_from(task),
                     "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
                     "source_checksums": sources,
                     **write_data_set(folder, rendered_view, boxes_of(task, arrays["time_s"])),
@@ -212,7 +214,7 @@ def _field_metrics(task: Task) -> list[dict[str, Any]]:
 
 
 def _software() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
+    versions = {"nvsf": code_commit(), "python": platform.python_version()}
     for name in _PACKAGES:
         try:
             versions[name] = importlib.metadata.version(name)
