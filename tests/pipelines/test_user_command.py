@@ -1,16 +1,20 @@
 """The user's own command on the tiny drive, and what may follow it."""
 
 import json
+import os
 import shutil
 import sys
 
 import pytest
 
-from nvsf_core.stages import find_scene, plan_run
+from nvsf_core.stages import find_scene, plan_run, run_named_stage
 from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
 from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.schemas import CONTRACT, violations
+from tests.hostile import harm
 
 pytestmark = pytest.mark.cli
 COMMAND = ("dagster", "job", "execute", "-j", "train_all_scenes")
@@ -123,6 +127,41 @@ def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(run_process, train
     after = {path.name for path in versions.iterdir()}
     assert before < after and [name.startswith("2026-W47-") for name in after - before] == [True]
     assert "field: up to date, skipped" in done.stderr
+
+
+def _data_sets(home):
+    found = (home / "tiny" / "dataset").glob("[!.]*/*/**/*")
+    return {path: path.read_bytes() for path in found if path.is_file()}
+
+
+def test_a_whole_version_is_not_written_again(trained):
+    before = {path: path.stat().st_ino for path in _data_sets(trained)}
+    # As after a kill before the index was published.
+    (trained / "tiny/dataset/.index/smoke/0-0-manual/stage.json").unlink()
+    assert not run_named_stage("dataset", plan_run(find_scene("tiny"), trained), str).skipped
+    assert {path: path.stat().st_ino for path in before} == before
+
+
+def _other_seed(manifest):
+    manifest.write_text(manifest.read_text().replace('"seed": 0', '"seed": 1', 1))
+
+
+def test_a_damaged_file_of_any_version_is_found_and_made_anew(run_process, trained, tiny_catalogue):
+    before = _data_sets(trained)
+    scan, manifest = (next(path for path in before if path.name.endswith(end) and "W47" in str(path))
+                      for end in (".bin", "manifest.json"))  # fmt: skip
+    for path, done_to in ((manifest, _other_seed), (scan, os.unlink), (scan, harm.flip)):
+        done_to(path)
+        (damaged,) = [one for one in versions_of(SceneStore(trained, "tiny")) if damage_of_version(one)]
+        assert damage_of_version(damaged) == str(path)
+        if done_to is not harm.flip:
+            assert make_anew(find_scene("tiny"), trained, damaged, str)
+    done = run_process(
+        "nvsf", "verify", "tiny", "--mend", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained)
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("made anew") == 1 and done.stdout.count("whole") == 3, done.stdout
+    assert _data_sets(trained) == before, "byte for byte"
 
 
 def test_dg_launch_works_bare(run_process, trained, tiny_catalogue):
