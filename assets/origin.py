@@ -28,10 +28,12 @@ def say_whose_run_it_is(instance: dg.DagsterInstance, run_id: str) -> None:
     run = None if instance.is_ephemeral else instance.get_run_by_id(run_id)
     if run is None or run.remote_job_origin is not None:
         return
+    # The tags first: what replaces the origin only changes the row of a tag that is there.
+    instance.add_run_tags(run_id, {_REPOSITORY_TAG: f"{_REPOSITORY}@{LOCATION}", TERMINAL_TAG: "terminal"})
+    run = instance.get_run_by_id(run_id) or run
     target = LoadableTargetOrigin(
         executable_path=sys.executable, module_name=MODULE, working_directory=os.getcwd()
     )
     location = ManagedGrpcPythonEnvCodeLocationOrigin(target, location_name=LOCATION)
     origin = RemoteJobOrigin(RemoteRepositoryOrigin(location, _REPOSITORY), run.job_name)
     instance.run_storage.replace_job_origin(run, origin)
-    instance.add_run_tags(run_id, {_REPOSITORY_TAG: f"{_REPOSITORY}@{LOCATION}", TERMINAL_TAG: "terminal"})

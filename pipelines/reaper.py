@@ -14,7 +14,7 @@ import dagster as dg
 HOST_TAG = "nvsf/host"
 """Tag of a run: `<host name>/<boot id>` of the machine of its processes."""
 CLOCK_TAG = "nvsf/started_s"
-"""Tag of a run: when its machine was started, by the clock of then; a clock that was set since tells another."""
+"""Tag of a run: when its machine was started by the clock of then; one that was set since tells another."""
 _LOCAL_EXECUTORS = ("", "in_process", "multiprocess")
 _QUIET_S = 60.0
 """A run may have no process for a moment, for example while the next step starts."""

@@ -232,7 +232,7 @@ def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
 def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> None:
-    """Fail the run if there are recorded failures; the user's command is called, if no daemon may be there."""
+    """Fail the run if there are recorded failures; the user's command is called by a terminal's run."""
     if failures and (context.instance.is_ephemeral or _is_of_terminal(context)):
         failure = {
             "run_id": context.run_id,
