@@ -9,7 +9,7 @@ from typing import Any
 import dagster as dg
 
 COMMAND_VARIABLE = "NVSF_ON_FAILURE"
-TOLD_TAG = "nvsf/failure_told"
+CALLED_TAG = "nvsf/failure_command"
 """Tag of a run that has called the command itself, as a terminal's run does: a daemon need not be there."""
 _LONGEST_S = 60.0
 _MOST_WORDS = 4000
@@ -44,7 +44,7 @@ def call_command(failure: dict[str, Any]) -> str:
 def failure_command(context: dg.RunFailureSensorContext) -> dg.SkipReason:
     """Call the command for a failed run, unless it has called it itself."""
     run, event = context.dagster_run, context.failure_event
-    if TOLD_TAG in run.tags:
+    if CALLED_TAG in run.tags:
         return dg.SkipReason(f"run {run.run_id} has called it itself")
     words = [event.message or "", *_step_errors(context)]
     failure = {

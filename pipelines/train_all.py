@@ -29,7 +29,7 @@ from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
-from pipelines.failures import TOLD_TAG, call_command
+from pipelines.failures import CALLED_TAG, call_command
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
@@ -242,7 +242,7 @@ def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> N
         }
         context.log.info(call_command(failure))
         if not context.instance.is_ephemeral:
-            context.instance.add_run_tags(context.run_id, {TOLD_TAG: "yes"})
+            context.instance.add_run_tags(context.run_id, {CALLED_TAG: "yes"})
     if failures:
         raise dg.Failure(
             description=f"{len(failures)} scene(s) failed: " + " | ".join(failures), allow_retries=False

@@ -75,7 +75,7 @@ def _rows(world: World, events: Iterator[Event], chance: Random) -> Iterator[Row
         harm = event.harm(world, chance)
         faults = []
         if harm.expected and not re.search(harm.expected, harm.said):
-            faults.append(f"expected to be told {harm.expected!r}, found {harm.said[-800:]!r}")
+            faults.append(f"expected the words {harm.expected!r}, found {harm.said[-800:]!r}")
         faults += _after(world, before)
         seconds = time.monotonic() - started_s
         outcome = "; ".join(faults) or "nothing lost"

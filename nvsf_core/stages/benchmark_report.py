@@ -88,7 +88,7 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
 
 
 def _silent(line: str) -> None:
-    """A page takes seconds: who waits for one need not be told."""
+    """A page takes seconds: who waits for one needs no words."""
 
 
 def _written(path: Path) -> str | None:

@@ -29,7 +29,7 @@ def home(tmp_path_factory):
 def first_run(run_process, tiny_catalogue, home):
     return run_process(
         *COMMAND, DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_SCENES=str(tiny_catalogue),
-        NVSF_HOME=str(home),
+        NVSF_HOME=str(home), NVSF_LOG_FILE=str(home / "log.jsonl"),
     )  # fmt: skip
 
 
@@ -179,7 +179,24 @@ def _dagster_home(home):
     return folder
 
 
-def test_a_run_registers_its_scenes_as_partitions(run_process, trained):
-    code = "import dagster as dg; print(dg.DagsterInstance.get().get_dynamic_partitions('scenes'))"
-    said = run_process(sys.executable, "-c", code, DAGSTER_HOME=str(_dagster_home(trained)))
-    assert said.stdout.strip().endswith("['tiny']"), "launched by dg, in the test above"
+LAUNCHED = """
+import dagster as dg
+instance = dg.DagsterInstance.get()
+(run,) = instance.get_runs(dg.RunsFilter(tags={".dagster/repository": "__repository__@nvsf"}))
+print(run.remote_job_origin.location_name, run.tags["nvsf/started_by"], run.status.value)
+print(instance.get_dynamic_partitions("scenes"))
+"""
+
+
+def test_a_run_of_the_terminal_is_of_the_code_location_and_registers_its_scenes(run_process, trained):
+    done = run_process(sys.executable, "-c", LAUNCHED, DAGSTER_HOME=str(_dagster_home(trained)))
+    said = done.stdout.splitlines()[-2:]
+    assert said == ["nvsf terminal SUCCESS", "['tiny']"], f"launched by dg, in the test above: {done.stderr}"
+
+
+def test_logs_as_json_lines_say_scene_stage_and_run(first_run, home):
+    lines = [json.loads(line) for line in (home / "log.jsonl").read_text().splitlines()]
+    (done,) = [line for line in lines if line.get("stage") == "field" and "seconds" in line]
+    assert (done["scene"], done["partition"], done["level"]) == ("tiny", "tiny", "info")
+    assert done["job"] == "train_all_scenes" and done["step"].startswith("field_of_scene")
+    assert done["peak_memory_mb"] > 100.0 and {"read_mb", "written_mb", "run_id", "time"} <= done.keys()

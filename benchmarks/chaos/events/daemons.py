@@ -59,11 +59,11 @@ def kill_webserver(world: World, random: Random) -> Harm:
     run.sleep(random.uniform(0.0, 20.0))
     server.kill()
     server = _webserver(world, port)
-    answers = _answers(port)
+    serves = _serves(port)
     code = run.wait(LONGEST_RUN_S)
     _stop(server)
-    words = f"the run ends with {code}, the new webserver {'answers' if answers else 'is silent'}"
-    return Harm(words, words, "with 0, .* answers")
+    words = f"the run ends with {code}, the new webserver {'serves' if serves else 'does not serve'}"
+    return Harm(words, words, "with 0, .* webserver serves")
 
 
 def _daemon(world: World) -> Running:
@@ -75,12 +75,12 @@ def _webserver(world: World, port: int) -> Running:
     command = [sys.executable, "-m", "dagster_webserver", *_MODULE, "-h", "127.0.0.1", "-p", str(port)]
     server = world.launch(command, "webserver")
     until_s = time.monotonic() + 120.0
-    while server.is_alive and not _answers(port) and time.monotonic() < until_s:
+    while server.is_alive and not _serves(port) and time.monotonic() < until_s:
         time.sleep(0.5)
     return server
 
 
-def _answers(port: int) -> bool:
+def _serves(port: int) -> bool:
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/server_info", timeout=5.0) as answer:
             return bool(answer.status == 200)

@@ -13,7 +13,7 @@ from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
 from nvsf_core.stages.runner.record import RECORD_NAME, content_of, damage_of, listed_files, read_record
-from nvsf_core.stages.runner.resources import Meter
+from nvsf_core.stages.runner.resources import Meter, in_words
 from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.file_hashes import FileHashes
@@ -148,7 +148,7 @@ def run_stage(place: StagePlace, progress: Progress) -> Outcome:
     require_space(stage, task(path))
     progress(f"{name}: started")
     record = _publish(place, found, task)
-    progress(f"{name}: done in {record['seconds']:.1f} s")
+    progress(f"{name}: done in {record['seconds']:.1f} s, {in_words(record['resources'])}")
     return outcome_of(stage, path, record, skipped=False)
 
 
