@@ -33,7 +33,7 @@ def mark_of(name: str) -> str | None:
 
 
 def is_left(mark: str, folder: Path) -> bool:
-    """Whether the writer of a folder is dead: gone from this machine, or elsewhere and a day without a change."""
+    """Whether the writer of a folder is dead: gone from here, or elsewhere without a change for a day."""
     found = _MARK.fullmatch(mark)
     if found is None or found[1] != _machine():
         return time.time() - _newest_s(folder) > FORGOTTEN_S
