@@ -246,9 +246,11 @@ def doctor() -> None:
 def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
     """Run Dagster's job over the scenes in its own process, as `make train` does; returns its exit code."""
     from nvsf_core.drives.catalogue import home_from_environment
+    from nvsf_core.stores.scene_store import require_home
 
     home = home_from_environment(os.environ)
     chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
+    require_home(home)  # first: Dagster, whose history lies there, would say less of what is wrong
     place = Path(os.environ.get("DAGSTER_HOME") or home / "dagster").absolute()
     environment = os.environ | chosen | {
         "DAGSTER_HOME": str(place), "DAGSTER_MODULE_NAME": "pipelines.definitions",

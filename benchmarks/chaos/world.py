@@ -78,7 +78,7 @@ class World:
             "NVSF_HOME": str(self.home), "DAGSTER_HOME": str(self.instance), "NVSF_THREADS": "1",
             "NVSF_SCENES": str(self.folder / "scenes.toml"), "SEED": str(self.seed), "SCENES": SCENE,
             "DAGSTER_MODULE_NAME": "pipelines.definitions", "DAGSTER_DISABLE_TELEMETRY": "1",
-            "PYTHONPATH": str(places.ROOT), "PYTHONWARNINGS": "ignore", **more,
+            "PYTHONPATH": str(places.ROOT), "PYTHONWARNINGS": "ignore", "NVSF_EXECUTOR": "in_process", **more,
         }  # fmt: skip
 
     def start(self, prefix: tuple[str, ...] = (), **more: str) -> Running:

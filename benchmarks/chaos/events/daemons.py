@@ -68,7 +68,8 @@ def kill_webserver(world: World, random: Random) -> Harm:
 
 def _daemon(world: World) -> Running:
     command = [sys.executable, "-m", "dagster._daemon", "run", *_MODULE]
-    return world.launch(command, "daemon", NVSF_AUTOMATE="1", NVSF_QUIET_S="0", SEED="")
+    more = {"NVSF_AUTOMATE": "1", "NVSF_QUIET_S": "0", "NVSF_EXECUTOR": "multiprocess", "SEED": ""}
+    return world.launch(command, "daemon", **more)
 
 
 def _webserver(world: World, port: int) -> Running:

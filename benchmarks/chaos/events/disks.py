@@ -9,7 +9,7 @@ from benchmarks.chaos.event import Event, Harm, Random
 from benchmarks.chaos.world import LONGEST_RUN_S, World
 
 _FULL = r"disk refused|not begun|No space left|disk is full|disk I/O error"
-_READ_ONLY = r"cannot be written|[Rr]ead-only|readonly database"
+_READ_ONLY = r"cannot be written|[Rr]ead-only|readonly database|unable to open database file"
 _MOST_FREE = 3_000_000
 
 

@@ -12,7 +12,7 @@ _GOES_ON = r"dagster/job|died twice|report  |RUN_SUCCESS|next: open the report"
 def kill_run(world: World, random: Random) -> Harm:
     """Kill a run with all its processes at a random moment."""
     world.provoke()
-    run = world.start()
+    run = world.start(NVSF_EXECUTOR=random.choice(["in_process", "multiprocess"]))
     moment_s = random.uniform(0.0, _A_BARE_RUN_S if world.bare else _A_RUN_S)
     run.sleep(moment_s)
     was_alive = run.is_alive
@@ -23,7 +23,7 @@ def kill_run(world: World, random: Random) -> Harm:
 def kill_step(world: World, random: Random) -> Harm:
     """Kill one random process of a run; the run itself goes on."""
     world.provoke()
-    run = world.start()
+    run = world.start(NVSF_EXECUTOR="multiprocess")
     run.sleep(random.uniform(8.0, _A_RUN_S))
     name = _kill_one(run, random)
     code = run.wait(LONGEST_RUN_S)

@@ -59,7 +59,8 @@ def little_memory(world: World, random: Random) -> Harm:
     group.mkdir(exist_ok=True)
     (group / "memory.limit_in_bytes").write_text(str(megabytes << 20))
     shell = shutil.which("sh") or "/bin/sh"
-    run = world.start((shell, "-c", f'echo $$ > {group}/cgroup.procs; exec "$0" "$@"'))
+    prefix = (shell, "-c", f'echo $$ > {group}/cgroup.procs; exec "$0" "$@"')
+    run = world.start(prefix, NVSF_EXECUTOR=random.choice(["in_process", "multiprocess"]))
     code = run.wait(LONGEST_RUN_S)
     return Harm(f"{megabytes} MB; exit {code}", run.said, "" if code in (-9, 137) else _KILLED)
 
