@@ -64,7 +64,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
     )
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> Iterator[_AssetEvent]:
         scene = context.partition_key
-        say_whose_run_it_is(context.instance, context.run_id)
+        say_whose_run_it_is(context.instance, context.run.run_id)
         try:
             plan = workspace.plan(scene, keep=KEPT in context.run.tags)
             outcome = run_named_stage(stage.name, plan, context.log.info, stages=stages)

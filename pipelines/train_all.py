@@ -60,7 +60,7 @@ class SceneChoice(dg.Config):
 )
 def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice) -> Iterator[Any]:
     """Fan out over the scenes. Without data, one asked for by name counts as failed; others are left out."""
-    say_whose_run_it_is(context.instance, context.run_id)
+    say_whose_run_it_is(context.instance, context.run.run_id)
     try:
         workspace.require_possible()
     except NvsfError as error:
