@@ -52,14 +52,30 @@ def _process(number: int) -> tuple[str, str]:
 
 
 @cache
+def machine_mark() -> str:
+    """Eight digits for this machine since it was started; its containers have the same."""
+    return _digits(_boot_id())
+
+
+@cache
 def _machine() -> str:
     """Eight digits for this machine since it was started, and for the container in it."""
     try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text()
         container = os.readlink("/proc/self/ns/pid")
     except OSError:
-        boot, container = os.uname().nodename, ""
-    return hashlib.sha256(f"{boot}{container}".encode()).hexdigest()[:8]
+        container = ""
+    return _digits(_boot_id() + container)
+
+
+def _boot_id() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text()
+    except OSError:
+        return os.uname().nodename
+
+
+def _digits(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def _newest_s(folder: Path) -> float:

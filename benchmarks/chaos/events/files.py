@@ -9,7 +9,9 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.stages.versions import Version, damage_of_version, make_anew, versions_of
 from nvsf_core.stores.scene_store import published
 
-_CHANGED = r"changed while they were read|changed since the stage|is read|made again"
+_CHANGED = r"made again|frames: done|frames: started"
+_REFUSED = r"changed while they were read|changed since the stage|(frames|sweeps|undistorted): .*drive/"
+"""Of a file that was half-written at that moment its reader says what is wrong with it."""
 
 
 def harm_output(world: World, random: Random) -> Harm:
@@ -84,7 +86,8 @@ def changing_drive(world: World, random: Random) -> Harm:
         time.sleep(random.uniform(0.02, 0.3 if world.bare else 2.0))
     code = run.wait(1.0)
     world.restore_drive()
-    return Harm(f"{changes} times; exit {code}", run.said, _CHANGED)
+    expected = _CHANGED if code == 0 else _REFUSED
+    return Harm(f"{changes} times; exit {code}", run.said, expected)
 
 
 EVENTS = [

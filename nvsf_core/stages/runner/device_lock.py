@@ -1,4 +1,4 @@
-"""A lock that allows one training at a time per device; the CPU counts as one device."""
+"""A lock that allows one training at a time per device of a machine; the CPU counts as one device."""
 
 import contextlib
 import os
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from nvsf_core.stages.runner.locks import file_lock
 from nvsf_core.stages.runner.stage import Progress
+from nvsf_core.stores.writers import machine_mark
 
 
 @contextlib.contextmanager
@@ -21,8 +22,13 @@ def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
     """
     device = _device()
     words = f"the device {device}: another training holds it"
-    with file_lock(folder / f"{device}.lock", progress, words):
+    with file_lock(lock_file(folder), progress, words):
         yield device
+
+
+def lock_file(folder: Path) -> Path:
+    """The lock file of this process's device; other machines that share the folder have files of their own."""
+    return folder / f"{_device()}-{machine_mark()}.lock"
 
 
 def _device() -> str:
