@@ -27,7 +27,7 @@ def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
 
 
 def lock_file(folder: Path) -> Path:
-    """The lock file of this process's device; other machines that share the folder have files of their own."""
+    """The lock file of this process's device; machines that share the folder have files of their own."""
     return folder / f"{_device()}-{machine_mark()}.lock"
 
 
