@@ -72,7 +72,7 @@ def test_every_step_runs_on_ray_and_the_data_sets_are_there(
     dagster_home.mkdir(parents=True)
     shutil.copy(repo / "pipelines" / "dagster.yaml", dagster_home)
     done = run_process(
-        "dagster", "job", "execute", "-j", "train_all_scenes", timeout_s=900.0,
+        sys.executable, "-m", "dagster", "job", "execute", "-j", "train_all_scenes", timeout_s=900.0,
         DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_EXECUTOR="ray", RAY_ADDRESS=cluster,
         NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(tmp_path / "home"), DAGSTER_HOME=str(dagster_home),
         PYTHONPATH=str(repo),
