@@ -9,6 +9,7 @@ from nvsf_core.drives.kinds import (
     Kinds,
     each,
     is_bool,
+    is_line,
     is_number,
     is_path,
     is_text,
@@ -52,6 +53,8 @@ class SceneEntry:
     compensate: bool = True
     """Ego-motion compensation: each return is placed by the sensor's pose at its own time. False = one pose
     for a whole sweep, as papers do."""
+    licence: str | None = None
+    """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
@@ -136,5 +139,6 @@ _SCENE_KINDS: Kinds = {
     "cameras": (or_none(each(is_text, 0)), "a tuple of cameras, or None for all"),
     "recipe": (or_none(is_text), "a recipe's name, or None"),
     "compensate": (is_bool, "true or false"),
+    "licence": (or_none(is_line), "a line of at most 200 characters, or None"),
     "views": (each(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }

@@ -20,7 +20,7 @@ _METRICS = (
 _MOST_VERSIONS = 20
 _MOST_NAMED = 6
 _SHORT = 8
-"""Digits of a commit or a digest that are shown."""
+"""Digits of a commit that are shown."""
 _SAME = "nothing but the file names"
 
 
@@ -88,6 +88,8 @@ def changes(before: Manifest, now: Manifest) -> list[str]:
     ]
     found += _drive_changes(before.get("source_checksums", {}), now.get("source_checksums", {}))
     found += [f"view: {words}" for words in _key_changes(before.get("view", {}), now.get("view", {}))]
+    commits = [str(one.get("commit", "unknown"))[:_SHORT] for one in (before, now)]
+    found += [f"commit {' → '.join(commits)}"] if commits[0] != commits[1] else []
     found += _software_changes(before.get("software", {}), now.get("software", {}))
     inputs = _differing(before.get("rendered_from", {}), now.get("rendered_from", {}))
     found += [f"content of {', '.join(inputs)}"] if inputs else []
@@ -115,10 +117,7 @@ def _drive_changes(before: Manifest, now: Manifest) -> Iterable[str]:
 
 def _software_changes(before: Manifest, now: Manifest) -> Iterable[str]:
     for name in _differing(before, now):
-        old, new = (
-            str(one.get(name, "unknown"))[: _SHORT if name == "nvsf" else None] for one in (before, now)
-        )
-        yield f"{'commit' if name == 'nvsf' else name} {old} → {new}"
+        yield f"{name} {before.get(name, 'unknown')} → {now.get(name, 'unknown')}"
 
 
 def _key_changes(before: Manifest, now: Manifest, leave_out: Sequence[str] = ()) -> list[str]:

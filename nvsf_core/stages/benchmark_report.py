@@ -9,6 +9,7 @@ from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
+from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
@@ -17,6 +18,7 @@ from nvsf_core.stores.scene_store import publish_folder, published
 
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
 _REPORTING = Path(reporting.__file__).parent
+_CODE = ("*.py", "*.js", "page.html")
 _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
 """Patterns of stage records below a scene's folder: once per scene, per recipe and seed, per data set."""
 
@@ -59,6 +61,7 @@ def make_benchmark_report(
     try:
         lock = file_lock(home / LOCKS / f"{target.name}.lock", _silent, "another run's report")
         with lock, publish_folder(target) as folder:
+            scenes = [with_view_files(folder, home, scene) for scene in scenes]
             written = write_report(folder, scenes, no_data, speed_section(curves, shown))
             write_versions_page(folder, home, [scene.name for scene in scenes])
             (folder / _SOURCE).write_text(source)
@@ -82,7 +85,7 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
     read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
     read += manifests_of(home, names)
     read += sorted(curves.rglob("*.json")) if curves is not None else []
-    code = [*sorted(_REPORTING.glob("*.py")), Path(__file__)]
+    code = [path for kind in _CODE for path in sorted(_REPORTING.rglob(kind))] + [Path(__file__)]
     state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
     return hashlib.sha256(repr((list(names), said, sorted(state))).encode()).hexdigest()
 

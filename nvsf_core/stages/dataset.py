@@ -28,14 +28,13 @@ from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     damaged_data_set,
     is_sealed,
-    write_manifest,
 )
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord
-from nvsf_core.stages.exports.write import write_data_set
+from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
-from nvsf_core.stages.runner.code_commit import code_commit
+from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -43,8 +42,8 @@ from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
-_VERSION = "4"
-_PACKAGES = ("numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
+_VERSION = "5"
+_PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
 def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> str:
@@ -59,6 +58,7 @@ def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> 
         "draw_seed": task.config.draw_seed,
         "view": _facts_of(view),
         "sources": dict(sources),
+        "licence": task.scene.licence,
         "rendered_from": _rendered_from(task),
         "code": [NOVEL_VIEWS.version, _VERSION],
     }
@@ -109,14 +109,12 @@ def _run(task: Task) -> StageOutput:
                 manifest = {
                     **identity_of(task, view, version),
                     "drawn": rendered_view.what_was_sampled(),
-                    "software": _software(),
-                    "rendered_from": _rendered_from(task),
                     "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
                     "source_checksums": sources,
                     **write_data_set(folder, rendered_view, boxes_of(task, arrays["time_s"])),
                     "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
                 }
-                write_manifest(folder, manifest)
+                finish_data_set(folder, manifest)
         written = read_document(task.store.path(location) / MANIFEST_NAME)
         scans, pictures = written["scans"], written["images"]
         output.beside.append(location)
@@ -144,6 +142,10 @@ def identity_of(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
         "recipe": {**recipe.to_json(), "identity": recipe.identity()},
         "seed": task.config.seed,
         "draw_seed": task.config.draw_seed,
+        "licence": task.scene.licence,
+        "commit": code_commit(),
+        "software": _software(),
+        "rendered_from": _rendered_from(task),
     }
 
 
@@ -214,7 +216,7 @@ def _field_metrics(task: Task) -> list[dict[str, Any]]:
 
 
 def _software() -> dict[str, str]:
-    versions = {"nvsf": code_commit(), "python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
             versions[name] = importlib.metadata.version(name)
@@ -304,7 +306,7 @@ STAGE = Stage(
     group="export",
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
-    " a manifest of what they came from.",
+    " with a manifest of what they came from and a card of how wrong they are.",
     version=_VERSION,
     run=_run,
     per_recipe=True,

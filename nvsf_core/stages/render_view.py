@@ -12,9 +12,8 @@ from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import Recipe
 from nvsf_core.stages.dataset import boxes_of, dataset_version, identity_of, is_there, source_checksums
-from nvsf_core.stages.exports.manifest import write_manifest
 from nvsf_core.stages.exports.of_view import RenderedView
-from nvsf_core.stages.exports.write import write_data_set
+from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
@@ -80,7 +79,7 @@ def render_view(
         progress: Receives progress lines; default standard error.
 
     Returns:
-        The folder of the data set, with its `manifest.json`.
+        The folder of the data set, with its `manifest.json` and its card.
 
     Raises:
         DataError: The view asks for what is impossible, or `out` is taken; found before anything is trained.
@@ -139,7 +138,7 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
         "source_checksums": sources,
         **write_data_set(folder, rendered, boxes_of(task, arrays["time_s"])),
     }
-    write_manifest(folder, manifest)
+    finish_data_set(folder, manifest)
 
 
 def _has_images(view: View) -> bool:

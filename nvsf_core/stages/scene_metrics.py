@@ -16,8 +16,7 @@ from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.reporting.scene_outputs import METHODS
 from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metrics
-from nvsf_core.stages.runner.code_commit import code_commit
-from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.host import code_commit, machine
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
 from nvsf_core.stages.scoring.demo_images import demo_images

@@ -10,7 +10,7 @@ def _manifest(**more: Any) -> dict[str, Any]:
     return {
         "seed": 0, "draw_seed": 0, "recipe": {"name": "lean", "identity": "a", "camera": {"sources": 4}},
         "view": {"name": "left", "yaw_deg": 0.0}, "source_checksums": {"scan 1": "aa", "scan 2": "bb"},
-        "software": {"nvsf": "0123456789abcdef", "torch": "2.12"}, "scans": [{}], "images": [],
+        "software": {"torch": "2.12"}, "commit": "0123456789abcdef", "scans": [{}], "images": [],
         "rendered_from": {"field": "x"}, "field_metrics": [metric], **more,
     }  # fmt: skip
 
@@ -19,11 +19,11 @@ def test_what_changed_is_said_in_words() -> None:
     now = _manifest(
         seed=1, recipe={"name": "lean", "identity": "b", "camera": {"sources": 6}},
         view={"name": "left", "yaw_deg": 5.0}, source_checksums={"scan 2": "cc", "scan 3": "dd"},
-        software={"nvsf": "fedcba9876543210", "torch": "2.12"}, rendered_from={"field": "y"},
+        software={"torch": "2.13"}, commit="fedcba9876543210", rendered_from={"field": "y"},
     )  # fmt: skip
     assert changes(_manifest(), now) == [
         "recipe: camera.sources 4 → 6", "seed 0 → 1", "recorded files: 1 more, 1 fewer, 1 changed",
-        "view: yaw_deg 0.0 → 5.0", "commit 01234567 → fedcba98", "content of field",
+        "view: yaw_deg 0.0 → 5.0", "commit 01234567 → fedcba98", "torch 2.12 → 2.13", "content of field",
     ]  # fmt: skip
     assert changes(_manifest(), _manifest(recipe={"name": "quick"}))[0] == "recipe lean → quick"
     assert changes(_manifest(), _manifest()) == ["nothing but the file names"]
