@@ -76,7 +76,7 @@ stability: $(DEV) ## hard numerical cases, measured; docs/numerical_stability.md
 	$(BIN)/python -m benchmarks.numerics.stability
 
 chaos: install ## MINUTES=60 SEED=0: kill, fill, cut and flip a home at work; docs/chaos.md
-	MINUTES=$${MINUTES:-60} $(BIN)/python -m benchmarks.chaos
+	$(BIN)/python -m benchmarks.chaos
 
 gpu: install ## on a machine with a GPU: its tests, kernels and `paper`, measured; docs/gpu.md
 	$(BIN)/python -m benchmarks.gpu

@@ -1,8 +1,9 @@
 """Harm a home at work for some minutes, and write what came of it.
 
-``python -m benchmarks.chaos`` takes MINUTES (default 60), SEED (0), ONLY (names of events; default all) and
-SHORT (any text: the short form, of the library alone, some events once, nothing is written). It ends with 1
-where something was lost, half-written or held, where the next run did not go on, or where nothing was said.
+``python -m benchmarks.chaos`` takes MINUTES (default 60), SEED (0), ONLY (names of events; default all), KEEP
+(any text: what was stored before is shown with it) and SHORT (any text: the short form, of the library alone,
+some events once; nothing is written, as with ONLY). It ends with 1 where something was lost, half-written or
+held, where the next run did not go on, or where nothing was said.
 """
 
 import os
@@ -47,7 +48,8 @@ def main() -> int:
     faults = [f"{row['event']}: {row['how']}: {fault}" for row in rows for fault in row["faults"]]
     print(f"{len(rows)} events, {len(faults)} faults", *faults, sep="\n")
     if not is_short and not only:
-        write_document_of(rows, seed, (time.monotonic() - started_s) / 60)
+        keep = bool(os.environ.get("KEEP"))
+        write_document_of(rows, seed, (time.monotonic() - started_s) / 60, keep=keep)
     return 1 if faults else 0
 
 

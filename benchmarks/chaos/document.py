@@ -1,5 +1,6 @@
 """The table of events and outcomes, `docs/chaos.md`."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,13 +15,31 @@ Row = Mapping[str, Any]
 _LONGEST_HOW = 90
 
 
-def write_document_of(rows: Sequence[Row], seed: int, minutes: float) -> None:
-    """Store what happened, and write the tables of the document."""
-    facts = {"seed": seed, "minutes": minutes, "events": len(rows), "rows": [dict(row) for row in rows]}
-    write_measured(places.RESULTS / "chaos.json", facts)
-    head = f"{machine()}; commit {commit()}; seed {seed}; {minutes:.0f} minutes.\n\n"
-    write_between(places.DOCS / "chaos.md", "events", head + counts(rows))
-    write_between(places.DOCS / "chaos.md", "each", each(rows))
+def write_document_of(rows: Sequence[Row], seed: int, minutes: float, *, keep: bool) -> None:
+    """Store what happened, and write the tables of the document.
+
+    Args:
+        rows: The events of this round.
+        seed: Of the round.
+        minutes: That it took.
+        keep: Whether rounds that were stored before are kept, and shown with it.
+    """
+    path = places.RESULTS / "chaos.json"
+    before = json.loads(path.read_text()) if keep and path.is_file() else {"rounds": [], "rows": []}
+    this = {"commit": commit(), "seed": seed, "minutes": minutes, "events": len(rows)}
+    facts = {"rounds": [*before["rounds"], this], "rows": [*before["rows"], *map(dict, rows)]}
+    write_measured(path, facts)
+    write_between(places.DOCS / "chaos.md", "events", head(facts["rounds"]) + counts(facts["rows"]))
+    write_between(places.DOCS / "chaos.md", "each", each(facts["rows"]))
+
+
+def head(rounds: Sequence[Row]) -> str:
+    """The machine, and of each round its commit, seed, minutes and events."""
+    words = (
+        f"commit {one['commit']}, seed {one['seed']}, {one['minutes']:.0f} minutes, {one['events']} events"
+        for one in rounds
+    )
+    return f"{machine()}; {'; '.join(words)}.\n\n"
 
 
 def counts(rows: Sequence[Row]) -> str:
