@@ -1,4 +1,4 @@
-"""Checks over all scenes that need no run: what is offered but never forced, and what has grown old.
+"""Checks over all scenes that start no run: is the trained recipe the one asked for, are data sets recent.
 
 They are of no partition: each says of all scenes which ones it fails for, so that none hides another.
 """

@@ -1,4 +1,4 @@
-"""Tables of documents."""
+"""Markdown tables for the documents."""
 
 from collections.abc import Iterable, Sequence
 

@@ -1,4 +1,4 @@
-"""Generated parts of a document, between two markers."""
+"""Replaces the generated part of a document, which lies between two marker comments."""
 
 from pathlib import Path
 

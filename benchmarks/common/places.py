@@ -1,4 +1,4 @@
-"""Where benchmarks keep what they printed, and the documents that it stands in."""
+"""Folders of the benchmarks' results and of the documents that quote them."""
 
 from pathlib import Path
 

@@ -1,1 +1,1 @@
-"""What a machine with a GPU can say of this project, by ``python -m benchmarks.gpu``."""
+"""Measurements on a machine with a GPU, by ``python -m benchmarks.gpu``."""

@@ -1,4 +1,4 @@
-"""docs/gpu.md, from what was measured; a part that was not says so."""
+"""Writes docs/gpu.md from the measurements; a part that was not measured says so."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

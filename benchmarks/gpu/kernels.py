@@ -1,4 +1,4 @@
-"""The encodings' Triton kernels: time beside the least that the memory's bandwidth allows, and error."""
+"""Times of the encodings' Triton kernels, beside the limit by memory bandwidth; and their errors."""
 
 import os
 import time

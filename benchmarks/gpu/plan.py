@@ -1,4 +1,4 @@
-"""What is measured, at full size and at one that a CPU runs through in seconds."""
+"""Sizes of the measurements: the full one, and a small one that a CPU finishes in seconds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The tests that see a CUDA device where there is one, in a process of their own."""
+"""Runs the tests that use a CUDA device, in a process of their own."""
 
 import subprocess
 import sys

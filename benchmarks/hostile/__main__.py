@@ -1,4 +1,4 @@
-"""Harm a tiny drive, home, catalogue and run thousands of times at random, and count what comes of it.
+"""Damage a tiny drive, home, catalogue or run at random, thousands of times, and count how each case ends.
 
 ``python -m benchmarks.hostile`` takes CASES (default 3000), SEED (0), ONLY (drive, home, catalogue, choice;
 default all), uses every core, writes benchmarks/results/hostile.json and the tables of docs/safety.md, and

@@ -1,4 +1,4 @@
-"""One case in a process of its own: with limits of time and memory, and with an end that is always known."""
+"""Runs one case in a process of its own with limits of time and memory, and says how it ended."""
 
 import multiprocessing
 import os

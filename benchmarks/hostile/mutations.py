@@ -1,4 +1,4 @@
-"""What is done to a file at random: to its bytes, its text, its numbers, or to the file itself."""
+"""Random damage to a file: to its bytes, its text, its numbers, or to the file as a whole."""
 
 import os
 import re

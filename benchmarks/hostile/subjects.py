@@ -1,4 +1,4 @@
-"""What is harmed, and how it ends: a drive, a home, a catalogue, a run's choices."""
+"""What is damaged (a drive, a home, a catalogue, the choices of a run), and how the run then ends."""
 
 import contextlib
 import hashlib

@@ -1,4 +1,4 @@
-"""Counts of how cases ended, as tables of a document."""
+"""Tables of how many cases ended in which way, for docs/safety.md."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What hash grids are timed on: three grids, and points as rays make them."""
+"""Inputs on which hash grids are timed: three grids, and points along rays."""
 
 import torch
 from torch import Tensor

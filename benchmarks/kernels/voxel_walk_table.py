@@ -1,4 +1,4 @@
-"""What `benchmarks.kernels.voxel_walk` measured, as a section of docs/results.md."""
+"""The results of `benchmarks.kernels.voxel_walk` as a section of docs/results.md."""
 
 import json
 from pathlib import Path

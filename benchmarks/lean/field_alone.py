@@ -1,4 +1,4 @@
-"""The paper's field alone, trained for as long as `lean` was: what its scans and images are like.
+"""Errors of the paper's field alone, trained for as long as `lean`.
 
 ``python -m benchmarks.lean.field_alone`` takes, for each of SCENES (default: k360_street), the size of
 `paper_cpu` that was the best on left-out frames, gives it the seconds that `lean` took there on the mean,

@@ -1,4 +1,4 @@
-"""Whether anything moves that no rigid motion explains: returns of moving things against what stands.
+"""Tests whether moving objects bend: how far their returns are from a rigid motion, beside static surfaces.
 
 Run ``python -m benchmarks.lean.rigidity [--scene kitti0005_van_cyclist]`` after the scene's stage
 `evidence`; it prints a table and writes it into docs/lean_ablation.md and benchmarks/results/rigidity.json.

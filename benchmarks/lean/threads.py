@@ -1,4 +1,4 @@
-"""What more CPU threads give: time of a training step, and whether the weights have the same bits.
+"""Time of a training step by number of CPU threads, and whether the weights have the same bits.
 
 Run ``python -m benchmarks.lean.threads k360_street`` after the stage ``evidence`` of the scene, on an idle
 machine; it writes docs/threads.md. Each number of threads trains a few steps of each part and hashes weights.

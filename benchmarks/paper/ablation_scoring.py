@@ -1,4 +1,4 @@
-"""What the ablation is scored by: every fourth pano column, and images at a quarter of width and height.
+"""Scores of the ablation: on every fourth pano column, and on images at a quarter of width and height.
 
 A baseline is scored by the held-out views of the scene that were published last, thinned alike.
 """

@@ -1,4 +1,4 @@
-"""docs/ablation.md, from the ablation's rows: the mean over a run's held-out frames, None where undefined."""
+"""Writes docs/ablation.md: means over the held-out frames of each run, None where undefined."""
 
 from statistics import fmean, stdev
 

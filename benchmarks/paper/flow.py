@@ -1,4 +1,4 @@
-"""Scene flow trained alone on the street, against the drive's own formulas.
+"""Errors of the scene flow, trained alone on the demo's street, against the exact motion.
 
 Run ``python -m benchmarks.paper.flow``: it writes the street under NVSF_HOME where it is absent, trains
 each variant below (none for more than five minutes on two cores), prints a Markdown table of median end-point

@@ -1,4 +1,4 @@
-"""How every return of the demo drive moves, by the drive's own formulas."""
+"""The exact motion of each return of the demo drive, from the demo's formulas."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The LiDAR that a curve is scored by: a fixed quarter of the pano, and every fourth recorded ray."""
+"""LiDAR scores of a curve: on a fixed quarter of the pano, and on every fourth recorded ray."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace

@@ -1,4 +1,4 @@
-"""A training's weights as they were at fixed seconds, saved while the training's clock is stopped."""
+"""Saves the weights at fixed seconds of a training; the clock stands still meanwhile."""
 
 import time
 from bisect import bisect_right

@@ -1,4 +1,4 @@
-"""What a curve is measured on: a scene, which of its frames are trained, and where the result lies."""
+"""Plan of a curve: the scene, its training frames, and where the result is stored."""
 
 import json
 import re

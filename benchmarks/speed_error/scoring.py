@@ -1,4 +1,4 @@
-"""The errors that a curve shows: a fixed quarter of the LiDAR's rays and a sixteenth of the pixels.
+"""Errors of a curve, measured on a fixed quarter of the LiDAR's rays and a sixteenth of the pixels.
 
 Of the pano every fourth block of 32 columns is compared, and rays are fired there only; of the recorded
 returns every fourth; of an image every fourth pixel of every fourth row, as it is at full size.

@@ -1,4 +1,4 @@
-"""What each part of `lean` gives, and in how many lines: one table in docs/lean.md.
+"""Gain and lines of code of each part of `lean`: one table in docs/lean.md.
 
 ``python -m benchmarks.tables.capabilities`` counts the lines of the files named here and writes the table
 between its markers. A part that gives nothing on any drive is deleted, not listed.

@@ -1,4 +1,4 @@
-"""Drives that nobody tuned on: other streets of the demo's writer, with dense traffic or a sensor at rest.
+"""Drives on which nothing was tuned: other demo streets, with dense traffic or a standing sensor.
 
 ``python -m benchmarks.tables.other_drives`` writes those of SCENES (default: all) that are not there yet,
 measures them by Dagster's job ``benchmark`` with RECIPE (default: quick) and SEED (default: 0), and brings

@@ -1,4 +1,4 @@
-"""docs/results.md: every error of the finished runs, by scene and protocol, beside what was aimed at."""
+"""Writes docs/results.md: all errors of the finished runs, by scene and protocol, beside the targets."""
 
 import math
 import statistics

@@ -1,4 +1,4 @@
-"""What `lean` set out to reach on two CPU cores before it was built; docs/results.md compares."""
+"""Targets of `lean` on two CPU cores, set before it was built; docs/results.md compares."""
 
 from nvsf_core.metrics.table import BASELINES
 

@@ -1,4 +1,4 @@
-"""Whether a view's *guessed* pixels are those whose true surface no recorded image of the camera shows.
+"""Precision and recall of pixels marked *guessed*: no recorded image of the camera should show their surface.
 
 ``SCENES=street python -m benchmarks.views.known_pixels`` reads what a run of RECIPE (default: quick) rendered
 of the embedded street (`NVSF_HOME`) and prints precision and recall for each view and camera, and for all

@@ -1,4 +1,4 @@
-"""Whether the verdict on views, made without their truth, orders them as their true errors do.
+"""Whether the trust score, made without truth, ranks views as their true errors do.
 
 ``SCENES="street kitti0005_van_cyclist" python -m benchmarks.views.trust`` reads the metrics that a run of
 RECIPE (default: quick) left below NVSF_HOME, prints rank correlations (Spearman) of score and true error over

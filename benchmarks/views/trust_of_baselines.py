@@ -1,4 +1,4 @@
-"""The scores of the baselines' views, which took no part when the score was made, beside their true errors.
+"""Trust scores of the baselines' views beside their true errors; the score was not tuned on these views.
 
 ``SCENES=street python -m benchmarks.views.trust_of_baselines`` compares what a run of RECIPE (default: quick)
 rendered by the baselines with the recording, as `scene_metrics` does for the model, prints rank correlations,

@@ -1,1 +1,1 @@
-"""Hard cases, one file a theme; see docs/numerical_stability.md."""
+"""Numerically hard cases, one file for each theme; see docs/numerical_stability.md."""

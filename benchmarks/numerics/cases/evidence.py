@@ -1,4 +1,4 @@
-"""Evidence: how sure it is after nothing and after a million observations, and where rays are degenerate."""
+"""Evidence after no and after a million observations, and along degenerate rays."""
 
 import math
 from dataclasses import replace

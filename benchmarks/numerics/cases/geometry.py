@@ -1,4 +1,4 @@
-"""Rotations near 0 and 180 degrees, sweeps that turn so, cameras at 90 degrees and beyond."""
+"""Rotations by about 0 and 180 degrees, also during a sweep; camera rays at 90 degrees and beyond."""
 
 import math
 

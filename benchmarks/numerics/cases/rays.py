@@ -1,4 +1,4 @@
-"""A ray's density, its samples, their weights and ranges: thin, thick, opaque, empty and many of them."""
+"""Densities, samples, weights and ranges of rays through thin, thick, opaque and empty media."""
 
 import math
 from functools import partial

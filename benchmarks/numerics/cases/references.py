@@ -1,4 +1,4 @@
-"""Judging a torch function in float32 by a reference in float64 or mpmath that shares no code with it."""
+"""Compares a torch function in float32 with a reference in float64 or mpmath that shares no code with it."""
 
 import math
 from collections.abc import Callable, Sequence

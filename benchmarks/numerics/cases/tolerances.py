@@ -1,4 +1,4 @@
-"""How wrong a result may be: the one table that `make stability` and tests/properties share.
+"""Largest errors that are allowed: one table for `make stability` and tests/properties.
 
 A number rounded once is wrong by half a unit in the last place. The limits leave room for a few roundings
 one after the other, and for sums of a thousand terms, whose roundings add up like a random walk.

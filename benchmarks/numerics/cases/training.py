@@ -1,4 +1,4 @@
-"""Drawing pixels by weights that are zero, huge or broken; Adam, its schedule, its statistics, divergence."""
+"""Sampling of pixels by weights that are zero, huge or NaN; Adam, its schedule and statistics; divergence."""
 
 import gc
 import math
