@@ -34,25 +34,18 @@ def uniform_corners(
 
 
 def patch_pixels(
-    corner_rows: Tensor,
-    corner_columns: Tensor,
-    patch: tuple[int, int],
-    shape: tuple[int, int],
-    *,
-    wrap: bool = False,
+    corner_rows: Tensor, corner_columns: Tensor, patch: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
     """All pixels of patches with the given upper left corners.
 
-    A corner too far down or right is moved until its patch lies within the image. With `wrap`, columns
-    continue at the other edge instead, as in a 360-degree pano; rows never do. (LiDAR4D wraps, the paper's
-    code does not.)
+    A corner too far down or right is moved until its patch lies within the image, as in the
+    paper's code. (LiDAR4D's patches continue at the pano's other edge.)
 
     Args:
         corner_rows: (p,) integer, upper rows.
         corner_columns: (p,) integer, left columns.
         patch: Rows h and columns w of a patch.
         shape: Rows H and columns W of the image.
-        wrap: Whether columns are taken modulo W.
 
     Returns:
         Rows (p, h, w) and columns (p, h, w), int64, all within the image.
@@ -64,8 +57,7 @@ def patch_pixels(
     down = torch.arange(patch[0], device=corner_rows.device)
     right = torch.arange(patch[1], device=corner_rows.device)
     rows = corner_rows.clamp(0, shape[0] - patch[0])[:, None, None] + down[:, None]
-    first = corner_columns if wrap else corner_columns.clamp(0, shape[1] - patch[1])
-    columns = (first[:, None, None] + right) % shape[1]
+    columns = corner_columns.clamp(0, shape[1] - patch[1])[:, None, None] + right
     size = (len(corner_rows), *patch)
     return rows.expand(size), columns.expand(size)
 

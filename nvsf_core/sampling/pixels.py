@@ -61,8 +61,6 @@ def sample_lidar_pixels(
     frame: int,
     error_map: ErrorMap,
     generator: torch.Generator,
-    *,
-    wrap: bool = False,
 ) -> SampledPixels:
     """The pano pixels of one step.
 
@@ -76,20 +74,17 @@ def sample_lidar_pixels(
         frame: Index of the frame in `error_map`.
         error_map: Errors of the panos.
         generator: The only source of randomness.
-        wrap: Whether a patch continues at the pano's other edge.
     """
     height, width = error_map.drawable.shape
     heuristic, patch = sampling.heuristic and is_second_epoch(epoch), sampling.patches
     if patch is None or not is_second_epoch(epoch):
         return _single_pixels(heuristic, sampling.rays, frame, error_map, generator)
     count = max(1, sampling.rays // (patch[0] * patch[1]))
-    # A patch that wraps may begin in every column, like one of a single column.
-    within = (patch[0], 1) if wrap else patch
     if heuristic:
-        corners = error_map.sample_patches(frame, count, within, generator)
+        corners = error_map.sample_patches(frame, count, patch, generator)
     else:
-        corners = uniform_corners((height, width), within, count, generator)
-    rows, columns = patch_pixels(*corners, patch, (height, width), wrap=wrap)
+        corners = uniform_corners((height, width), patch, count, generator)
+    rows, columns = patch_pixels(*corners, patch, (height, width))
     return SampledPixels(rows.flatten().cpu(), columns.flatten().cpu(), patch)
 
 

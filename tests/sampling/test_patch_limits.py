@@ -29,12 +29,10 @@ def test_a_patch_as_large_as_the_image_has_one_corner() -> None:
     assert rows.dtype == columns.dtype == torch.int64
 
 
-def test_a_wrapped_patch_continues_at_the_other_edge_and_its_rows_never_do() -> None:
-    corner = (torch.tensor([2]), torch.tensor([4]))
-    rows, columns = patch_pixels(*corner, (2, 2), (3, 5), wrap=True)
+def test_a_patch_in_the_last_corner_is_moved_in_by_rows_and_columns() -> None:
+    rows, columns = patch_pixels(torch.tensor([2]), torch.tensor([4]), (2, 2), (3, 5))
     assert rows.tolist() == [[[1, 1], [2, 2]]]
-    assert columns.tolist() == [[[4, 0], [4, 0]]]
-    assert patch_pixels(*corner, (2, 2), (3, 5))[1].tolist() == [[[3, 4], [3, 4]]]
+    assert columns.tolist() == [[[3, 4], [3, 4]]]
 
 
 def test_every_second_epoch_is_heuristic_from_the_second_on() -> None:

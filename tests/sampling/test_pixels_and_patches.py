@@ -32,12 +32,10 @@ def test_a_patch_is_its_corner_and_what_follows() -> None:
     assert columns.tolist() == [[[3, 4, 5], [3, 4, 5]]]
 
 
-def test_a_patch_at_the_edge_is_moved_in_or_wraps() -> None:
+def test_a_patch_at_the_edge_is_moved_in() -> None:
     corner = torch.tensor([5]), torch.tensor([18])
     rows, columns = patch_pixels(*corner, (2, 4), SHAPE)
     assert rows[0, :, 0].tolist() == [4, 5] and columns[0, 0].tolist() == [16, 17, 18, 19]
-    rows, columns = patch_pixels(*corner, (2, 4), SHAPE, wrap=True)
-    assert rows[0, :, 0].tolist() == [4, 5] and columns[0, 0].tolist() == [18, 19, 0, 1]
 
 
 def test_even_corners_reach_every_place_of_the_image() -> None:
@@ -82,13 +80,6 @@ def test_camera_pixels_follow_the_map_in_second_epochs_only() -> None:
     sampling = replace(SAMPLING, rays=12)
     assert (sample_camera_pixels(sampling, 1, 0, spiked(), generator()).columns < 10).all()
     assert (sample_camera_pixels(sampling, 2, 0, spiked(), generator()).columns >= 10).any()
-
-
-def test_wrapping_patches_begin_in_every_column() -> None:
-    sampling = replace(SAMPLING, heuristic=False, rays=16_000)
-    drawn = sample_lidar_pixels(sampling, 1, 0, ErrorMap(1, *SHAPE, 2), generator(), wrap=True)
-    assert drawn.columns[::16].unique().tolist() == list(range(20))
-    assert drawn.rows.max() == 5
 
 
 def test_fewer_rays_than_a_patch_still_make_one() -> None:
