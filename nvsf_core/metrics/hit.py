@@ -111,7 +111,7 @@ def _no_cells(
 
 
 def hit_columns(firings: int) -> int:
-    """Columns of the grid of hits of a sensor with so many firings a rotation; 0 = unknown.
+    """Columns of the grid of hits of a sensor with `firings` firings a rotation; 0 = unknown.
 
     2000, or a half, a quarter, ... of it: no firing step is wider, so an empty cell is a dropped ray.
     """

@@ -11,7 +11,7 @@ _GAINS = (0.7, 1.3)
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """What is done to all images of an example alike, so that depths and blending weights stay right."""
+    """A variant of an example: the same change in all its images, so that depths and weights stay right."""
 
     channels: tuple[int, ...] = (0, 1, 2)
     """Which recorded channel each colour channel is."""

@@ -66,7 +66,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What is said of one sensor of one view."""
+    """The verdict on one sensor of one view: how far to trust it, and why."""
 
     view: str
     sensor: str

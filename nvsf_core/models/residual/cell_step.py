@@ -14,7 +14,7 @@ from nvsf_core.recipe import LossWeights, TrainingSpec
 
 @dataclass(frozen=True, slots=True)
 class CellExample:
-    """A training scan on a grid (h, w): what the other scans lead to expect, and what was recorded."""
+    """A training scan on a grid (h, w): what is expected from the other scans, and what was recorded."""
 
     features: Tensor
     """(features, h, w) float32: the network's input."""

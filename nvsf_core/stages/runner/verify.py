@@ -14,7 +14,7 @@ from nvsf_core.stores.file_hashes import FileHashes
 
 
 class Verdict(Enum):
-    """What was found of an output."""
+    """The state of an output, in the words that users read."""
 
     UP_TO_DATE = "up to date"
     ABSENT = "not made"
@@ -24,7 +24,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verified:
-    """What was found of one stage's output."""
+    """The state of one stage's output, and why."""
 
     stage: str
     verdict: Verdict

@@ -80,7 +80,7 @@ def other_image_arrays(
 
 
 def camera_in_lidar(camera: CameraEntry, like: np.ndarray) -> np.ndarray:
-    """Mounting (4, 4), camera to LiDAR, of a camera that stands by the recorded one mounted at `like`."""
+    """Mounting (4, 4), camera to LiDAR, of a camera beside the recorded one mounted at `like`."""
     mounted = like.copy()
     mounted[:3, :3] = rotation_of(camera.yaw_deg, camera.pitch_deg, camera.roll_deg) @ like[:3, :3]
     mounted[:3, 3] += camera.shift_m

@@ -108,7 +108,7 @@ def _camera_facts(recording: Recording, view: View) -> dict[str, Any]:
 def with_images(
     task: Task, recording: Recording, models: Mapping[str, SceneModel], asked: Sequence[View | None]
 ) -> tuple[dict[str, SceneModel], dict[str, Scalar]]:
-    """The models, and metadata. What lies above the recorded lasers, images show to all but the mesh.
+    """The models, all but the mesh with surfaces above the recorded lasers, found by images; and metadata.
 
     Args:
         task: Task of the stage, for its progress.
