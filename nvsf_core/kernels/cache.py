@@ -1,7 +1,8 @@
 """Where compiled kernels are kept; imported before numba is, which reads it from the environment.
 
 Numba looks at the file of the function that was called alone: one that calls a kernel of another file would
-go on with what that was before it changed. So each state of all sources here has a folder of its own.
+go on with what that was before it changed. So each state of all sources here has a folder of its own. What is
+kept also refers to the named tuples that kernels were called with, by their modules: these are sources, too.
 """
 
 import hashlib
@@ -11,7 +12,10 @@ from pathlib import Path
 
 _OURS = "nvsf-kernels-"
 _HERE = Path(__file__).parent
-_SOURCES = b"".join(path.read_bytes() for path in sorted(_HERE.rglob("*.py")))
+TUPLES = ("evidence/static/voxels.py", "fields/surface_batch.py")
+"""Files of the core, outside this folder, whose named tuples kernels take."""
+_FILES = (*sorted(_HERE.rglob("*.py")), *(_HERE.parent / name for name in TUPLES))
+_SOURCES = b"".join(str(path.relative_to(_HERE.parent)).encode() + path.read_bytes() for path in _FILES)
 COMPILED = _HERE / "__pycache__" / f"{_OURS}{hashlib.sha256(_SOURCES).hexdigest()[:16]}"
 """The folder, unless NUMBA_CACHE_DIR names one that no parent process of ours has set."""
 

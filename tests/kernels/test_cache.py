@@ -1,12 +1,18 @@
 """Compiled kernels belong to the sources that they were compiled from, all of them."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from nvsf_core import kernels
+from nvsf_core.evidence.static import voxels
+from nvsf_core.kernels.cache import COMPILED, TUPLES
+from nvsf_core.kernels.voxel_march import count_passes
 
 _ASK = "import numba, nvsf_core.kernels.surfel_rendering as p; print(numba.config.CACHE_DIR, p.__file__)"
 
@@ -33,3 +39,17 @@ def test_another_kernel_s_change_gives_all_of_them_another_folder(tmp_path: Path
     walk = tmp_path / "nvsf_core" / "kernels" / "voxel_march.py"
     walk.write_text(walk.read_text().replace("_FALL = 0.2", "_FALL = 0.3"))
     assert _where(tmp_path) != before
+
+
+def test_compiled_kernels_refer_to_no_module_but_those_that_decide_on_their_folder() -> None:
+    index = voxels.index_points(np.zeros((1, 3), np.float32), 0.2)[0]
+    ray = np.array([[1.0, 0.0, 0.0]], np.float32)
+    count_passes(
+        ray, ray, np.ones(1, np.float32), index, np.zeros((1, 3), np.float32), np.zeros((0, 6), np.float32)
+    )
+    kept = list(COMPILED.rglob("*.nbi"))
+    assert kept
+    named = {name for path in kept for name in re.findall(rb"nvsf_core(?:\.\w+)+", path.read_bytes())}
+    allowed = {f"nvsf_core.{name[:-3].replace('/', '.')}" for name in TUPLES}
+    assert {name for name in map(bytes.decode, named) if not name.startswith("nvsf_core.kernels")} <= allowed
+    assert b"nvsf_core.evidence.static.voxels" in named
