@@ -9,6 +9,7 @@ from nvsf_core.drives.kinds import (
     Kinds,
     each,
     is_bool,
+    is_line,
     is_number,
     is_path,
     is_text,
@@ -72,6 +73,8 @@ class SceneEntry:
     lidar: str | None = None
     """The LiDAR that recorded the drive, a known one by its name, or `found`: its lasers are found from the
     scans. None given = as the drive says."""
+    licence: str | None = None
+    """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
@@ -173,5 +176,6 @@ _SCENE_KINDS: Kinds = {
     "compensate": (is_bool, "true or false"),
     "kind": (is_text, f"one of {', '.join(DRIVE_KINDS)}"),
     "lidar": (or_none(is_text), "a LiDAR's name, or None"),
+    "licence": (or_none(is_line), "a line of at most 200 characters, or None"),
     "views": (each(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }

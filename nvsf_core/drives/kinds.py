@@ -8,6 +8,7 @@ from nvsf_core.names import name_fault
 
 MOST_FRAMES = 20_000
 """Most frames of one scene, and instants of one view: half an hour. KITTI-360's longest drive has 15,000."""
+_LONGEST_LINE = 200
 LONGEST_PATH = 2000
 """Characters of a path."""
 _LARGEST = 1e15
@@ -37,6 +38,11 @@ def is_text(value: object) -> bool:
 def is_bool(value: object) -> bool:
     """Whether a value is true or false."""
     return isinstance(value, bool)
+
+
+def is_line(value: object) -> bool:
+    """Whether a value is a text of one line and at most 200 characters."""
+    return isinstance(value, str) and 0 < len(value) <= _LONGEST_LINE and value.isprintable()
 
 
 def is_path(value: object) -> bool:

@@ -95,10 +95,10 @@ def page(title: str, body: str) -> str:
     )
 
 
-def image(png: bytes, alt: str, css: str = "") -> str:
-    """An image tag with the PNG embedded; `css` is its class."""
-    data = base64.b64encode(png).decode()
-    return f'<img class="{css}" alt="{escape(alt)}" src="data:image/png;base64,{data}">'
+def image(picture: bytes, alt: str, css: str = "", kind: str = "png") -> str:
+    """An image tag with the PNG (or another `kind`) embedded; `css` is its class."""
+    data = base64.b64encode(picture).decode()
+    return f'<img class="{css}" alt="{escape(alt)}" src="data:image/{kind};base64,{data}">'
 
 
 def plot(png: bytes, alt: str) -> str:

@@ -11,7 +11,7 @@ from PIL import Image
 
 MAX_BYTES = 100_000
 MAX_RANGE_M = 80.0
-_SUPPORT_COLOURS = ((214, 62, 50), (240, 190, 60), (48, 120, 190))
+SUPPORT_COLOURS = ((214, 62, 50), (240, 190, 60), (48, 120, 190))
 """Of guessed, extrapolated and seen returns; rays without a return have a third of the brightness."""
 _SPLIT_COLOURS = {"train": "#2a6f97", "test": "#d9822b"}
 _SPLIT_WORDS = {"train": "training", "test": "held out"}
@@ -36,7 +36,7 @@ def support_preview(support: np.ndarray, returned: np.ndarray, row_repeat: int =
         returned: (L, F) bool, whether the ray shows a return.
         row_repeat: Pixels that a row is high.
     """
-    colours = np.array(_SUPPORT_COLOURS)
+    colours = np.array(SUPPORT_COLOURS)
     palette = np.concatenate([colours // 3, colours])
     return palette_png(np.where(returned, 3 + support, support), palette, row_repeat)
 

@@ -97,7 +97,8 @@ def _intro() -> str:
         " rendered. Some recorded instants were <b>held out</b>: the model never saw them. This page"
         " compares what the model renders there with what was really recorded, beside simple methods that"
         " learn nothing, and says what each took in time.</p>"
-        f'<p class="soft">Made {made}. This page is one file and needs no network.</p>'
+        f'<p class="soft">Made {made}. This page is one file and needs no network; pages of scans in three'
+        " dimensions lie beside it, in <code>views</code>.</p>"
     )
 
 

@@ -65,6 +65,12 @@ class ViewPictures:
     recorded_points_m: np.ndarray | None = None
     rendered_points_m: dict[str, np.ndarray] = field(default_factory=dict)
     cameras: list[CameraPair] = field(default_factory=list)
+    scan_page: str = ""
+    """File, beside the report, that shows its scans in three dimensions; empty = none."""
+    strip: bytes | None = None
+    """Animated WebP of recorded beside synthetic; None = none."""
+    note: str = ""
+    """Why one of them is absent that could be expected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

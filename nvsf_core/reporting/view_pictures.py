@@ -10,6 +10,7 @@ from nvsf_core.reporting.html import escape, figure, image, number
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.reporting.scene_outputs import METHODS, CameraPair, ViewPictures
 from nvsf_core.reporting.tables import Row, image_scores, view_table
+from nvsf_core.reporting.view_files import files_section
 
 _OF_IMAGES = (
     " Its lasers look above those that recorded: where no return was recorded, images show the surface, with"
@@ -42,6 +43,7 @@ def view_section(view: ViewPictures, recipe: str, rows: Sequence[Row]) -> str:
             f"<p>{about}{_OF_IMAGES * view.by_images}</p>",
             view_table(rows, view.view),
         ]
+    parts.append(files_section(view))
     if view.rendered_range_m:
         parts.append(_range_images(view, names))
     if view.rendered_points_m:

@@ -9,12 +9,14 @@ from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
+from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import publish_folder, published
 
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
 _REPORTING = Path(reporting.__file__).parent
+_CODE = ("*.py", "*.js", "page.html")
 _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
 """Patterns of stage records below a scene's folder: once per scene, per recipe and seed, per data set."""
 
@@ -56,6 +58,7 @@ def make_benchmark_report(
     shown = {scene.name for scene in scenes}
     try:
         with publish_folder(target) as folder:
+            scenes = [with_view_files(folder, home, scene) for scene in scenes]
             written = write_report(folder, scenes, no_data, speed_section(curves, shown))
             (folder / _SOURCE).write_text(source)
     except OSError as error:
@@ -77,7 +80,7 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
     """
     read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
     read += sorted(curves.rglob("*.json")) if curves is not None else []
-    code = [*sorted(_REPORTING.glob("*.py")), Path(__file__)]
+    code = [path for kind in _CODE for path in sorted(_REPORTING.rglob(kind))] + [Path(__file__)]
     state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
     return hashlib.sha256(repr((list(names), said, sorted(state))).encode()).hexdigest()
 

@@ -26,15 +26,15 @@ from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.exports.boxes import boxes_at
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord
-from nvsf_core.stages.exports.write import write_data_set
+from nvsf_core.stages.exports.write import finish_data_set, write_data_set
+from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
-MANIFEST_NAME = "manifest.json"
-_PACKAGES = ("numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
+_PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
 def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> str:
@@ -77,13 +77,12 @@ def _run(task: Task) -> StageOutput:
             manifest = {
                 **identity_of(task, view, version),
                 "drawn": rendered_view.what_was_sampled(),
-                "software": _software(),
                 "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
                 "source_checksums": sources,
                 **written,
                 "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
             }
-            (folder / MANIFEST_NAME).write_text(json.dumps(manifest, indent=1, allow_nan=False))
+            finish_data_set(folder, manifest)
         output.beside.append(location)
         entry = _summary(task.store.path(location), location, view.name, version, scans, pictures)
         made.append(entry)
@@ -109,6 +108,9 @@ def identity_of(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
         "recipe": {**recipe.to_json(), "identity": recipe.identity()},
         "seed": task.config.seed,
         "draw_seed": task.config.draw_seed,
+        "licence": task.scene.licence,
+        "commit": code_commit(),
+        "software": _software(),
     }
 
 
@@ -269,8 +271,8 @@ STAGE = Stage(
     group="export",
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
-    " a manifest of what they came from.",
-    version="4",
+    " with a manifest of what they came from and a card of how wrong they are.",
+    version="5",
     run=_run,
     per_recipe=True,
     per_draw=True,

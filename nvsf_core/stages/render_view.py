@@ -1,6 +1,5 @@
 """Render one view of a scene and write its data set: what a `[[view]]` of the catalogue does, as a call."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,9 +11,9 @@ from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import Recipe
-from nvsf_core.stages.dataset import MANIFEST_NAME, boxes_of, dataset_version, identity_of, source_checksums
+from nvsf_core.stages.dataset import boxes_of, dataset_version, identity_of, source_checksums
 from nvsf_core.stages.exports.of_view import RenderedView
-from nvsf_core.stages.exports.write import write_data_set
+from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
@@ -79,7 +78,7 @@ def render_view(
         progress: Receives progress lines; default standard error.
 
     Returns:
-        The folder of the data set, with its `manifest.json`.
+        The folder of the data set, with its `manifest.json` and its card.
 
     Raises:
         DataError: The view asks for what is impossible, or `out` is taken; found before anything is trained.
@@ -135,7 +134,7 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
         "source_checksums": sources,
         **write_data_set(folder, rendered, boxes_of(task, arrays["time_s"])),
     }
-    (folder / MANIFEST_NAME).write_text(json.dumps(manifest, indent=1, allow_nan=False))
+    finish_data_set(folder, manifest)
 
 
 def _has_images(view: View) -> bool:

@@ -1,6 +1,5 @@
 """Stage `scene_metrics`: metrics of held-out frames, and of views whose truth is known, for all methods."""
 
-import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,7 @@ from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.reporting.scene_outputs import METHODS
 from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metrics
-from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.host import code_commit, machine
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
 from nvsf_core.stages.scoring.demo_images import demo_images
@@ -51,7 +50,7 @@ class _Part:
 def _run(task: Task) -> StageOutput:
     config = task.config
     views = task.store.require(f"novel_views/{config.recipe.name}/{config.seed}")
-    ledger = Ledger(facts={"scene": task.scene.name, "commit": _commit()})
+    ledger = Ledger(facts={"scene": task.scene.name, "commit": code_commit()})
     recording = read_recorded_scans(task.store.require("sweeps") / "returns.zarr")
     lpips = load_lpips()
     about = _measure_held_out(task, views / HELD_OUT, recording, ledger, lpips)
@@ -178,18 +177,6 @@ def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, o
     output.previews[f"range errors above {WRONG_M:.0f} m in red, frame {frame}"] = ERROR_CLOUD_NAME
     output.metadata["error_cloud_frame"] = frame
     output.metadata["error_cloud_wrong_share"] = float(np.mean(~(error_m <= WRONG_M)))
-
-
-def _commit() -> str:
-    """Git commit of this code; `unknown` outside a checkout."""
-    folder = Path(__file__).resolve().parent
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
-        )
-    except OSError:
-        return "unknown"
-    return done.stdout.strip() if done.returncode == 0 else "unknown"
 
 
 STAGE = Stage(

@@ -38,6 +38,8 @@ def write_street(home: Path, scene: str, *, recipe: str = "quick", seed: int = 0
             "frame": np.array([4, 7]),
             "offsets": np.array([0, 1, 1 + len(points_m)]),
             "points_m": np.concatenate([points_m[:1], points_m]),
+            "intensity": np.full(1 + len(points_m), 0.4, np.float32),
+            "lidar_to_world": np.stack([np.eye(4)] * 2),
         }
         write_arrays(folder / "returns.zarr", arrays)
         _record(folder, 3.2, {"returns": len(points_m)})
@@ -110,6 +112,10 @@ def _write_view(folder: Path, view: str, recipe: str, methods: tuple[str, ...]) 
         points_m = _points_m(range_m)
         arrays = {
             "frame": np.array([7]),
+            "time_s": np.array([0.7]),
+            "lidar_to_world": np.eye(4)[None],
+            "intensity": np.full(len(points_m), 0.4, np.float32),
+            "support": np.full(len(points_m), 2, np.uint8),
             "pano_range_m": range_m[None],
             "points_m": points_m,
             "offsets": np.array([0, len(points_m)]),

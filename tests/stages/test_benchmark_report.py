@@ -11,6 +11,7 @@ import pytest
 
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import COLUMNS, UNITS
+from nvsf_core.reporting.scan_page.page import MOST_BYTES
 from nvsf_core.stages import benchmark_report
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
@@ -55,7 +56,12 @@ def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> 
     path = make_benchmark_report(tmp_path, ["street"], {}, [])
     assert path == tmp_path / "benchmark_report" / "index.html"
     page, text = _read(path)
-    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    links = re.findall(r'(?:src|href)="(?!data:|#)([^"]*)', page)
+    assert links == ["views/street/test.html", "views/street/shift_1m.html"]
+    for link in links:
+        scans = (path.parent / link).read_text(encoding="utf-8")
+        assert "://" not in scans and not re.findall(r"(?:src|href)=", scans), "it needs no network either"
+        assert scans.count('"frame":7') == 1 and len(scans) < MOST_BYTES
     assert "<script" not in page
     assert "://" not in page
     for words in ("quick is best in 9 of 9", "reproject", "copy_nearest", "mesh", "1.9 M parameters",

@@ -15,8 +15,10 @@ from nvsf_core.rendering.support import Support
 from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.scan import sample_scan
 from nvsf_core.stages.dataset import STAGE
+from nvsf_core.stages.runner.facts import facts_of, scene_facts
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table
 from tests.clouds.ply_reader import read_ply
@@ -168,6 +170,28 @@ def test_the_manifest_names_sources_poses_and_metrics_in_strict_json(tmp_path: P
     assert by_name["f_score"]["value"] == pytest.approx(0.6)
     assert by_name["range_rmse_m"]["value"] is None
     assert by_name["range_rmse_m"]["n_defined"] == 0
+    card = json.loads((folders["shift_1m"] / "card.json").read_text(), parse_constant=refuse)
+    assert {"card.json", "card.md"} <= set(manifest["checksums"])
+    assert card["made_by"]["commit"] == manifest["commit"]
+    assert [one["metric"] for one in card["errors"]] == ["f_score"]
+
+
+def test_another_licence_changes_the_card_and_no_training() -> None:
+    entry = SceneEntry(
+        name="tiny", root=Path("drive"), sequence="s", first_frame=1, last_frame=4, test_frames=()
+    )
+    licensed = replace(entry, licence="CC BY 4.0")
+    assert scene_facts(licensed) == scene_facts(entry)
+    config, inputs, hashes = (
+        RunConfig(recipe=preset("quick")),
+        dict.fromkeys(STAGE.inputs, ""),
+        FileHashes(Path("unused")),
+    )
+    facts = facts_of(STAGE, licensed, config, inputs, hashes)
+    assert facts["licence"] == "CC BY 4.0"
+    assert "licence" not in facts_of(STAGE, entry, config, inputs, hashes)
+    with pytest.raises(DataError, match="licence: expected a line"):
+        replace(entry, licence="two\nlines")
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_a_version_beside(tmp_path: Path) -> None:

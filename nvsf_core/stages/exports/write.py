@@ -1,5 +1,6 @@
 """Writes a data set: scans and images in each format that its view asks for, and the manifest's rows."""
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 
 from nvsf_core.clouds.laz import write_laz
 from nvsf_core.rendering.support import Support
+from nvsf_core.stages.exports.card import write_card
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
 from nvsf_core.stages.exports.mcap import write_mcap
@@ -16,7 +18,8 @@ from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
 from nvsf_core.stages.views.files import write_images, write_scans
 from nvsf_core.stores.checksums import file_checksums
 
-SCHEMA_VERSION = 2
+MANIFEST_NAME = "manifest.json"
+SCHEMA_VERSION = 3
 """Of the manifest and the files that it names."""
 _CLOUDS = ("bin", "ply", "pcd")
 _WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
@@ -43,12 +46,24 @@ def write_data_set(
             _WHOLE[name](folder, view.data_set(boxes))
     return {
         "schema_version": SCHEMA_VERSION,
+        "sensor": view.attrs.get("sensor", ""),
         "scans": scans,
         "images": images,
         "cameras": _cameras(view),
         "boxes": _boxes(view, boxes),
-        "checksums": file_checksums(folder),
     }
+
+
+def finish_data_set(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Write the card, then the manifest with the checksums of all other files.
+
+    Args:
+        folder: Folder of the data set, with all its files.
+        manifest: The manifest's entries, without checksums.
+    """
+    write_card(folder, manifest)
+    whole = {**manifest, "checksums": file_checksums(folder)}
+    (folder / MANIFEST_NAME).write_text(json.dumps(whole, indent=1, allow_nan=False))
 
 
 def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:
@@ -85,7 +100,7 @@ def _beside(folder: Path, scan: ScanRecord) -> dict[str, str]:
 
 
 def _support_counts(support: np.ndarray) -> dict[str, int]:
-    """Returns of each support, under the name of its region."""
+    """Returns or pixels of each support, under the name of its region."""
     return {one.region: int(np.count_nonzero(support == one)) for one in Support}
 
 
@@ -94,10 +109,13 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     a = view.arrays
     for camera, index, number, file in write_images(folder, a):
+        height, width = a[f"{camera}_rgb"][index].shape[:2]
         row = {
-            "camera": camera, "number": number, "file": file,
+            "camera": camera, "number": number, "file": file, "pixels": height * width,
             "nearest_frame": int(a[f"{camera}_frame"][index]),
         }  # fmt: skip
+        if f"{camera}_support" in a:
+            row |= _support_counts(a[f"{camera}_support"][index])
         if len(a[f"{camera}_frame"]) == len(a["time_s"]):
             row |= {"time_s": float(a["time_s"][index]), "stamp_s": float(view.stamp_s[index])}
         if f"{camera}_camera_to_world" in a:

@@ -15,8 +15,9 @@ from nvsf_core.stores.file_hashes import FileHashes
 Facts = dict[str, Any]
 """All that decides an output, as JSON holds it."""
 
-_NOT_OF_SCENE = ("root", "views", "recipe")
-"""Where a drive lies decides nothing; its content, its views and the recipe are facts of their own."""
+_NOT_OF_SCENE = ("root", "views", "recipe", "licence")
+"""Where a drive lies decides nothing; its content, its views, the recipe and, for data sets, the licence are
+facts of their own."""
 _NOT_OF_VIEW = ("scenes", "truth")
 """Other scenes of a view decide nothing; of its truth only the cameras do, and the images' content."""
 _WORDS = {
@@ -26,6 +27,7 @@ _WORDS = {
     "seed": "the seed",
     "draw": "the draw seed or the label of the data set",
     "views": "the views that the catalogue asks for",
+    "licence": "the licence of the recording",
     "drive": "the files of the drive",
     "truth": "the true images of its views",
 }
@@ -61,6 +63,8 @@ def facts_of(
         facts["seed"] = config.seed
     if stage.per_draw:
         facts["draw"] = [config.draw_seed, config.dataset_label]
+        if scene.licence is not None:
+            facts["licence"] = scene.licence
     if stage.reads_views:
         facts["views"] = view_facts(scene)
     if stage.reads_drive:

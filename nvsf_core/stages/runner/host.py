@@ -1,7 +1,8 @@
-"""The machine that a figure was measured on."""
+"""The machine and the commit that a figure was measured on."""
 
 import os
 import platform
+import subprocess
 from pathlib import Path
 
 import torch
@@ -19,3 +20,15 @@ def machine() -> str:
         f"{model}, {os.cpu_count()} CPU cores, Python {platform.python_version()}, "
         f"torch {torch.__version__}, {gpu}"
     )
+
+
+def code_commit() -> str:
+    """Git commit of this code; `unknown` outside a checkout."""
+    folder = Path(__file__).resolve().parent
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return "unknown"
+    return done.stdout.strip() if done.returncode == 0 else "unknown"

@@ -112,7 +112,7 @@ def _make_earlier(home: Path, entry: SceneEntry) -> None:
             "stage": stage.name,
             "version": stage.version,
             "inputs": {name: known[name] for name in sorted(stage.inputs)},
-            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in ("views", "recipe")},
+            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in ("views", "recipe", "licence")},
         }
         if stage.reads_drive:
             facts["drive"] = _listing(entry)
