@@ -14,12 +14,15 @@ _VOXEL_M = 1.0
 """KISS-ICP's own choice: a hundredth of the range."""
 
 
-def odometry_path(scans: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def odometry_path(
+    scans: Iterable[tuple[np.ndarray, np.ndarray]], first_step: np.ndarray | None = None
+) -> np.ndarray:
     """Poses (n, 4, 4) of consecutive scans, metres; the first is where KISS-ICP starts.
 
     Args:
         scans: Of each its points (m, 3) in the sensor's frame at firing time, metres, and their times (m,),
             in sweeps, -0.5 to 0.5.
+        first_step: (4, 4) motion from one scan to the next at the start; None = the sensor stands.
 
     Raises:
         DataError: A scan has too few points, or one that is not finite.
@@ -34,7 +37,9 @@ def odometry_path(scans: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
                 f"odometry: expected {_LEAST_POINTS} or more finite points a scan, found {len(points_m)}, "
                 f"{int((~np.isfinite(points_m)).sum())} numbers not finite, in scan {number}; leave it out"
             )
-        odometry = odometry or _kiss_icp()
+        if odometry is None:
+            odometry = _kiss_icp()
+            odometry.last_delta = odometry.last_delta if first_step is None else first_step
         # Without times the scan is taken to be of one instant; equal times would end the process.
         times = fraction.astype(np.float64) + 0.5 if np.ptp(fraction) > 0.0 else np.zeros(0)
         odometry.register_frame(np.ascontiguousarray(points_m, np.float64), times)

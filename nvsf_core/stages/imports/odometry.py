@@ -1,5 +1,6 @@
 """Poses of a drive that has none: KISS-ICP on its scans, and how well they agree."""
 
+import itertools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -11,6 +12,7 @@ from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.sweep import sweep_fraction
 
+_START_SCANS = 8
 _COMPARED = 4000
 _NEAR_M, _FAR_M = 3.0, 40.0
 _OVERLAP_M = 0.3
@@ -44,7 +46,12 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
             kept.append(points_m[:: max(1, len(points_m) // _COMPARED)])
             yield points_m, _fraction(scan, period_s)
 
-    poses = odometry_path(scans())
+    # KISS-ICP takes a sensor to stand at first. One that drives already is lost for some scans, so the motion
+    # after these is what the path is started with.
+    start = odometry_path(itertools.islice(scans(), _START_SCANS))
+    frames.clear()
+    kept.clear()
+    poses = odometry_path(scans(), _last_step(start))
     if len(frames) < 2:
         raise DataError(
             f"{source.scene.root}: expected two or more scans to find poses from, found {len(frames)}"
@@ -54,6 +61,11 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
     lidar_to_pose = source.calibration().lidar_to_pose
     path = PosePath(time_s, poses @ np.linalg.inv(lidar_to_pose), source.scene.root)
     return path, _quality(kept, poses, time_s)
+
+
+def _last_step(poses: np.ndarray) -> np.ndarray | None:
+    """(4, 4) motion between the last two of poses (n, 4, 4)."""
+    return np.asarray(np.linalg.inv(poses[-2]) @ poses[-1]) if len(poses) > 1 else None
 
 
 def _readable(source: AbstractPosedDrive, frame: int) -> Scan | None:
