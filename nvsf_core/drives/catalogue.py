@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nvsf_core.drives.catalogue_views import expanded, path_of, read_sensor, read_view, require_keys
+from nvsf_core.drives.cuts import cut_scene
 from nvsf_core.drives.entries import OWN_ROOT_KINDS, SceneEntry, ViewEntry
 from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kitti360.text import MIB, read_text
@@ -125,10 +126,13 @@ def load_catalogue(
     _require_other_names(scenes)
     ordered = sorted(scenes.values(), key=lambda entry: entry.first_frame - entry.last_frame)
     try:
-        return tuple(
+        whole = [
             replace(entry, views=tuple(one for _, one in views if entry.name in (one.scenes or scenes)))
             for entry in ordered
-        )
+        ]
+        parts = tuple(part for entry in whole for part in cut_scene(entry))
+        _require_other_names({part.name: part for part in parts}, len(parts))
+        return parts
     except DataError as error:
         raise DataError(f"{', '.join(map(str, paths)):.300}: {error}") from error
 
@@ -214,8 +218,10 @@ def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pat
     return path.absolute().parent.joinpath(path_of(raw["root"], home, f"{where}: root"))
 
 
-def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
-    """Refuse names that differ only in case: on some disks they are one folder."""
+def _require_other_names(scenes: Mapping[str, SceneEntry], count: int | None = None) -> None:
+    """Refuse names that differ only in case: on some disks they are one folder; or names of two."""
+    if count is not None and len(scenes) != count:
+        raise DataError("a part of a scene with `cut_frames` has the name of another scene; rename one")
     known: dict[str, str] = {}
     for name in scenes:
         other = known.setdefault(name.casefold(), name)

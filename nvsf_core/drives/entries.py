@@ -75,6 +75,11 @@ class SceneEntry:
     scans. None given = as the drive says."""
     licence: str | None = None
     """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
+    cut_frames: int | None = None
+    """Most frames of a part of a long drive: the entry stands for scenes `name_000`, `name_001`, ..., each
+    trained by itself; `nvsf join` makes one data set of theirs. None = one scene."""
+    overlap_frames: int = 8
+    """Frames that neighbouring parts share at least."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
@@ -90,6 +95,11 @@ class SceneEntry:
                 f"lidar: expected one of {', '.join(SENSOR_TABLES)}, or {FOUND!r}, found {self.lidar!r:.60}"
             )
         self._require_frames()
+        if self.cut_frames is not None and not 0 <= self.overlap_frames < self.cut_frames / 2:
+            raise DataError(
+                f"overlap_frames: expected 0 to less than half of cut_frames = {self.cut_frames}, found "
+                f"{self.overlap_frames}"
+            )
         if self.sweep_period_s is not None and not SHORTEST_STEP_S <= self.sweep_period_s <= LONGEST_STEP_S:
             raise DataError(
                 f"sweep_period_s: expected {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} seconds of one sweep, "
@@ -176,6 +186,8 @@ _SCENE_KINDS: Kinds = {
     "compensate": (is_bool, "true or false"),
     "kind": (is_text, f"one of {', '.join(DRIVE_KINDS)}"),
     "lidar": (or_none(is_text), "a LiDAR's name, or None"),
+    "cut_frames": (or_none(is_whole), "a whole number, or None"),
+    "overlap_frames": (is_whole, "a whole number"),
     "licence": (or_none(is_line), "a line of at most 200 characters, or None"),
     "views": (each(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }

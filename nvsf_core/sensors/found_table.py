@@ -24,7 +24,7 @@ Scans = Sequence[tuple[np.ndarray, np.ndarray | None]]
 
 _NEAREST_M = 2.0
 _FAR_M = 10.0
-"""Elevations are told apart by returns beyond this, where a lever arm of 5 cm turns them by 0.3 degrees."""
+"""Elevations are separated by returns beyond this, where a lever arm of 5 cm turns them by 0.3 degrees."""
 _FEWEST_RETURNS = 30
 """Returns of a laser below which it is not one."""
 _MOST_LASERS = 256
@@ -51,7 +51,7 @@ class FoundTable:
 
     table: LaserTable
     evidence: str
-    """How lasers were told apart, and how well the model fits, in words and numbers."""
+    """How lasers were separated, and how well the model fits, in words and numbers."""
 
 
 class _Line(NamedTuple):
@@ -74,7 +74,7 @@ def find_table(scans: Scans) -> FoundTable:
         scans: Some scans of one drive, in file order.
 
     Raises:
-        DataError: There are no lasers to be told apart; the message says what was tried.
+        DataError: There are no lasers to be separated; the message says what was tried.
     """
     groups, words = _told_apart(scans)
     lines = _lines(groups)
@@ -141,16 +141,16 @@ def _fitting(scans: Scans, lines: Sequence[_Line]) -> float:
 
 
 def _told_apart(scans: Scans) -> tuple[list[np.ndarray], str]:
-    """What `_grouped` gives, and how lasers were told apart."""
+    """What `_grouped` gives, and how lasers were separated."""
     if all(ring is not None for _, ring in scans):
-        return _grouped(scans, [np.asarray(ring) for _, ring in scans]), "told apart by their `ring`"
+        return _grouped(scans, [np.asarray(ring) for _, ring in scans]), "separated by their `ring`"
     turns = [_turns(points_m) for points_m, _ in scans]
     counts = {int(turn.max(initial=-1)) + 1 for turn in turns}
     if len(counts) == 1 and 2 <= max(counts) <= _MOST_LASERS:
         groups = _grouped(scans, turns)
         spreads = [one.spread_rad for one in _lines(groups)]
         if groups and np.mean(np.array(spreads) <= _SPREAD_RAD) > 0.5:
-            return groups, "told apart by the file's order, one turn of the azimuth each"
+            return groups, "separated by the file's order, one rotation each"
     bands, labels = _bands(scans), []
     if not 2 <= len(bands) - 1 <= _MOST_LASERS:
         raise DataError(
@@ -161,7 +161,7 @@ def _told_apart(scans: Scans) -> tuple[list[np.ndarray], str]:
         elevation, range_m = _elevation(points_m)
         band = np.searchsorted(bands, elevation) - 1
         labels.append(np.where((range_m > _FAR_M) & (band >= 0) & (band < len(bands) - 1), band, -1))
-    return _grouped(scans, labels), "told apart by gaps between their elevations"
+    return _grouped(scans, labels), "separated by gaps between their elevations"
 
 
 def _grouped(scans: Scans, labels: Sequence[np.ndarray]) -> list[np.ndarray]:

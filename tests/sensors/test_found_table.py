@@ -35,7 +35,7 @@ def test_the_32_lasers_of_a_scan_in_file_order_are_found(found):
     assert np.abs(table.horizontal_offset_m - HDL_64E.horizontal_offset_m[LASERS]).max() < 0.003
     assert len(np.unique(table.firing_shift_steps - HDL_64E.firing_shift_steps[LASERS])) == 1
     assert abs(table.firings_per_turn - FIRINGS) < 0.03 * FIRINGS
-    assert "32 lasers from 3 scans, told apart by the file's order" in found.evidence
+    assert "32 lasers from 3 scans, separated by the file's order" in found.evidence
 
 
 def test_scans_are_timed_by_a_found_table_as_by_the_known_one(found, scans):
