@@ -9,7 +9,8 @@ from typing import Any
 
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.errors import DataError
-from nvsf_core.stages.exports.write import MANIFEST_NAME, finish_data_set
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
+from nvsf_core.stages.exports.write import finish_data_set
 
 _OF_A_PART = ("scene", "value", "n_frames", "n_defined")
 """Columns of a mean error that differ between parts."""
@@ -40,6 +41,12 @@ def join_data_sets(
     """
     if out.exists():
         raise DataError(f"{out}: expected a folder to be made, found one that is there; name another")
+    for folder in folders:
+        fault = damaged_data_set(folder)
+        if fault is not None:
+            raise DataError(
+                f"{folder}: expected a whole data set, found {fault} damaged; `nvsf verify --mend`"
+            )
     manifests = [_manifest(folder) for folder in folders]
     for (part, _), manifest in zip(parts, manifests, strict=True):
         differing = [key for key in _SAME if manifest.get(key) != manifests[0].get(key)]
@@ -149,5 +156,6 @@ def _manifest(folder: Path) -> dict[str, Any]:
         manifest: dict[str, Any] = json.loads((folder / MANIFEST_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise DataError(f"{folder}: expected a data set with {MANIFEST_NAME} ({error})") from error
-    manifest.pop("checksums", None)
+    for own in ("checksums", SEAL):
+        manifest.pop(own, None)
     return manifest
