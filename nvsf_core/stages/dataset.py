@@ -9,7 +9,7 @@ import importlib.metadata
 import json
 import math
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,8 @@ from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
 from nvsf_core.stages.dataset_size import dataset_bytes
-from nvsf_core.stages.exports.boxes import boxes_at
+from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.of_view import RenderedView
-from nvsf_core.stages.exports.records import BoxRecord
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import read_record
@@ -72,7 +71,7 @@ def _run(task: Task) -> StageOutput:
                 scene=task.scene.name, sequence=task.scene.sequence, entry=view, config=task.config,
                 arrays=arrays, attrs=attrs,
             )  # fmt: skip
-            written = write_data_set(folder, rendered_view, boxes_of(task, arrays["time_s"]))
+            written = write_data_set(folder, rendered_view, boxes_of(task.store, arrays["time_s"]))
             scans, pictures = written["scans"], written["images"]
             manifest = {
                 **identity_of(task, view, version),
@@ -140,15 +139,6 @@ def _read_view(path: Path) -> dict[str, np.ndarray]:
     if present and len(present) != len(GRID_ARRAYS):
         raise StoreError(f"{path}: expected all of {GRID_ARRAYS}, found {present}; make novel_views anew")
     return arrays
-
-
-def boxes_of(task: Task, time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
-    """Gives the drive's labelled boxes at one of the instants (n,) of a view; none if it has none."""
-    folder = task.store.require("frames")
-    if not (folder / "boxes.parquet").is_file():
-        return lambda index: []
-    frames = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
-    return boxes_at(read_rows(folder / "boxes.parquet"), frames, time_s)
 
 
 def source_checksums(task: Task) -> dict[str, str]:
@@ -272,7 +262,7 @@ STAGE = Stage(
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="5",
+    version="6",
     run=_run,
     per_recipe=True,
     per_draw=True,

@@ -68,6 +68,9 @@ def test_kitti360_is_read_with_calibration_poses_times_and_boxes(tmp_path: Path)
     boxes, left_out = read_boxes(layout.boxes_path("train"), 4, 7)
     assert left_out == []
     moving = {row.frame: row for row in boxes if row.dynamic}
+    assert {row.object_id for row in boxes} == {26_007, 26_009}, "objects keep their numbers"
+    labels = cv2.imread(str(layout.instance_path("image_00", 5)), cv2.IMREAD_UNCHANGED)
+    assert labels.dtype == np.uint16 and (labels == small.OBJECT_IDS).all()
     assert np.allclose(moving[5].box_to_world, small.boxes(1)[0].box_to_world, atol=1e-4)
 
 
@@ -84,7 +87,7 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
             found.setdefault(channel.topic, []).append((message.log_time, decoded))
     assert {topic: len(messages) for topic, messages in found.items()} == {
         "/tf_static": 1, "/tf": 3, "/lidar/points": 3, "/image_00/camera_info": 3,
-        "/image_00/image/compressed": 3,
+        "/image_00/image/compressed": 3, "/image_00/depth/image": 3, "/image_00/instance/image": 3,
     }  # fmt: skip
     time_ns, cloud = found["/lidar/points"][2]
     assert time_ns == EPOCH_S * 10**9 + 700_000_000 and cloud.header.frame_id == "lidar"
@@ -100,6 +103,12 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
     _, picture = found["/image_00/image/compressed"][1]
     rgb = cv2.imdecode(np.frombuffer(bytes(picture.data), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
     assert (rgb == small.image("image_00", 1).rgb).all()
+    for topic, kind, expected in (
+        ("depth", "<f4", small.depth(2)), ("instance", "<i4", small.OBJECT_IDS),
+    ):  # fmt: skip
+        _, numbers = found[f"/image_00/{topic}/image"][2]
+        shown = np.frombuffer(bytes(numbers.data), kind).reshape(numbers.height, numbers.width)
+        assert numbers.encoding == {"<f4": "32FC1", "<i4": "32SC1"}[kind] and (shown == expected).all()
     assert np.allclose(np.array(found["/image_00/camera_info"][0][1].k).reshape(3, 3), small.PINHOLE.matrix)
     moved = found["/tf"][1][1].transforms[0].transform.translation
     assert np.allclose([moved.x, moved.y, moved.z], small.POSES[1][:3, 3])
