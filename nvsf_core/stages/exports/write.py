@@ -13,9 +13,10 @@ from nvsf_core.rendering.support import Support
 from nvsf_core.stages.exports.card import write_card
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
-from nvsf_core.stages.exports.mcap import write_mcap
+from nvsf_core.stages.exports.nuscenes import write_nuscenes
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
+from nvsf_core.stages.exports.ros import write_mcap, write_rosbag2
 from nvsf_core.stages.views.files import write_images, write_scans
 from nvsf_core.stages.views.instances import camera_models, depth_m
 from nvsf_core.stores.checksums import file_checksums
@@ -29,6 +30,7 @@ _MOST_STEPS = 65_535
 _CLOUDS = ("bin", "ply", "pcd")
 _WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
     "kitti": write_kitti, "kitti360": write_kitti360, "mcap": write_mcap,
+    "nuscenes": write_nuscenes, "rosbag2": write_rosbag2,
 }  # fmt: skip
 """Formats that hold a whole data set in a folder of their own."""
 

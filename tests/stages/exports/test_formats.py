@@ -16,7 +16,7 @@ from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.boxes import boxes_at
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
-from nvsf_core.stages.exports.mcap import EPOCH_S, write_mcap
+from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
 from tests.stages.exports import small_data_set as small
 
 MCAP_READER = "written by rosbags and read by mcap-ros2-support, of which one is not installed"
@@ -112,6 +112,24 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
     assert np.allclose(np.array(found["/image_00/camera_info"][0][1].k).reshape(3, 3), small.PINHOLE.matrix)
     moved = found["/tf"][1][1].transforms[0].transform.translation
     assert np.allclose([moved.x, moved.y, moved.z], small.POSES[1][:3, 3])
+
+
+def test_a_rosbag2_is_read_by_any_reader_of_rosbags(tmp_path: Path) -> None:
+    reading = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    write_rosbag2(tmp_path, small.data_set())
+    assert list((tmp_path / "rosbag2").glob("*.db3"))
+    stamps: dict[str, list[int]] = {}
+    with reading.AnyReader([tmp_path / "rosbag2"]) as bag:
+        for connection, time_ns, raw in bag.messages():
+            message = bag.deserialize(raw, connection.msgtype)
+            stamps.setdefault(connection.topic, []).append(time_ns)
+            if connection.topic == "/lidar/points":
+                scan = small.scan(len(stamps["/lidar/points"]) - 1)
+                points = np.frombuffer(message.data.tobytes(), POINT)
+                assert np.array_equal(np.column_stack([points[name] for name in "xyz"]), scan.rows[:, :3])
+                assert (points["ring"] == scan.ring).all() and (points["support"] == scan.support).all()
+    assert len(stamps) == 7
+    assert stamps["/tf"] == [EPOCH_S * 10**9 + round(one * 1e9) for one in small.STAMPS]
 
 
 def test_laz_holds_ring_time_and_support(tmp_path: Path) -> None:

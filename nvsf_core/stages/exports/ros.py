@@ -1,4 +1,6 @@
-"""Format `mcap`: a ROS 2 bag in an MCAP file, for Foxglove, Lichtblick, and `ros2 bag play`.
+"""Formats `mcap` and `rosbag2`: a ROS 2 bag in an MCAP file or, as older tools want it, in an SQLite one.
+
+For `ros2 bag play`, Foxglove and Lichtblick.
 
 Topics: `/lidar/points` (PointCloud2 with x, y, z, intensity, ring, time, support),
 `/<camera>/image/compressed` (PNG), `/<camera>/depth/image` (32FC1, metres along the optical axis, of a
@@ -19,7 +21,7 @@ from nvsf_core.errors import MissingLibraryError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.stages.exports.records import CameraRecord, DataSet, ScanRecord
 
-FOLDER = "mcap"
+MCAP_FOLDER, ROSBAG2_FOLDER = "mcap", "rosbag2"
 EPOCH_S = 1_369_728_000
 """2013-05-28 08:00 UTC, as of the format `kitti360`: a bag needs a date."""
 POINT = np.dtype([
@@ -42,18 +44,32 @@ def require_rosbags() -> Any:
         return importlib.import_module("rosbags.rosbag2")
     except ImportError as error:
         raise MissingLibraryError(
-            "exports: the format mcap needs the package rosbags: pip install 'nvsf[exports]'"
+            "exports: the formats mcap and rosbag2 need the package rosbags: pip install 'nvsf[exports]'"
         ) from error
 
 
 def write_mcap(folder: Path, data: DataSet) -> None:
-    """Write a data set as a bag, a frame at a time.
+    """Write a data set as a bag in an MCAP file.
 
     Raises:
         MissingLibraryError: `rosbags` is not installed.
     """
+    _write(folder / MCAP_FOLDER, "MCAP", data)
+
+
+def write_rosbag2(folder: Path, data: DataSet) -> None:
+    """Write a data set as a bag in an SQLite file (`.db3`).
+
+    Raises:
+        MissingLibraryError: `rosbags` is not installed.
+    """
+    _write(folder / ROSBAG2_FOLDER, "SQLITE3", data)
+
+
+def _write(folder: Path, storage: str, data: DataSet) -> None:
+    """Write a bag, a frame at a time."""
     rosbag2 = require_rosbags()
-    bag = rosbag2.Writer(folder / FOLDER, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    bag = rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
     with bag:
         out = _Bag(bag)
         first_s = float(data.stamp_s[0])
