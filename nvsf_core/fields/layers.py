@@ -29,7 +29,8 @@ def network(sizes: tuple[int, ...], generator: torch.Generator, *, zero_outputs:
         with torch.no_grad():
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.zero_()
-        layers += [layer, nn.ReLU()]
+        # In place saves a copy of the widest arrays: the layer before needs its inputs only, not its result.
+        layers += [layer, nn.ReLU(inplace=True)]
     last = cast(nn.Linear, layers[-2])
     with torch.no_grad():
         last.weight *= 0.3

@@ -11,7 +11,7 @@ import numpy as np
 
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.static.surfels import Surfels
-from nvsf_core.kernels.scan_lookup import EMPTY, SAME, THROUGH
+from nvsf_core.kernels.ray_agreement import add_agreement, holds_points
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.support import Support
@@ -20,8 +20,6 @@ from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scan import SweepRays
 
 _AGREEING_SCANS = 2
-_SAME_DIRECTION_COSINE = np.cos(np.deg2rad(20.0))
-_SAME_DISTANCE_RATIO = 1.5
 _SHIFT_M = 0.15
 """A field moves a return along its ray by no more than this from the surface that it was recorded on."""
 _STEPS = np.stack(np.meshgrid(*[np.arange(-1.0, 2.0)] * 3), axis=-1).reshape(-1, 3)
@@ -47,14 +45,14 @@ def support_of_sweep(
     ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
     ends_m = ends_m.astype(np.float32)
     returned = rays_return(rendered.hit) & has_end
-    agreed, others, looked = np.zeros(len(ends_m)), np.zeros(len(ends_m)), np.zeros(len(ends_m), bool)
+    agreed, others = np.zeros((2, len(ends_m)), np.float32)
+    looked = np.zeros(len(ends_m), bool)
     for scan in near.tolist():
         found = lidar.scan_grids.look(ends_m, scan, gaps_hide=not is_own_unit)
-        same = np.where(returned, found[:, SAME], found[:, EMPTY])
-        is_alike = ~has_end | _is_alike(lidar.scan_grids.position_m(scan), rays, ends_m, rendered.range_m)
-        agreed += same * is_alike
-        others += found[:, [SAME, THROUGH, EMPTY]].sum(axis=1) - same
-        looked |= found.any(axis=1)
+        position_m = lidar.scan_grids.position_m(scan)
+        add_agreement(
+            ends_m, rays.direction, rendered.range_m, returned, position_m, found, agreed, others, looked
+        )
     is_known = np.where(has_end, _is_recorded(lidar.evidence, rays, ends_m), looked)
     ended = np.flatnonzero(has_end & ~is_known)
     is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended])
@@ -63,17 +61,6 @@ def support_of_sweep(
     if is_own_unit:
         support[has_end & (rendered.range_m < NEAR_M)] = Support.SEEN
     return np.asarray(support.astype(np.uint8))
-
-
-def _is_alike(position_m: np.ndarray, rays: SweepRays, ends_m: np.ndarray, range_m: np.ndarray) -> np.ndarray:
-    """Whether (r,) bool a sensor at a position (3,) sees the rays' ends as they do."""
-    towards = ends_m - position_m.astype(np.float32)
-    distance_m = np.linalg.norm(towards, axis=1)
-    cosine = np.einsum("ni,ni->n", towards, rays.direction)
-    is_same_way = cosine >= _SAME_DIRECTION_COSINE * distance_m
-    ratio = np.maximum(distance_m, 1e-3) / np.maximum(range_m, 1e-3)
-    is_same_far = (ratio < _SAME_DISTANCE_RATIO) & (ratio > 1.0 / _SAME_DISTANCE_RATIO)
-    return np.asarray(is_same_way & is_same_far)
 
 
 def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -> np.ndarray:
@@ -102,6 +89,4 @@ def _is_on_object(lidar: LidarRecording, ends_m: np.ndarray, time_s: np.ndarray)
 
 def _holds(surfels: Surfels, points_m: np.ndarray) -> np.ndarray:
     """Whether (n,) bool points (n, 3) lie in the voxel of a surfel."""
-    index = surfels.index
-    place = np.floor((points_m - index.origin_m) / index.voxel_m).astype(np.int64)
-    return np.asarray(index.find(place) >= 0)
+    return np.asarray(holds_points(points_m, *surfels.index))

@@ -105,14 +105,13 @@ def _around(lidar: LidarRecording, scan: int) -> tuple[np.ndarray, np.ndarray]:
     found = found[a["laser"][found] >= 0]
     number = np.full((prior.laser_count, prior.firings_of(scan)), -1, np.int64)
     number[a["laser"][found], prior.nearest_firing(scan, a["sweep_fraction"][found])] = found
-    if len(found) == 0:
-        return np.zeros(number.shape, np.float32), number
-    share = gaussian_filter1d((number >= 0).astype(np.float32), _SMOOTHING_FIRINGS, axis=1, mode="wrap")
-    other_laser_far = (number.shape[1], 1.0)
-    cell = distance_transform_edt(
-        number < 0, sampling=other_laser_far, return_distances=False, return_indices=True
-    )
-    return share, number[tuple(cell)]
+    share = np.zeros(number.shape, np.float32)
+    for laser in np.unique(a["laser"][found]):
+        is_mirrored = number[laser] >= 0
+        share[laser] = gaussian_filter1d(is_mirrored.astype(np.float32), _SMOOTHING_FIRINGS, mode="wrap")
+        beside = distance_transform_edt(~is_mirrored, return_distances=False, return_indices=True)
+        number[laser] = number[laser, beside[0]]
+    return share, number
 
 
 def _mirrored_length_m(

@@ -12,12 +12,15 @@ import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.recipe import preset
+from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
+from nvsf_core.stages.views.plan import held_out_view
 
 _STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
-"""Together they call every kernel."""
+"""Together with one simulated sweep they call every kernel."""
 _FRAMES = 8
 _TRAFFIC = 6
 """Additional moving cars: moving objects have kernels of their own."""
@@ -39,10 +42,12 @@ def compile_kernels() -> None:
         run = plan_run(scene, Path(folder) / "home", recipe=preset("smoke"))
         for name in _STAGES:
             run_named_stage(name, run, lambda _: None)
-        lidar = read_recording(run.store).lidar
-        assert lidar is not None
+        recording = read_recording(run.store)
+        lidar, view = recording.lidar, held_out_view(recording, scene.test_frames)
+        assert lidar is not None and view is not None and view.sweeps is not None
         # So small a field may lose against `reproject`, and then the recorded sweeps are not queried.
         lidar.scan_grids.ask(np.zeros((1, 3), np.float32), np.zeros(1, np.int64))
+        simulate_sweep(reprojection(recording), lidar, view.sweeps, float(view.sweeps.time_s[0]))
 
 
 if __name__ == "__main__":
