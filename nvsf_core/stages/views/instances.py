@@ -92,15 +92,18 @@ def _image(
     """One instance image (H, W) uint16; the largest boxes first, so that smaller ones lie above them."""
     shown = np.zeros(range_m.shape, np.uint16)
     is_known = np.isfinite(range_m) & (range_m > 0.0)
-    range_m = np.where(is_known, range_m, np.nan)
+    points_m = np.where(is_known[..., None], rays * np.where(is_known, range_m, 0.0)[..., None], np.inf)
     for box in sorted(boxes, key=lambda one: -abs(np.linalg.det(one.box_to_world[:3, :3]))):
         in_camera = invert_pose(pose) @ box.box_to_world
         part = _window(model, in_camera)
         if part is None:
             continue
-        points_m = (rays[part] * range_m[part][..., None]).reshape(-1, 3)
-        inside = inside_any(points_m, in_camera[None], _GROWN_M).reshape(range_m[part].shape)
-        shown[part][inside] = value_of[box.object_id]
+        # Half of the grown box's diagonal: farther pixels are not looked at twice.
+        reach_m = 0.5 * float(np.linalg.norm(in_camera[:3, :3])) + 2.0 * _GROWN_M
+        near = (np.abs(points_m[part] - in_camera[:3, 3]) <= reach_m).all(axis=-1)
+        rows, columns = np.nonzero(near)
+        inside = inside_any(points_m[part][near], in_camera[None], _GROWN_M)
+        shown[part][rows[inside], columns[inside]] = value_of[box.object_id]
     return shown
 
 
