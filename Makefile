@@ -18,7 +18,7 @@ PIP   := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version
 TRAIN := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo train test test-fast check docs bench ablation stability gpu contract ui clean
+.PHONY: help install demo train test test-fast check docs bench ablation stability chaos gpu contract ui clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  \1\t/' | expand -t 14
@@ -74,6 +74,9 @@ ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md
 
 stability: $(DEV) ## hard numerical cases, measured; docs/numerical_stability.md
 	$(BIN)/python -m benchmarks.numerics.stability
+
+chaos: install ## MINUTES=60 SEED=0: kill, fill, cut and flip a home at work; docs/chaos.md
+	$(BIN)/python -m benchmarks.chaos
 
 gpu: install ## on a machine with a GPU: its tests, kernels and `paper`, measured; docs/gpu.md
 	$(BIN)/python -m benchmarks.gpu

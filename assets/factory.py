@@ -8,6 +8,7 @@ import dagster as dg
 from assets.automation import KEPT, follows_its_scene
 from assets.drives import ASKED_VIEWS, DRIVE
 from assets.metadata import outcome_metadata
+from assets.origin import say_whose_run_it_is
 from assets.scenes import DATA_VERSION, OWNERS, SCENES, key_of
 from assets.schema import schema_metadata
 from assets.verdicts import check_specs, evaluations, failed_verdicts, reason_of, verdicts
@@ -63,6 +64,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
     )
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> Iterator[_AssetEvent]:
         scene = context.partition_key
+        say_whose_run_it_is(context.instance, context.run.run_id)
         try:
             plan = workspace.plan(scene, keep=KEPT in context.run.tags)
             outcome = run_named_stage(stage.name, plan, context.log.info, stages=stages)

@@ -156,11 +156,15 @@ def scenes() -> None:
 
 @main.command()
 @click.argument("names", nargs=-1, metavar="[SCENES]...")
-def verify(names: Sequence[str]) -> None:
+@click.option(
+    "--mend", is_flag=True, help="Make damaged data sets anew, where nothing of theirs has changed."
+)
+def verify(names: Sequence[str], mend: bool) -> None:
     """Read every byte of SCENES anew (default: all that are trained), and say what is up to date.
 
-    Drives and outputs are compared with what each output was made from; nothing is made. What is remembered
-    of unchanged files is not believed here. Ends with 1 if an output is damaged.
+    Drives and outputs are compared with what each output was made from, all versions of data sets with their
+    manifests. What is remembered of unchanged files is not believed here. Nothing is made but by --mend:
+    other damaged outputs are made anew by the next run. Ends with 1 if something is damaged.
     """
     from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
     from nvsf_core.stages import STAGES, find_scene, plan_run
@@ -176,7 +180,25 @@ def verify(names: Sequence[str]) -> None:
                 damaged |= found.verdict is Verdict.DAMAGED
                 words = f" ({found.words})" if found.words else ""
                 click.echo(f"{entry.name} {recipe} seed {seed}, {found.stage}: {found.verdict.value}{words}")
+        damaged |= _has_damaged_versions(entry, home, mend)
     sys.exit(1 if damaged else 0)
+
+
+def _has_damaged_versions(entry: SceneEntry, home: Path, mend: bool) -> bool:
+    """Say of each version of a scene's data sets whether it is whole; whether one is not, and stays so."""
+    from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
+    from nvsf_core.stores.scene_store import SceneStore
+
+    damaged = False
+    for version in versions_of(SceneStore(home, entry.name)):
+        damage = damage_of_version(version)
+        words = "whole"
+        if damage is not None:
+            is_mended = mend and make_anew(entry, home, version, lambda line: click.echo(line, err=True))
+            words = "made anew" if is_mended else f"DAMAGED ({damage})"
+            damaged |= not is_mended
+        click.echo(f"{entry.name}, {version.location}: {words}")
+    return damaged
 
 
 @main.command()
@@ -224,9 +246,11 @@ def doctor() -> None:
 def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
     """Run Dagster's job over the scenes in its own process, as `make train` does; returns its exit code."""
     from nvsf_core.drives.catalogue import home_from_environment
+    from nvsf_core.stores.scene_store import require_home
 
     home = home_from_environment(os.environ)
     chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
+    require_home(home)  # first: Dagster, whose history lies there, would say less of what is wrong
     place = Path(os.environ.get("DAGSTER_HOME") or home / "dagster").absolute()
     environment = os.environ | chosen | {
         "DAGSTER_HOME": str(place), "DAGSTER_MODULE_NAME": "pipelines.definitions",

@@ -11,6 +11,9 @@ from nvsf_core.kernels.threads import thread_count
 
 _THREADS_A_STEP = 4
 """With fewer, a second step at once gains nothing: a step uses all threads itself."""
+_CORES_A_STEP = 1.0
+"""What Ray keeps free for a step; without it Ray starts all steps on its head."""
+_SENT = ("SCENES", "RECIPE", "SEED", "DAGSTER_HOME", "DAGSTER_MODULE_NAME", "PYTHONPATH")
 _MOST_STEPS = 4
 """Most parallel steps: each takes about 1.5 GB of memory."""
 
@@ -31,12 +34,17 @@ def executor_from_environment() -> dg.ExecutorDefinition:
     if name == "ray":
         with _extra(name):
             from dagster_ray import ray_executor
-        return ray_executor
+        return ray_executor.configured({"ray": {"num_cpus": _CORES_A_STEP, "env_vars": _sent_variables()}})
     if name == "k8s":
         with _extra(name):
             from dagster_k8s import k8s_job_executor
         return k8s_job_executor
     raise RecipeError(f"NVSF_EXECUTOR={name!r}: expected in_process, multiprocess, ray or k8s")
+
+
+def _sent_variables() -> list[str]:
+    """Variables of this process that a step on another machine must have, too."""
+    return sorted(name for name in os.environ if name.startswith("NVSF_") or name in _SENT)
 
 
 @contextlib.contextmanager

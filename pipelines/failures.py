@@ -9,6 +9,8 @@ from typing import Any
 import dagster as dg
 
 COMMAND_VARIABLE = "NVSF_ON_FAILURE"
+CALLED_TAG = "nvsf/failure_command"
+"""Tag of a run that has called the command itself, as a terminal's run does: a daemon need not be there."""
 _LONGEST_S = 60.0
 _MOST_WORDS = 4000
 
@@ -40,8 +42,10 @@ def call_command(failure: dict[str, Any]) -> str:
     description="Calls the command that NVSF_ON_FAILURE names, the failure as JSON on its standard input.",
 )
 def failure_command(context: dg.RunFailureSensorContext) -> dg.SkipReason:
-    """Call the command for a failed run of the daemon's; others call it themselves."""
+    """Call the command for a failed run, unless it has called it itself."""
     run, event = context.dagster_run, context.failure_event
+    if CALLED_TAG in run.tags:
+        return dg.SkipReason(f"run {run.run_id} has called it itself")
     words = [event.message or "", *_step_errors(context)]
     failure = {
         "run_id": run.run_id,

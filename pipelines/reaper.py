@@ -13,6 +13,8 @@ import dagster as dg
 
 HOST_TAG = "nvsf/host"
 """Tag of a run: `<host name>/<boot id>` of the machine of its processes."""
+CLOCK_TAG = "nvsf/started_s"
+"""Tag of a run: when its machine was started by the clock of then; one that was set since tells another."""
 _LOCAL_EXECUTORS = ("", "in_process", "multiprocess")
 _QUIET_S = 60.0
 """A run may have no process for a moment, for example while the next step starts."""
@@ -28,7 +30,7 @@ def host_tags() -> dict[str, str]:
     """Tags for a job whose runs stay on this machine; none if the executor sends steps to other machines."""
     if os.environ.get("NVSF_EXECUTOR", "") not in _LOCAL_EXECUTORS:
         return {}
-    return {HOST_TAG: f"{socket.gethostname()}/{_boot()}"}
+    return {HOST_TAG: f"{socket.gethostname()}/{_boot()}", CLOCK_TAG: f"{_machine_started_s():.0f}"}
 
 
 @dg.sensor(
@@ -78,7 +80,8 @@ def _is_stale(instance: dg.DagsterInstance, run: dg.DagsterRun, quiet_s: float) 
     if host != socket.gethostname():
         return False
     entries = instance.all_logs(run.run_id)
-    if time.time() - max((entry.timestamp for entry in entries), default=0.0) < quiet_s:
+    # Of a clock that was set back, events may lie in the future for long.
+    if abs(time.time() - max((entry.timestamp for entry in entries), default=0.0)) < quiet_s:
         return False
     if boot != _boot():
         return True
@@ -86,7 +89,20 @@ def _is_stale(instance: dg.DagsterInstance, run: dg.DagsterRun, quiet_s: float) 
     for entry in entries:
         if entry.dagster_event is not None and entry.dagster_event.pid is not None:
             spoke_s[entry.dagster_event.pid] = entry.timestamp
-    return not any(_is_alive(pid, moment_s) for pid, moment_s in spoke_s.items())
+    set_forward_s = _set_forward_s(run)
+    return not any(_is_alive(pid, moment_s + set_forward_s) for pid, moment_s in spoke_s.items())
+
+
+def _set_forward_s(run: dg.DagsterRun) -> float:
+    """By how much the machine's clock was set forward since the run was defined; 0 if it was not."""
+    told = run.tags.get(CLOCK_TAG, "")
+    return max(0.0, _machine_started_s() - float(told)) if told.isdigit() else 0.0
+
+
+def _machine_started_s() -> float:
+    """When this machine was started, by its clock of now, in whole seconds."""
+    lines = Path("/proc/stat").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("btime"))
 
 
 def _is_alive(pid: int, spoke_s: float) -> bool:
@@ -95,12 +111,7 @@ def _is_alive(pid: int, spoke_s: float) -> bool:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return False
-    booted_s = next(
-        float(line.split()[1])
-        for line in Path("/proc/stat").read_text().splitlines()
-        if line.startswith("btime")
-    )
-    started_s = booted_s + float(fields[19]) / os.sysconf("SC_CLK_TCK")
+    started_s = _machine_started_s() + float(fields[19]) / os.sysconf("SC_CLK_TCK")
     return fields[0] not in ("Z", "X") and started_s <= spoke_s + _CLOCK_SLACK_S
 
 

@@ -1,6 +1,7 @@
 """A logger for the terminal: progress, warnings and errors, without Dagster's own events."""
 
 import logging
+import os
 import re
 import shutil
 import sys
@@ -8,6 +9,8 @@ import time
 from typing import TextIO
 
 import dagster as dg
+
+from pipelines.json_lines import FILE_VARIABLE, JsonLines
 
 TERSE_LOGGING = {"loggers": {"terse": {"config": {}}}}
 """Run configuration that chooses this logger; without it a job has Dagster's own."""
@@ -90,4 +93,6 @@ def terse_logger(context: dg.InitLoggerContext) -> logging.Logger:
     handler.setFormatter(_TerseFormatter())
     logger = logging.Logger("nvsf", level=level)
     logger.addHandler(handler)
+    if os.environ.get(FILE_VARIABLE):
+        logger.addHandler(JsonLines(os.environ[FILE_VARIABLE]))
     return logger

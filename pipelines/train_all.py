@@ -17,6 +17,7 @@ from pydantic import Field
 
 from assets.factory import events_of, failed_checks
 from assets.metadata import exported_folders
+from assets.origin import TERMINAL_TAG, say_whose_run_it_is
 from assets.report import CURVES, METRICS_STAGE, REPORT
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
@@ -28,7 +29,7 @@ from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.tables import read_rows
-from pipelines.failures import call_command
+from pipelines.failures import CALLED_TAG, call_command
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
@@ -59,6 +60,7 @@ class SceneChoice(dg.Config):
 )
 def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice) -> Iterator[Any]:
     """Fan out over the scenes. Without data, one asked for by name counts as failed; others are left out."""
+    say_whose_run_it_is(context.instance, context.run.run_id)
     try:
         workspace.require_possible()
     except NvsfError as error:
@@ -204,12 +206,16 @@ def _closing_words(
 
 
 def _in_the_ui(context: dg.OpExecutionContext) -> str:
-    """Where the UI shows a run that no daemon started: neither on its timeline nor under its job."""
-    if context.instance.is_ephemeral:
+    """Where the UI shows a terminal's run."""
+    if not _is_of_terminal(context):
         return ""
-    if context.run.remote_job_origin is not None:
-        return ""
-    return f"in the UI: under Runs, as /runs/{context.run_id} (the timeline has the daemon's alone)\n"
+    return f"in the UI: /runs/{context.run_id}, under its job and on the timeline\n"
+
+
+def _is_of_terminal(context: dg.OpExecutionContext) -> bool:
+    """Whether a terminal started this run, and not the daemon."""
+    run = None if context.instance.is_ephemeral else context.instance.get_run_by_id(context.run_id)
+    return run is not None and TERMINAL_TAG in run.tags
 
 
 def _short(path: Path) -> str:
@@ -226,8 +232,8 @@ def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
 def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> None:
-    """Fail the run if there are recorded failures; the user's command is called, if no daemon will do it."""
-    if failures and context.run.remote_job_origin is None:
+    """Fail the run if there are recorded failures; the user's command is called by a terminal's run."""
+    if failures and (context.instance.is_ephemeral or _is_of_terminal(context)):
         failure = {
             "run_id": context.run_id,
             "job": context.job_name,
@@ -235,6 +241,8 @@ def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> N
             "words": "\n".join(failures),
         }
         context.log.info(call_command(failure))
+        if not context.instance.is_ephemeral:
+            context.instance.add_run_tags(context.run_id, {CALLED_TAG: "yes"})
     if failures:
         raise dg.Failure(
             description=f"{len(failures)} scene(s) failed: " + " | ".join(failures), allow_retries=False

@@ -51,6 +51,11 @@ CAPABILITIES = (
         "24 % more); the tests' sparse drives take 30 cm (20 cm: 4 to 15 % more)",
     ),
     Capability(
+        "returns that the recording car's bonnet mirrors",
+        ("sensors/bonnet.py", "simulation/mirrored.py"),
+        "CD .0914 to .0772 (kitti0005), .0269 to .0237 (k360_street), quick (0032)",
+    ),
+    Capability(
         "unobserved space",
         ("evidence/static/unobserved.py",),
         "every 4th scan: CD .0882 to .0856 (kitti0005), .0455 to .0411 (k360_street) (0014)",

@@ -81,6 +81,7 @@ def _title(scenes: Sequence[SceneOutputs]) -> str:
     links = [("all-scenes", "All scenes"), ("how-to-read", "How to read this")]
     links += [(scene.name, scene.name) for scene in scenes]
     shown = "".join(f'<a href="#{escape(place)}">{escape(words)}</a>' for place, words in links)
+    shown += '<a href="versions.html">Versions of the data sets</a>'
     return f"<h1>Benchmark report</h1><nav>{shown}</nav>"
 
 

@@ -11,7 +11,9 @@ from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect
 from nvsf_core.reporting.speed_plots import speed_section
 from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
+from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
+from nvsf_core.stages.versions_page import manifests_of, write_versions_page
 from nvsf_core.stores.scene_store import publish_folder, published
 
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
@@ -57,9 +59,11 @@ def make_benchmark_report(
     # Curves of scenes that this home never trained would only look like its own.
     shown = {scene.name for scene in scenes}
     try:
-        with publish_folder(target) as folder:
+        lock = file_lock(home / LOCKS / f"{target.name}.lock", _silent, "another run's report")
+        with lock, publish_folder(target) as folder:
             scenes = [with_view_files(folder, home, scene) for scene in scenes]
             written = write_report(folder, scenes, no_data, speed_section(curves, shown))
+            write_versions_page(folder, home, [scene.name for scene in scenes])
             (folder / _SOURCE).write_text(source)
     except OSError as error:
         raise StoreError(
@@ -79,10 +83,15 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
         curves: Folder of curves, or None.
     """
     read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
+    read += manifests_of(home, names)
     read += sorted(curves.rglob("*.json")) if curves is not None else []
     code = [path for kind in _CODE for path in sorted(_REPORTING.rglob(kind))] + [Path(__file__)]
     state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
     return hashlib.sha256(repr((list(names), said, sorted(state))).encode()).hexdigest()
+
+
+def _silent(line: str) -> None:
+    """A page takes seconds: who waits for one needs no words."""
 
 
 def _written(path: Path) -> str | None:

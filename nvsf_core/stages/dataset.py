@@ -24,29 +24,62 @@ from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
 from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.exports.boxes import boxes_of
+from nvsf_core.stages.exports.manifest import (
+    MANIFEST_NAME,
+    damaged_data_set,
+    is_sealed,
+)
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
+from nvsf_core.stages.field import STAGE as FIELD
+from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
 from nvsf_core.stages.runner.host import code_commit
-from nvsf_core.stages.runner.record import read_record
+from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
+_VERSION = "6"
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
 def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> str:
-    """Version name `<label>-<8 hex digits>`, of the SHA-256 over recipe, seeds, view and source checksums."""
+    """Version name `<label>-<8 hex digits>`, of the SHA-256 over all that decides the data set's content.
+
+    That is recipe, seeds, view, checksums of the recorded files, the model and all else that it is rendered
+    from, and the code's versions: what differs in content differs in name.
+    """
     facts = {
         "recipe": task.config.recipe.identity(),
         "seed": task.config.seed,
         "draw_seed": task.config.draw_seed,
         "view": _facts_of(view),
         "sources": dict(sources),
+        "licence": task.scene.licence,
+        "rendered_from": _rendered_from(task),
+        "code": [NOVEL_VIEWS.version, _VERSION],
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
     return f"{task.config.dataset_label}-{digest[:8]}"
+
+
+def _rendered_from(task: Task) -> dict[str, str]:
+    """Stage to the content of its output, of those that a view is rendered from; the mesh is a baseline's."""
+    found = {}
+    for name in sorted({*NOVEL_VIEWS.inputs} - {"mesh"}):
+        place = f"{name}/{task.config.recipe.name}/{task.config.seed}" if name == FIELD.name else name
+        record = read_record(task.store.path(place))
+        if record is not None:
+            found[name] = content_of(record)
+    return found
+
+
+def is_there(task: Task, location: str) -> bool:
+    """Whether a version of a data set was published before and is whole: it is then left as it is."""
+    folder = task.store.recovered(location)
+    return is_sealed(folder) and damaged_data_set(folder) is None and bool(_rendered_from(task))
 
 
 def _run(task: Task) -> StageOutput:
@@ -66,22 +99,23 @@ def _run(task: Task) -> StageOutput:
         arrays = _read_view(rendered / view.name / "model.zarr")
         attrs = read_attrs(rendered / view.name / "model.zarr")
         location = f"dataset/{view.name}/{version}"
-        with task.store.publish(location) as folder:
-            rendered_view = RenderedView(
-                scene=task.scene.name, sequence=task.scene.sequence, entry=view, config=task.config,
-                arrays=arrays, attrs=attrs,
-            )  # fmt: skip
-            written = write_data_set(folder, rendered_view, boxes_of(task.store, arrays["time_s"]))
-            scans, pictures = written["scans"], written["images"]
-            manifest = {
-                **identity_of(task, view, version),
-                "drawn": rendered_view.what_was_sampled(),
-                "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
-                "source_checksums": sources,
-                **written,
-                "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
-            }
-            finish_data_set(folder, manifest)
+        if not is_there(task, location):
+            with task.store.publish(location) as folder:
+                rendered_view = RenderedView(
+                    scene=task.scene.name, sequence=task.scene.sequence, entry=view, config=task.config,
+                    arrays=arrays, attrs=attrs,
+                )  # fmt: skip
+                manifest = {
+                    **identity_of(task, view, version),
+                    "drawn": rendered_view.what_was_sampled(),
+                    "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
+                    "source_checksums": sources,
+                    **write_data_set(folder, rendered_view, boxes_of(task.store, arrays["time_s"])),
+                    "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
+                }
+                finish_data_set(folder, manifest)
+        written = read_document(task.store.path(location) / MANIFEST_NAME)
+        scans, pictures = written["scans"], written["images"]
         output.beside.append(location)
         entry = _summary(task.store.path(location), location, view.name, version, scans, pictures)
         made.append(entry)
@@ -110,6 +144,7 @@ def identity_of(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
         "licence": task.scene.licence,
         "commit": code_commit(),
         "software": _software(),
+        "rendered_from": _rendered_from(task),
     }
 
 
@@ -262,7 +297,7 @@ STAGE = Stage(
     inputs=("frames", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="6",
+    version=_VERSION,
     run=_run,
     per_recipe=True,
     per_draw=True,

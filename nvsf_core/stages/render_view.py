@@ -11,13 +11,14 @@ from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import Recipe
-from nvsf_core.stages.dataset import dataset_version, identity_of, source_checksums
+from nvsf_core.stages.dataset import dataset_version, identity_of, is_there, source_checksums
 from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.run import (
     SceneRun,
     find_scene,
@@ -105,8 +106,11 @@ def render_view(
         return target
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
     location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
-    with run.store.publish(location) as folder:
-        _write(run, asked, folder, say)
+    lock = file_lock(place / LOCKS / entry.name / f"{location}.lock", say, f"{location} of another run")
+    with lock:
+        if not is_there(task, location):
+            with run.store.publish(location) as folder:
+                _write(run, asked, folder, say)
     return run.store.path(location)
 
 

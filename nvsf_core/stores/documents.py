@@ -36,10 +36,17 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def write_document(path: Path, values: Mapping[str, Any]) -> None:
-    """Write a JSON object atomically: a reader sees the old file or the new one."""
+    """Write a JSON object atomically: a reader sees the old file or the new one, also after a power cut."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(dict(values), indent=1))
-    temporary.replace(path)
+    try:
+        with temporary.open("w") as handle:
+            handle.write(json.dumps(dict(values), indent=1))
+            handle.flush()
+            os.fsync(handle.fileno())
+        temporary.replace(path)
+    except OSError:  # a full disk
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 _Value = TypeVar("_Value")

@@ -5,6 +5,7 @@ beside the target, everything is flushed to disk, and one rename makes it visibl
 """
 
 import contextlib
+import errno
 import os
 import re
 import shutil
@@ -16,15 +17,17 @@ from pathlib import Path
 
 from nvsf_core.errors import StoreError
 from nvsf_core.names import RESERVED_SCENES, name_fault
+from nvsf_core.stores.writers import is_left, mark_of, own_mark
 
 _TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
 _LONGEST_HOME = 1000
 """Most characters of NVSF_HOME: a path may have 4096 bytes, and outputs add some 200."""
-_CHANCE = re.compile(r"-[0-9a-f]{8}")
+_CHANCE = re.compile(r"[0-9a-f]{8}")
 """Ending of a retired folder's name: random digits."""
-_WRITER = re.compile(r"-(\d{1,10})-[0-9a-f]{8}")
-"""Ending of a temporary folder's name: process id and random digits."""
+_OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
+_MOST_SWAPS = 5
+"""Tries to put a new output in its place while readers put the old one back, which each can do once."""
 
 
 def require_home(home: Path) -> Path:
@@ -170,7 +173,7 @@ def publish_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder to fill; without an error it replaces `target` as a whole."""
     target.parent.mkdir(parents=True, exist_ok=True)
     _sweep_leftovers(target)
-    temporary = target.parent / f"{_TEMPORARY}{target.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    temporary = target.parent / f"{_TEMPORARY}{target.name}-{own_mark()}"
     temporary.mkdir()
     try:
         yield temporary
@@ -181,37 +184,67 @@ def publish_folder(target: Path) -> Iterator[Path]:
 
 
 def _swap_in(temporary: Path, target: Path) -> None:
-    if not os.path.lexists(target):
-        temporary.rename(target)
-        _flush(target.parent)
-        return
+    """Put a folder in its place; what was there is gone once the new one is."""
     # Linux cannot rename over a folder that is not empty, so the old one is renamed first. If the process
-    # dies between the two renames, `_sweep_leftovers` restores the old one.
-    retired = target.parent / f"{_RETIRED}{target.name}-{uuid.uuid4().hex[:8]}"
-    target.rename(retired)
-    temporary.rename(target)
+    # dies between the two renames, `_sweep_leftovers` restores the old one. A reader that comes between them
+    # takes the writer for dead and does so, too; then both are renamed again.
+    for attempt in range(_MOST_SWAPS):
+        retired = _retire(target)
+        try:
+            temporary.rename(target)
+            break
+        except OSError as error:
+            if error.errno not in _OCCUPIED or attempt == _MOST_SWAPS - 1:
+                _put_back(retired, target)
+                raise
     _flush(target.parent)
-    _remove(retired)
+    if retired is not None:
+        _remove(retired)
+
+
+def _put_back(retired: Path | None, target: Path) -> None:
+    """Restore a retired output; another process may have done so, or have published another meanwhile."""
+    if retired is None:
+        return
+    try:
+        retired.rename(target)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        if error.errno not in _OCCUPIED:
+            raise
+        _remove(retired)
+
+
+def _retire(target: Path) -> Path | None:
+    """Rename an output, or what lies in its place, out of the way; its new name."""
+    retired = target.parent / f"{_RETIRED}{target.name}-{uuid.uuid4().hex[:8]}"
+    try:
+        target.rename(retired)
+    except FileNotFoundError:
+        return None
+    return retired
 
 
 def _sweep_leftovers(target: Path) -> None:
     """Clean up after a killed writer: restore a retired folder, remove temporary ones of dead processes."""
-    for retired, _ in _leftovers(target, _RETIRED, _CHANCE):
+    for retired in _retired(target):
         if target.exists():
             _remove(retired)
         else:
-            retired.rename(target)
-    for temporary, writer in _leftovers(target, _TEMPORARY, _WRITER):
-        if not Path(f"/proc/{writer[1]}").exists():
+            _put_back(retired, target)
+    # Of every output in the folder: what was left of a version that is never made again would stay for ever.
+    for temporary in target.parent.glob(f"{_TEMPORARY}*"):
+        mark = mark_of(temporary.name)
+        if mark is not None and is_left(mark, temporary):
             _remove(temporary)
 
 
-def _leftovers(target: Path, prefix: str, ending: re.Pattern[str]) -> list[tuple[Path, re.Match[str]]]:
-    """Hidden folders of this target, not of one whose name only begins alike (`left` and `left-2`)."""
-    start = f"{prefix}{target.name}"
+def _retired(target: Path) -> list[Path]:
+    """Retired folders of this target, not of one whose name only begins alike (`left` and `left-2`)."""
+    start = f"{_RETIRED}{target.name}-"
     hidden = [path for path in target.parent.iterdir() if path.name.startswith(start)]
-    found = [(path, ending.fullmatch(path.name.removeprefix(start))) for path in hidden]
-    return [(path, match) for path, match in found if match is not None]
+    return [path for path in hidden if _CHANCE.fullmatch(path.name.removeprefix(start))]
 
 
 def _remove(path: Path) -> None:

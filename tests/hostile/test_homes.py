@@ -23,7 +23,7 @@ from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.runner.device_lock import device_lock
+from nvsf_core.stages.runner.device_lock import device_lock, lock_file
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.arrays import read_arrays, write_arrays
@@ -225,11 +225,17 @@ def test_a_flipped_bit_anywhere_in_a_table_never_becomes_a_value(tmp_path: Path)
     assert refused > 0.1 * len(whole) / 3
 
 
-def test_a_stage_never_reads_an_input_that_is_not_what_was_published(run: SceneRun) -> None:
-    harm.flip(_first_chunk(run.store.path(RETURNS)))
+@pytest.mark.parametrize("harmed", ["chunk", "stage.json"])
+def test_a_stage_never_reads_an_input_that_is_not_what_was_published(run: SceneRun, harmed: str) -> None:
+    content = _first_chunk(run.store.path(RETURNS)).read_bytes()
+    path = _first_chunk(run.store.path(RETURNS)) if harmed == "chunk" else run.store.path("sweeps") / harmed
+    harm.flip(path) if harmed == "chunk" else harm.cut(path)
     shutil.rmtree(run.store.path("pano"))
-    with pytest.raises(StoreError, match="is not what was published; run the stage sweeps again"):
-        run_named_stage("pano", run, lambda line: None)
+    said: list[str] = []
+    run_named_stage("pano", run, said.append)
+    assert any("pano: its input sweeps is made again first" in line for line in said), said
+    assert _first_chunk(run.store.path(RETURNS)).read_bytes() == content
+    assert _prepare(run) == []
 
 
 @pytest.mark.parametrize("part", ["metadata", "previews", "checks", "files"])
@@ -348,8 +354,8 @@ def test_only_a_seeds_own_folder_is_a_field(tmp_path: Path, run: SceneRun, name:
 @pytest.mark.parametrize("done", [Path.mkdir, os.mkfifo])
 def test_what_takes_the_locks_place_is_named(tmp_path: Path, done: Callable[[Path], None]) -> None:
     (tmp_path / "locks").mkdir()
-    done(tmp_path / "locks" / "cpu.lock")
-    refused = pytest.raises(StoreError, match=r"cpu\.lock: expected a lock file")
+    done(lock_file(tmp_path / "locks"))
+    refused = pytest.raises(StoreError, match=r"cpu-\w+\.lock: expected a lock file")
     with refused, device_lock(tmp_path / "locks", lambda line: None):
         pass
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import dagster as dg
 import pytest
 
+from pipelines import reaper
 from pipelines.definitions import defs
 from pipelines.reaper import HOST_TAG, host_tags, reap, stale_run_reaper
 
@@ -64,7 +65,7 @@ def _status(instance, run_id):
     return instance.get_run_by_id(run_id).status
 
 
-def test_only_a_run_whose_process_is_gone_is_marked(instance, start_run):
+def test_only_a_run_whose_process_is_gone_is_marked(instance, start_run, monkeypatch):
     killed, killed_id = start_run()
     _, living_id = start_run()
     killed.send_signal(signal.SIGKILL)
@@ -74,6 +75,9 @@ def test_only_a_run_whose_process_is_gone_is_marked(instance, start_run):
     assert reap(instance, quiet_s=0.0) == [], "another machine's processes cannot be seen"
     instance.add_run_tags(killed_id, {HOST_TAG: here})
     assert reap(instance, quiet_s=3600.0) == [], "what spoke just now is left alone"
+    # As if the clock was set forward by an hour since: all processes seem to have begun after they spoke.
+    now_s = reaper._machine_started_s()
+    monkeypatch.setattr(reaper, "_machine_started_s", lambda: now_s + 3600.0)
     assert reap(instance, quiet_s=0.0) == [killed_id]
     assert _status(instance, killed_id) == dg.DagsterRunStatus.FAILURE
     assert _status(instance, living_id) == dg.DagsterRunStatus.STARTED

@@ -1,16 +1,20 @@
 """The user's own command on the tiny drive, and what may follow it."""
 
 import json
+import os
 import shutil
 import sys
 
 import pytest
 
-from nvsf_core.stages import find_scene, plan_run
+from nvsf_core.stages import find_scene, plan_run, run_named_stage
 from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
 from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.schemas import CONTRACT, violations
+from tests.hostile import harm
 
 pytestmark = pytest.mark.cli
 COMMAND = ("dagster", "job", "execute", "-j", "train_all_scenes")
@@ -25,7 +29,7 @@ def home(tmp_path_factory):
 def first_run(run_process, tiny_catalogue, home):
     return run_process(
         *COMMAND, DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_SCENES=str(tiny_catalogue),
-        NVSF_HOME=str(home),
+        NVSF_HOME=str(home), NVSF_LOG_FILE=str(home / "log.jsonl"),
     )  # fmt: skip
 
 
@@ -125,6 +129,41 @@ def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(run_process, train
     assert "field: up to date, skipped" in done.stderr
 
 
+def _data_sets(home):
+    found = (home / "tiny" / "dataset").glob("[!.]*/*/**/*")
+    return {path: path.read_bytes() for path in found if path.is_file()}
+
+
+def test_a_whole_version_is_not_written_again(trained):
+    before = {path: path.stat().st_ino for path in _data_sets(trained)}
+    # As after a kill before the index was published.
+    (trained / "tiny/dataset/.index/smoke/0-0-manual/stage.json").unlink()
+    assert not run_named_stage("dataset", plan_run(find_scene("tiny"), trained), str).skipped
+    assert {path: path.stat().st_ino for path in before} == before
+
+
+def _other_seed(manifest):
+    manifest.write_text(manifest.read_text().replace('"seed": 0', '"seed": 1', 1))
+
+
+def test_a_damaged_file_of_any_version_is_found_and_made_anew(run_process, trained, tiny_catalogue):
+    before = _data_sets(trained)
+    scan, manifest = (next(path for path in before if path.name.endswith(end) and "W47" in str(path))
+                      for end in (".bin", "manifest.json"))  # fmt: skip
+    for path, done_to in ((manifest, _other_seed), (scan, os.unlink), (scan, harm.flip)):
+        done_to(path)
+        (damaged,) = [one for one in versions_of(SceneStore(trained, "tiny")) if damage_of_version(one)]
+        assert damage_of_version(damaged) == str(path)
+        if done_to is not harm.flip:
+            assert make_anew(find_scene("tiny"), trained, damaged, str)
+    done = run_process(
+        "nvsf", "verify", "tiny", "--mend", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained)
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("made anew") == 1 and done.stdout.count("whole") == 3, done.stdout
+    assert _data_sets(trained) == before, "byte for byte"
+
+
 def test_dg_launch_works_bare(run_process, trained, tiny_catalogue):
     done = run_process(
         "dg", "launch", "--job", "train_all_scenes", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained),
@@ -140,7 +179,24 @@ def _dagster_home(home):
     return folder
 
 
-def test_a_run_registers_its_scenes_as_partitions(run_process, trained):
-    code = "import dagster as dg; print(dg.DagsterInstance.get().get_dynamic_partitions('scenes'))"
-    said = run_process(sys.executable, "-c", code, DAGSTER_HOME=str(_dagster_home(trained)))
-    assert said.stdout.strip().endswith("['tiny']"), "launched by dg, in the test above"
+LAUNCHED = """
+import dagster as dg
+instance = dg.DagsterInstance.get()
+(run,) = instance.get_runs(dg.RunsFilter(tags={".dagster/repository": "__repository__@nvsf"}))
+print(run.remote_job_origin.location_name, run.tags["nvsf/started_by"], run.status.value)
+print(instance.get_dynamic_partitions("scenes"))
+"""
+
+
+def test_a_run_of_the_terminal_is_of_the_code_location_and_registers_its_scenes(run_process, trained):
+    done = run_process(sys.executable, "-c", LAUNCHED, DAGSTER_HOME=str(_dagster_home(trained)))
+    said = done.stdout.splitlines()[-2:]
+    assert said == ["nvsf terminal SUCCESS", "['tiny']"], f"launched by dg, in the test above: {done.stderr}"
+
+
+def test_logs_as_json_lines_say_scene_stage_and_run(first_run, home):
+    lines = [json.loads(line) for line in (home / "log.jsonl").read_text().splitlines()]
+    (done,) = [line for line in lines if line.get("stage") == "field" and "seconds" in line]
+    assert (done["scene"], done["partition"], done["level"]) == ("tiny", "tiny", "info")
+    assert done["job"] == "train_all_scenes" and done["step"].startswith("field_of_scene")
+    assert done["peak_memory_mb"] > 100.0 and {"read_mb", "written_mb", "run_id", "time"} <= done.keys()

@@ -57,6 +57,7 @@ def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> 
     assert path == tmp_path / "benchmark_report" / "index.html"
     page, text = _read(path)
     links = re.findall(r'(?:src|href)="(?!data:|#)([^"]*)', page)
+    assert links.pop(0) == "versions.html"
     assert links == ["views/street/test.html", "views/street/shift_1m.html"]
     for link in links:
         scans = (path.parent / link).read_text(encoding="utf-8")
@@ -183,7 +184,7 @@ def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path, monkeypatch
     with pytest.raises(StoreError, match="No space left"):
         make_benchmark_report(tmp_path, ["street"], {"street": "out of memory"}, [])
     assert (tmp_path / "benchmark_report" / "index.html").read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".publishing")] == []
 
 
 def test_a_page_is_made_again_only_where_something_that_it_is_made_from_changed(tmp_path: Path) -> None:
@@ -207,4 +208,4 @@ def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_
         folder.rename(folder.with_name(f"lost_{array}"))
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert "street failed: what was published cannot be read" in text
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".publishing")] == []

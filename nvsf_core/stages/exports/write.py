@@ -1,6 +1,5 @@
 """Writes a data set: scans and images in each format that its view asks for, and the manifest's rows."""
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from nvsf_core.rendering.support import Support
 from nvsf_core.stages.exports.card import write_card
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.manifest import write_manifest
 from nvsf_core.stages.exports.nuscenes import write_nuscenes
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
@@ -21,7 +21,6 @@ from nvsf_core.stages.views.files import write_images, write_scans
 from nvsf_core.stages.views.instances import camera_models, depth_m
 from nvsf_core.stores.checksums import file_checksums
 
-MANIFEST_NAME = "manifest.json"
 SCHEMA_VERSION = 3
 """Of the manifest and the files that it names."""
 DEPTH_UNIT_M = 1.0 / 256.0
@@ -70,8 +69,7 @@ def finish_data_set(folder: Path, manifest: Mapping[str, Any]) -> None:
         manifest: The manifest's entries, without checksums.
     """
     write_card(folder, manifest)
-    whole = {**manifest, "checksums": file_checksums(folder)}
-    (folder / MANIFEST_NAME).write_text(json.dumps(whole, indent=1, allow_nan=False))
+    write_manifest(folder, {**manifest, "checksums": file_checksums(folder)})
 
 
 def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:

@@ -1,21 +1,13 @@
-"""A lock that allows one training at a time per device; the CPU counts as one device.
-
-It is a lock of the operating system (`flock`), which is free again as soon as its holder dies, even by
-SIGKILL. Slots that a scheduler counts would stay taken.
-"""
+"""A lock that allows one training at a time per device of a machine; the CPU counts as one device."""
 
 import contextlib
-import fcntl
 import os
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nvsf_core.errors import StoreError
+from nvsf_core.stages.runner.locks import file_lock
 from nvsf_core.stages.runner.stage import Progress
-
-_POLL_S = 0.2
-_SAY_EVERY_S = 5.0
+from nvsf_core.stores.writers import machine_mark
 
 
 @contextlib.contextmanager
@@ -28,30 +20,15 @@ def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
     Raises:
         StoreError: The lock file's path is a folder or a pipe.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     device = _device()
-    path = folder / f"{device}.lock"
-    if os.path.lexists(path) and not path.is_file():
-        raise StoreError(f"{path}: expected a lock file, found a folder or a pipe; delete it and run again")
-    with path.open("a") as handle:
-        started_s = time.monotonic()
-        said_s = -_SAY_EVERY_S
-        while not _locked(handle.fileno()):
-            waited_s = time.monotonic() - started_s
-            if waited_s - said_s >= _SAY_EVERY_S:
-                progress(f"waiting for the device {device}: another training holds it ({waited_s:.0f} s)")
-                said_s = waited_s
-            time.sleep(_POLL_S)
+    words = f"the device {device}: another training holds it"
+    with file_lock(lock_file(folder), progress, words):
         yield device
 
 
-def _locked(descriptor: int) -> bool:
-    """Try to lock; closing the file, or the end of the process, unlocks."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+def lock_file(folder: Path) -> Path:
+    """The lock file of this process's device; machines that share the folder have files of their own."""
+    return folder / f"{_device()}-{machine_mark()}.lock"
 
 
 def _device() -> str:

@@ -13,7 +13,7 @@ from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
 from nvsf_core.stages.runner.record import RECORD_NAME, content_of, damage_of, listed_files, read_record
-from nvsf_core.stages.runner.resources import Meter
+from nvsf_core.stages.runner.resources import Meter, in_words
 from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.file_hashes import FileHashes
@@ -82,48 +82,86 @@ def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
     return Comparison(record=record, facts=facts, reason=_earlier_reason(place, record), is_up_to_date=False)
 
 
-def run_stage(place: StagePlace, progress: Progress) -> Outcome:
-    """Run one stage, or skip it if its code, its configuration and the content of its inputs are unchanged.
+class DamagedInputError(StoreError):
+    """The files of an input have changed since it was published, or its record cannot be read."""
 
-    An output whose files have changed since it was published is made again. Input files are compared with
-    their checksums first, so that damaged data are never used.
+    def __init__(self, message: str, stage: str) -> None:
+        """Take the message, and the name of the stage that makes the input."""
+        super().__init__(message)
+        self.stage = stage
+
+
+def skipped_stage(place: StagePlace, progress: Progress) -> Outcome | None:
+    """The outcome of a stage whose output is up to date and as it was published; None if it must be made.
 
     Args:
         place: The stage, its scene and its store.
         progress: Receives progress lines.
 
     Raises:
-        StoreError: The files of an input have changed since it was published.
+        StoreError: An input was never published.
+        DamagedInputError: The record of an input cannot be read.
+        DataError: A recorded file cannot be read.
+    """
+    found = _compared(place)
+    if not found.is_up_to_date or found.record is None:
+        return None
+    if damage_of(place.store, place.location, found.record) is not None:
+        return None
+    name, path = f"[{place.scene.name}] {place.stage.name}", place.store.path(place.location)
+    progress(f"{name}: up to date, skipped")
+    task = _task(place, found, path, progress)
+    record = _checked_again(place.stage, task, _taken_over(path, found, progress, name))
+    return outcome_of(place.stage, path, record, skipped=True)
+
+
+def run_stage(place: StagePlace, progress: Progress) -> Outcome:
+    """Make a stage's output, unless it is up to date and as it was published.
+
+    Input files are compared with their checksums first, so that damaged data are never used.
+
+    Args:
+        place: The stage, its scene and its store.
+        progress: Receives progress lines.
+
+    Raises:
+        DamagedInputError: The files of an input have changed since it was published.
         DataError: A recorded file changed while it was read.
         UnsoundOutputError: A blocking check failed; nothing was published.
         NvsfError: The stage failed.
     """
-    stage, store, name = place.stage, place.store, f"[{place.scene.name}] {place.stage.name}"
-    with hashes_of(store) as hashes:
-        found = compared(place, hashes)
+    outcome = skipped_stage(place, progress)
+    if outcome is not None:
+        return outcome
+    found = _compared(place)
 
     def task(folder: Path) -> Task:
-        return Task(
-            scene=place.scene, store=store, config=place.config, folder=folder, progress=progress,
-            made_from=without_recipe(found.facts),
-        )  # fmt: skip
+        return _task(place, found, folder, progress)
 
+    stage, store, name = place.stage, place.store, f"[{place.scene.name}] {place.stage.name}"
     path, reason = store.path(place.location), found.reason
     if found.is_up_to_date and found.record is not None:
-        damage = damage_of(store, place.location, found.record)
-        if damage is None:
-            progress(f"{name}: up to date, skipped")
-            record = _checked_again(stage, task(path), _taken_over(path, found, progress, name))
-            return outcome_of(stage, path, record, skipped=True)
-        reason = f"{damage} is not what was published"
+        reason = f"{damage_of(store, place.location, found.record)} is not what was published"
     if reason:
         progress(f"{name}: made again, {reason}")
     _require_sound_inputs(place)
     require_space(stage, task(path))
     progress(f"{name}: started")
     record = _publish(place, found, task)
-    progress(f"{name}: done in {record['seconds']:.1f} s")
+    progress(f"{name}: done in {record['seconds']:.1f} s, {in_words(record['resources'])}")
     return outcome_of(stage, path, record, skipped=False)
+
+
+def _compared(place: StagePlace) -> Comparison:
+    with hashes_of(place.store) as hashes:
+        return compared(place, hashes)
+
+
+def _task(place: StagePlace, found: Comparison, folder: Path, progress: Progress) -> Task:
+    return Task(
+        scene=place.scene, store=place.store, config=place.config, folder=folder, progress=progress,
+        made_from=without_recipe(found.facts),
+    )  # fmt: skip
 
 
 def made_from(place: StagePlace) -> str:
@@ -132,8 +170,7 @@ def made_from(place: StagePlace) -> str:
     Raises:
         StoreError: An input was never published.
     """
-    with hashes_of(place.store) as hashes:
-        return without_recipe(compared(place, hashes).facts)
+    return without_recipe(_compared(place).facts)
 
 
 def outcome_of(stage: Stage, path: Path, record: dict[str, Any], *, skipped: bool) -> Outcome:
@@ -190,7 +227,8 @@ def _input_records(place: StagePlace) -> dict[str, dict[str, Any]]:
         folder = place.store.require(location)
         record = read_record(folder)
         if record is None:
-            raise StoreError(f"{folder}: expected the record of stage {name}, found none; run that stage")
+            words = f"{folder}: expected the record of stage {name}, found none; run that stage"
+            raise DamagedInputError(words, name)
         found[name] = record
     return found
 
@@ -200,7 +238,7 @@ def _require_sound_inputs(place: StagePlace) -> None:
     for name, location in place.inputs.items():
         damage = damage_of(place.store, location, read_record(place.store.require(location)) or {})
         if damage is not None:
-            raise StoreError(f"{damage} is not what was published; run the stage {name} again")
+            raise DamagedInputError(f"{damage} is not what was published; run the stage {name} again", name)
 
 
 def _require_unchanged(place: StagePlace, facts: Facts) -> None:

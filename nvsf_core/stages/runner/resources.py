@@ -1,6 +1,7 @@
 """What a stage takes of the machine: its memory at most, and the bytes that it reads and writes."""
 
 import resource
+from collections.abc import Mapping
 from pathlib import Path
 
 _IO = Path("/proc/self/io")
@@ -22,6 +23,16 @@ class Meter:
         return {"peak_memory_mb": peak_kib * _KIB / _MB} | {
             name: count / _MB for name, count in moved.items()
         }
+
+
+def in_words(taken: Mapping[str, float]) -> str:
+    """What was taken, for a line of progress: whole megabytes."""
+    words = {
+        "peak_memory_mb": "{:.0f} MB of memory",
+        "read_mb": "read {:.0f} MB",
+        "written_mb": "wrote {:.0f} MB",
+    }
+    return ", ".join(words[name].format(value) for name, value in taken.items())
 
 
 def _moved_bytes() -> dict[str, int]:

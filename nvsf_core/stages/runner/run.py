@@ -19,8 +19,15 @@ from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.runner.device_lock import device_lock
-from nvsf_core.stages.runner.execution import StagePlace, made_from, run_stage
+from nvsf_core.stages.runner.execution import (
+    DamagedInputError,
+    StagePlace,
+    made_from,
+    run_stage,
+    skipped_stage,
+)
 from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
+from nvsf_core.stages.runner.locks import LOCKS, output_locks
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
@@ -138,11 +145,7 @@ def run_named_stage(
         raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
     stage = by_name[name]
     try:
-        with (
-            _device_for(stage, run, progress),
-            Heartbeat(progress, f"[{run.scene.name}] {name}") as say,
-        ):
-            return run_stage(place_of(stage, run, by_name), say)
+        return _run_or_skip(stage, run, by_name, progress)
     except OSError as error:
         raise StoreError(
             f"scene {run.scene.name}, stage {name}: the disk refused {error.filename or run.store.root} "
@@ -152,6 +155,33 @@ def run_named_stage(
         if run.scene.name in str(error):
             raise
         raise type(error)(f"scene {run.scene.name}, stage {name}: {error}") from error
+
+
+def _run_or_skip(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], progress: Progress) -> Outcome:
+    """Run or skip a stage; a damaged input is made again first, and so are what that one reads."""
+    for _ in stage.inputs:
+        try:
+            return _once(stage, run, by_name, progress)
+        except DamagedInputError as error:
+            progress(f"[{run.scene.name}] {stage.name}: its input {error.stage} is made again first: {error}")
+            run_named_stage(error.stage, run, progress, stages=tuple(by_name.values()))
+    return _once(stage, run, by_name, progress)
+
+
+def _once(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], progress: Progress) -> Outcome:
+    place, locks = place_of(stage, run, by_name), run.store.home / LOCKS / run.scene.name
+    inputs = [place.inputs[source] for source in by_name if source in place.inputs]
+    # Who finds an output up to date only reads it: a run does not wait for another one's training.
+    with output_locks(locks, None, [*inputs, place.location], progress):
+        outcome = skipped_stage(place, progress)
+    if outcome is not None:
+        return outcome
+    with (
+        _device_for(stage, run, progress),
+        output_locks(locks, place.location, inputs, progress),
+        Heartbeat(progress, f"[{run.scene.name}] {stage.name}") as say,
+    ):
+        return run_stage(place, say)
 
 
 def field_made_from(run: SceneRun) -> str:
@@ -229,7 +259,7 @@ def _device_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[Non
     if stage.group != "train":
         yield
         return
-    with device_lock(run.store.home / ".leases", progress):
+    with device_lock(run.store.home / LOCKS, progress):
         yield
 
 

@@ -1,0 +1,70 @@
+"""The table of events and outcomes, `docs/chaos.md`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from benchmarks.common import places
+from benchmarks.common.commit import commit
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.markers import write_between
+from benchmarks.common.stored import write_measured
+from nvsf_core.stages.runner.host import machine
+
+Row = Mapping[str, Any]
+_LONGEST_HOW = 90
+
+
+def write_document_of(rows: Sequence[Row], seed: int, minutes: float, *, keep: bool) -> None:
+    """Store what happened, and write the tables of the document.
+
+    Args:
+        rows: The events of this round.
+        seed: Of the round.
+        minutes: That it took.
+        keep: Whether rounds that were stored before are kept, and shown with it.
+    """
+    path = places.RESULTS / "chaos.json"
+    before = json.loads(path.read_text()) if keep and path.is_file() else {"rounds": [], "rows": []}
+    this = {"commit": commit(), "seed": seed, "minutes": minutes, "events": len(rows)}
+    facts = {"rounds": [*before["rounds"], this], "rows": [*before["rows"], *map(dict, rows)]}
+    write_measured(path, facts)
+    write_between(places.DOCS / "chaos.md", "events", head(facts["rounds"]) + counts(facts["rows"]))
+    write_between(places.DOCS / "chaos.md", "each", each(facts["rows"]))
+
+
+def head(rounds: Sequence[Row]) -> str:
+    """The machine, and of each round its commit, seed, minutes and events."""
+    words = (
+        f"commit {one['commit']}, seed {one['seed']}, {one['minutes']:.0f} minutes, {one['events']} events"
+        for one in rounds
+    )
+    return f"{machine()}; {'; '.join(words)}.\n\n"
+
+
+def counts(rows: Sequence[Row]) -> str:
+    """Each kind of event, how often it came, and how often something was lost."""
+    kinds = {row["event"]: row["what"] for row in rows}
+    lines = [
+        [what, sum(row["event"] == event for row in rows), _faulty(rows, event)]
+        for event, what in sorted(kinds.items(), key=lambda one: one[1])
+    ]
+    lines.append(["all", len(rows), sum(bool(row["faults"]) for row in rows)])
+    return markdown_table(["event", "times", "with a fault"], lines, "| --- | ---: | ---: |")
+
+
+def _faulty(rows: Sequence[Row], event: str) -> int:
+    return sum(row["event"] == event and bool(row["faults"]) for row in rows)
+
+
+def each(rows: Sequence[Row]) -> str:
+    """Every event in its order, what was done, and what came of it."""
+    lines = [
+        [number, row["event"], row["how"][:_LONGEST_HOW], f"{row['seconds']:.0f}", _outcome(row)]
+        for number, row in enumerate(rows, start=1)
+    ]
+    return markdown_table(["", "event", "how", "s", "outcome"], lines, "| ---: | --- | --- | ---: | --- |")
+
+
+def _outcome(row: Row) -> str:
+    return "; ".join(row["faults"])[:200].replace("|", "/").replace("\n", " ") or "nothing lost"

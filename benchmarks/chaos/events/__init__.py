@@ -1,0 +1,1 @@
+"""Events of chaos, one file a kind."""

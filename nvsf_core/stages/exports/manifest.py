@@ -1,0 +1,51 @@
+"""The manifest of a data set: sealed, so that a version says by itself whether it is as it was published."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nvsf_core.errors import StoreError
+from nvsf_core.stores.checksums import damaged_file
+from nvsf_core.stores.documents import read_document
+
+MANIFEST_NAME = "manifest.json"
+_SEAL = "manifest_sha256"
+"""Key of the manifest: SHA-256 of all its other entries."""
+
+
+def write_manifest(folder: Path, entries: Mapping[str, Any]) -> None:
+    """Write the manifest, as strict JSON, with the digest of its entries."""
+    sealed = {**entries, _SEAL: _digest(entries)}
+    (folder / MANIFEST_NAME).write_text(json.dumps(sealed, indent=1, allow_nan=False))
+
+
+def damaged_data_set(folder: Path) -> str | None:
+    """The first file of a data set that is absent or not what was published; None if all are whole.
+
+    The manifest lists the others by size and checksum. Manifests of before have no digest of themselves, and
+    the oldest no list: what is not listed counts as whole.
+    """
+    try:
+        manifest = dict(read_document(folder / MANIFEST_NAME))
+        seal, listed = manifest.pop(_SEAL, None), manifest.get("checksums", {})
+    except StoreError:
+        return MANIFEST_NAME
+    if seal is not None and seal != _digest(manifest):
+        return MANIFEST_NAME
+    if not isinstance(listed, dict):
+        return MANIFEST_NAME
+    return damaged_file(folder, {str(name): str(checksum) for name, checksum in listed.items()})
+
+
+def is_sealed(folder: Path) -> bool:
+    """Whether a data set's manifest carries its own digest."""
+    try:
+        return _SEAL in read_document(folder / MANIFEST_NAME)
+    except StoreError:
+        return False
+
+
+def _digest(entries: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,84 @@
+"""Locks of files: what two runs must not do at once.
+
+They are locks of the operating system (`flock`), which are free again as soon as their holder dies, even by
+SIGKILL. Slots that a scheduler counts would stay taken. Where a file system shares them between machines, as
+NFSv4 does, they hold between machines.
+"""
+
+import contextlib
+import fcntl
+import os
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from nvsf_core.errors import StoreError
+from nvsf_core.stages.runner.stage import Progress
+
+LOCKS = ".leases"
+"""Folder below a home of all lock files."""
+_POLL_S = 0.2
+_SAY_EVERY_S = 5.0
+
+
+@contextlib.contextmanager
+def file_lock(path: Path, progress: Progress, awaited: str, *, shared: bool = False) -> Iterator[None]:
+    """Wait for the lock of a file, which is made where it is absent, and hold it.
+
+    Args:
+        path: The lock file; it holds nothing.
+        progress: Told every few seconds of waiting.
+        awaited: What is waited for, and who has it, in words.
+        shared: Whether other readers may hold it, too; a writer waits for all of them.
+
+    Raises:
+        StoreError: The lock file's path is a folder or a pipe.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if os.path.lexists(path) and not path.is_file():
+        raise StoreError(f"{path}: expected a lock file, found a folder or a pipe; delete it and run again")
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    # Open for both: a server of files wants to write for the one kind and to read for the other.
+    with path.open("a+") as handle:
+        started_s = time.monotonic()
+        said_s = -_SAY_EVERY_S
+        while not _locked(handle.fileno(), kind):
+            waited_s = time.monotonic() - started_s
+            if waited_s - said_s >= _SAY_EVERY_S:
+                progress(f"waiting for {awaited} ({waited_s:.0f} s)")
+                said_s = waited_s
+            time.sleep(_POLL_S)
+        yield
+
+
+@contextlib.contextmanager
+def output_locks(
+    folder: Path, written: str | None, read: Iterable[str], progress: Progress
+) -> Iterator[None]:
+    """Hold the locks of outputs that are read and, if one is, of the one that is written.
+
+    All processes take them in the order of the flow, so that none waits for another that waits for it.
+
+    Args:
+        folder: Of the scene's lock files.
+        written: Place of the output below the scene's folder; None if none is.
+        read: Places of what is read, in the order of the flow.
+        progress: Told every few seconds of waiting.
+    """
+    with contextlib.ExitStack() as held:
+        for place in read:
+            words = f"{place}, which another run writes"
+            held.enter_context(file_lock(folder / f"{place}.lock", progress, words, shared=True))
+        if written is not None:
+            words = f"{written}, which another run writes or reads"
+            held.enter_context(file_lock(folder / f"{written}.lock", progress, words))
+        yield
+
+
+def _locked(descriptor: int, kind: int) -> bool:
+    """Try to lock; closing the file, or the end of the process, unlocks."""
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

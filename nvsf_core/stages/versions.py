@@ -1,0 +1,82 @@
+"""The versions of a scene's data sets: which there are, whether they are whole, and making one anew."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.errors import NvsfError
+from nvsf_core.stages.exports.manifest import damaged_data_set
+from nvsf_core.stages.runner.record import RECORD_NAME, read_record
+from nvsf_core.stages.runner.run import plan_run, run_named_stage
+from nvsf_core.stages.runner.stage import Progress
+from nvsf_core.stores.scene_store import SceneStore, published
+
+_INDEX = "dataset/.index"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Version:
+    """One version of a scene's data set of one view."""
+
+    view: str
+    name: str
+    """`<label>-<8 hex digits>`."""
+    folder: Path
+
+    @property
+    def location(self) -> str:
+        """Its place below the scene's folder."""
+        return f"dataset/{self.view}/{self.name}"
+
+
+def versions_of(store: SceneStore) -> Iterator[Version]:
+    """All versions of a scene's data sets, by view and then by name."""
+    for folder in published(store.root, "dataset/*/*"):
+        if folder.is_dir() and not folder.parent.name.startswith("."):
+            yield Version(view=folder.parent.name, name=folder.name, folder=folder)
+
+
+def damage_of_version(version: Version) -> str | None:
+    """The first file of a version that is not what was published; None if all are."""
+    found = damaged_data_set(version.folder)
+    return None if found is None else str(version.folder / found)
+
+
+def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progress) -> bool:
+    """Make a damaged version again, if all that it was made from is still the same.
+
+    Args:
+        scene: The scene.
+        home: Folder of all outputs.
+        version: The version; another one of its view is never changed.
+        progress: Receives progress lines.
+
+    Returns:
+        Whether it is whole now. It cannot be made again if the model, the drive or the code has changed.
+
+    Raises:
+        NvsfError: A stage failed.
+    """
+    for folder in _made_by(SceneStore(home, scene.name), version):
+        # As `Stage.location` names it: <recipe>/<seed>-<draw seed>-<label>.
+        seed, draw_seed, label = folder.name.split("-", 2)
+        run = plan_run(
+            scene, home, recipe=folder.parent.name, seed=int(seed), draw_seed=int(draw_seed),
+            dataset_label=label,
+        )  # fmt: skip
+        try:
+            run_named_stage("dataset", run, progress)
+        except NvsfError as error:
+            progress(f"{version.location}: {error}")
+    return damage_of_version(version) is None
+
+
+def _made_by(store: SceneStore, version: Version) -> list[Path]:
+    """The runs of the stage `dataset` that list this version, by their folders."""
+    found = []
+    for path in published(store.root, f"{_INDEX}/*/*/{RECORD_NAME}"):
+        record = read_record(path.parent) or {}
+        if version.location in record.get("files", {}):
+            found.append(path.parent)
+    return found

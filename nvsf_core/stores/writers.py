@@ -1,0 +1,86 @@
+"""Who writes: a mark in the name of a temporary folder, by which a dead writer's leftovers are known.
+
+Processes of other machines, or of other containers, cannot be seen from here: what they left is theirs until
+nothing of it has changed for a day.
+"""
+
+import hashlib
+import os
+import re
+import time
+import uuid
+from functools import cache
+from pathlib import Path
+
+FORGOTTEN_S = 86_400.0
+"""Age after which what a writer elsewhere left counts as left by a dead one."""
+_MARK = re.compile(r"([0-9a-f]{8})-(\d{1,10})-(\d{1,20})-[0-9a-f]{8}$")
+"""Machine, process id, start of the process in ticks, random digits."""
+_EARLIER = re.compile(r"\d{1,10}-[0-9a-f]{8}$")
+"""The mark of NVSF 0.1: process id, random digits."""
+_DEAD_STATES = ("Z", "X")
+
+
+def own_mark() -> str:
+    """A mark of this process that no other call gives."""
+    return f"{_machine()}-{os.getpid()}-{_process(os.getpid())[1]}-{uuid.uuid4().hex[:8]}"
+
+
+def mark_of(name: str) -> str | None:
+    """The writer's mark that a name ends with; None if it has none."""
+    found = _MARK.search(name) or _EARLIER.search(name)
+    return None if found is None else found[0]
+
+
+def is_left(mark: str, folder: Path) -> bool:
+    """Whether the writer of a folder is dead: gone from here, or elsewhere without a change for a day."""
+    found = _MARK.fullmatch(mark)
+    if found is None or found[1] != _machine():
+        return time.time() - _newest_s(folder) > FORGOTTEN_S
+    state, start = _process(int(found[2]))
+    # Another process may have got the number of a dead one; it began at another time.
+    return state in ("", *_DEAD_STATES) or start != found[3]
+
+
+def _process(number: int) -> tuple[str, str]:
+    """State of a process and its start in ticks since the machine's; empty if there is none."""
+    try:
+        fields = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return "", "0"
+    return fields[0], fields[19]
+
+
+@cache
+def machine_mark() -> str:
+    """Eight digits for this machine since it was started; its containers have the same."""
+    return _digits(_boot_id())
+
+
+@cache
+def _machine() -> str:
+    """Eight digits for this machine since it was started, and for the container in it."""
+    try:
+        container = os.readlink("/proc/self/ns/pid")
+    except OSError:
+        container = ""
+    return _digits(_boot_id() + container)
+
+
+def _boot_id() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text()
+    except OSError:
+        return os.uname().nodename
+
+
+def _digits(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def _newest_s(folder: Path) -> float:
+    """The latest change of anything in a folder."""
+    try:
+        return max(path.lstat().st_ctime for path in (folder, *folder.rglob("*")))
+    except OSError:  # its writer is alive, and has just renamed something
+        return time.time()

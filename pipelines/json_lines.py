@@ -1,0 +1,74 @@
+"""Logs as JSON lines beside what the terminal shows: one object a message, for whoever collects logs."""
+
+import json
+import logging
+import os
+import re
+from datetime import UTC, datetime
+from typing import Any
+
+FILE_VARIABLE = "NVSF_LOG_FILE"
+_SUBJECT = re.compile(r"\[(?P<scene>[^\]\s]+)\] (?P<stage>\w+)(?P<rest>.*)", re.DOTALL)
+"""How this project's messages about a stage begin."""
+_TAKEN = {
+    "seconds": re.compile(r"done in ([\d.]+) s"),
+    "peak_memory_mb": re.compile(r"([\d.]+) MB of memory"),
+    "read_mb": re.compile(r"read ([\d.]+) MB"),
+    "written_mb": re.compile(r"wrote ([\d.]+) MB"),
+}
+"""What a stage took, by the line that says it is done."""
+
+
+class JsonLines(logging.Handler):
+    """Appends each record to a file; several processes may use one, and a full disk stops nothing."""
+
+    def __init__(self, path: str) -> None:
+        """Append to the file at `path`."""
+        super().__init__()
+        self._path = path
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append one line by one write, so that lines of several processes never mix."""
+        try:
+            line = json.dumps(facts_of(record)) + "\n"
+            handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            try:
+                os.write(handle, line.encode())
+            finally:
+                os.close(handle)
+        except Exception:  # as of every handler of `logging`
+            self.handleError(record)
+
+
+def facts_of(record: logging.LogRecord) -> dict[str, Any]:
+    """What a record says: `time`, `level`, `message`; the run, job and step; scene, stage and what it took.
+
+    The partition of a scene's stage is the scene.
+    """
+    meta = getattr(record, "dagster_meta", None) or {}
+    message = str(meta.get("orig_message") or record.getMessage())
+    found: dict[str, Any] = {
+        "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+        "level": record.levelname.lower(),
+        "message": message,
+        "process": record.process,
+    }
+    found |= {
+        name: meta[key]
+        for name, key in (("run_id", "run_id"), ("job", "job_name"), ("step", "step_key"))
+        if meta.get(key)
+    }
+    subject = _SUBJECT.match(message)
+    if subject is not None:
+        scene = subject["scene"]
+        found |= {"scene": scene, "stage": subject["stage"], "partition": scene, **_taken(subject["rest"])}
+    if record.exc_info:
+        found["error"] = logging.Formatter().formatException(record.exc_info)
+    return found
+
+
+def _taken(words: str) -> dict[str, float]:
+    matches = {name: pattern.search(words) for name, pattern in _TAKEN.items()}
+    if matches["seconds"] is None:
+        return {}
+    return {name: float(match[1]) for name, match in matches.items() if match is not None}

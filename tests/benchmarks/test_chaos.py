@@ -1,0 +1,10 @@
+"""The short form of chaos: what happens to a home loses nothing, and is said."""
+
+import sys
+
+
+def test_nothing_that_happens_to_a_home_loses_anything(run_process) -> None:
+    done = run_process(sys.executable, "-m", "benchmarks.chaos", SHORT="1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = {line.split("s  ", 1)[1].split(":")[0] for line in done.stdout.splitlines() if " s  " in line}
+    assert {"kill_run", "harm_output", "changing_drive", "two_runs", "file_times", "same_time"} <= said

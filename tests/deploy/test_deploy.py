@@ -1,0 +1,62 @@
+"""What is deployed names what is there: one location, the instance's own settings, files that exist."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
+
+
+def _read(path: Path):
+    return yaml.safe_load(path.read_text())
+
+
+def test_the_instance_of_containers_differs_from_the_template_by_its_storage_alone(repo: Path) -> None:
+    ours, template = _read(DEPLOY / "dagster.yaml"), _read(repo / "pipelines/dagster.yaml")
+    assert ours.pop("storage").keys() == {"postgres"}
+    assert ours == template
+
+
+def test_every_place_names_the_same_code_location(repo: Path) -> None:
+    (server,) = _read(DEPLOY / "workspace.yaml")["load_from"]
+    (module,) = _read(repo / "workspace.yaml")["load_from"]
+    assert server["grpc_server"]["location_name"] == module["python_module"]["location_name"]
+    name = module["python_module"]["module_name"]
+    assert f'"-m", "{name}"' in (DEPLOY / "Dockerfile").read_text()
+    (deployed,) = _read(DEPLOY / "helm-values.yaml")["dagster-user-deployments"]["deployments"]
+    assert deployed["dagsterApiGrpcArgs"] == ["-m", name]
+
+
+def test_the_image_copies_what_exists_and_what_is_not_ignored(repo: Path) -> None:
+    allowed = {line[1:] for line in (repo / ".dockerignore").read_text().splitlines() if line[:1] == "!"}
+    copied = re.findall(r"^COPY (.*) \S+$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+    names = [name for line in copied for name in line.split()]
+    assert names and all((repo / name).exists() and name.split("/")[0] in allowed for name in names)
+
+
+def test_compose_is_accepted_by_its_own_tool() -> None:
+    tool = shutil.which("docker-compose")
+    command = [tool] if tool else ["docker", "compose"]
+    if not tool and (shutil.which("docker") is None or _fails([*command, "version"])):
+        pytest.skip("neither docker-compose nor docker's plugin compose is installed")
+    environment = os.environ | {"NVSF_DB_PASSWORD": "secret"}
+    assert not _fails([*command, "-f", str(DEPLOY / "compose.yaml"), "config", "-q"], environment)
+    assert _fails([*command, "-f", str(DEPLOY / "compose.yaml"), "config", "-q"]), "a password is asked for"
+
+
+def _fails(command: list[str], environment: dict[str, str] | None = None) -> bool:
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    return done.returncode != 0
+
+
+def test_what_pods_are_told_exists(repo: Path) -> None:
+    documented = (repo / "README.md").read_text()
+    (deployed,) = _read(DEPLOY / "helm-values.yaml")["dagster-user-deployments"]["deployments"]
+    assert [one["name"] for one in deployed["env"] if f"`{one['name']}`" not in documented] == []
+    mounts = {mount["name"] for mount in deployed["volumeMounts"]}
+    assert mounts == {volume["name"] for volume in deployed["volumes"]}
