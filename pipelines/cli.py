@@ -130,6 +130,75 @@ def _checked(
         yield from (f"{entry.name}, {line}" for line in described(chosen))
 
 
+@main.command(name="import")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the drive to make.")
+@click.option("--layout", default="plain", show_default=True, help="plain, or kitti360.")
+@click.option("--kind", default="", help="Format of SOURCE; default: as it looks.")
+@click.option("--sequence", default="", help="Of several in SOURCE, the one to take.")
+@click.option("--first", type=int, help="First frame; default: the first there is.")
+@click.option("--last", type=int, help="Last frame; default: the last there is.")
+@click.option("--lidar", help="The LiDAR's name, or `found`; default: as SOURCE says.")
+def import_(source: Path, out: Path, layout: str, first: int | None, last: int | None, **named: str) -> None:
+    """Convert the recording SOURCE into a drive that trains here: plain files, or KITTI-360's layout.
+
+    Reads ROS 1 and 2 bags, MCAP, KITTI odometry and raw, KITTI-360, and plain files (docs/drives.md). A scan
+    or image that cannot be used is named and left out; a drive without poses gets them by KISS-ICP. The
+    folder has a catalogue of its own: NVSF_SCENES=DRIVE/scenes.toml.
+
+    \f
+    Args:
+        source: The recording.
+        out: Folder of the drive.
+        layout: `plain` or `kitti360`.
+        first: First frame; None = the first there is.
+        last: Last frame; None = the last there is.
+        named: `kind`, `sequence` and `lidar`.
+    """  # noqa: D301  as of `view`
+    from nvsf_core.drives.detect import kind_of, whole_drive
+    from nvsf_core.stages.imports.convert import import_drive, span_of
+    from nvsf_core.stages.runner.heartbeat import sparse
+    from nvsf_core.stages.runner.run import say_on_stderr
+
+    kind = named["kind"] or kind_of(source)
+    scene = span_of(whole_drive(source, kind, named["sequence"], named["lidar"]), first, last)
+    done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
+    for line in (*done.left_out, *done.notes):
+        click.echo(line)
+    click.echo(
+        f"{done.folder}: {done.scans} scans, {done.images} images, {done.frames} poses of frames "
+        f"{scene.first_frame} to {scene.last_frame}; {len(done.left_out)} left out, named in import.json; "
+        f"export NVSF_SCENES={done.folder.absolute() / 'scenes.toml'}"
+    )
+
+
+@main.command()
+@click.argument("scene")
+@click.argument("view")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the data set to make.")
+@click.option("--recipe", help="Of the parts' data sets; default: of the newest ones.")
+@click.option("--seed", default=0, show_default=True, help="Of training.")
+def join(scene: str, view: str, out: Path, recipe: str | None, seed: int) -> None:
+    """Join the data sets of VIEW of all parts of SCENE, a scene with `cut_frames`.
+
+    \f
+    Args:
+        scene: The scene that was cut.
+        view: Name of a view, or `test`.
+        out: Folder of the data set.
+        recipe: A preset's name; None = that of the newest ones.
+        seed: Of training.
+    """  # noqa: D301  as of `view`
+    from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
+    from nvsf_core.drives.cuts import parts_of
+    from nvsf_core.stages.exports.join import join_data_sets, newest_data_set
+
+    parts = parts_of(scene, catalogue_from_environment(os.environ))
+    home = home_from_environment(os.environ)
+    folders = [newest_data_set(home, part.name, view, recipe, seed) for part, _ in parts]
+    click.echo(join_data_sets(scene, parts, folders, out))
+
+
 @main.command()
 def report() -> None:
     """Make the offline HTML page over everything measured under NVSF_HOME."""

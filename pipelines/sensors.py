@@ -13,7 +13,7 @@ from assets.offers import OFFERS, offer_evaluation
 from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.drives.kitti360.section import section_of, why_wait
+from nvsf_core.drives.section import section_of, why_wait
 from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
 from pipelines.reaper import host_tags

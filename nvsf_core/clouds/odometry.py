@@ -1,7 +1,7 @@
 """The path that scans themselves show, by KISS-ICP (Vizzo et al., RA-L 2023) where it is installed."""
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,32 +14,37 @@ _VOXEL_M = 1.0
 """KISS-ICP's own choice: a hundredth of the range."""
 
 
-def odometry_path(scans: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def odometry_path(
+    scans: Iterable[tuple[np.ndarray, np.ndarray]], first_step: np.ndarray | None = None
+) -> np.ndarray:
     """Poses (n, 4, 4) of consecutive scans, metres; the first is where KISS-ICP starts.
 
     Args:
         scans: Of each its points (m, 3) in the sensor's frame at firing time, metres, and their times (m,),
             in sweeps, -0.5 to 0.5.
+        first_step: (4, 4) motion from one scan to the next at the start; None = the sensor stands.
 
     Raises:
         DataError: A scan has too few points, or one that is not finite.
         MissingLibraryError: KISS-ICP is not installed; the message says how to install it.
     """
-    # KISS-ICP ends the process on what it cannot register.
-    for number, (points_m, _) in enumerate(scans):
+    odometry: Any = None
+    poses = []
+    for number, (points_m, fraction) in enumerate(scans):
+        # KISS-ICP ends the process on what it cannot register.
         if len(points_m) < _LEAST_POINTS or not np.isfinite(points_m).all():
             raise DataError(
                 f"odometry: expected {_LEAST_POINTS} or more finite points a scan, found {len(points_m)}, "
                 f"{int((~np.isfinite(points_m)).sum())} numbers not finite, in scan {number}; leave it out"
             )
-    odometry = _kiss_icp()
-    poses = []
-    for points_m, fraction in scans:
+        if odometry is None:
+            odometry = _kiss_icp()
+            odometry.last_delta = odometry.last_delta if first_step is None else first_step
         # Without times the scan is taken to be of one instant; equal times would end the process.
         times = fraction.astype(np.float64) + 0.5 if np.ptp(fraction) > 0.0 else np.zeros(0)
         odometry.register_frame(np.ascontiguousarray(points_m, np.float64), times)
         poses.append(np.array(odometry.last_pose))
-    return np.stack(poses)
+    return np.stack(poses) if poses else np.zeros((0, 4, 4))
 
 
 def _kiss_icp() -> Any:

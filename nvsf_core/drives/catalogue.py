@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from nvsf_core.drives.catalogue_views import expanded, path_of, read_sensor, read_view, require_keys
-from nvsf_core.drives.entries import SceneEntry, ViewEntry
-from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.drives.cuts import cut_scene
+from nvsf_core.drives.entries import OWN_ROOT_KINDS, SceneEntry, ViewEntry
+from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.errors import DataError
@@ -34,7 +35,7 @@ _MOST_BYTES = MIB
 _MOST_DOTS = 20
 _MOST_VIEWS = 1000
 _SCENE_KEYS = frozenset(field.name for field in fields(SceneEntry)) - {"views"}
-_NEEDED_SCENE_KEYS = frozenset({"name", "sequence", "first_frame", "last_frame", "test_frames"})
+_NEEDED_SCENE_KEYS = frozenset({"name", "first_frame", "last_frame", "test_frames"})
 
 
 def home_from_environment(environ: Mapping[str, str]) -> Path:
@@ -125,10 +126,13 @@ def load_catalogue(
     _require_other_names(scenes)
     ordered = sorted(scenes.values(), key=lambda entry: entry.first_frame - entry.last_frame)
     try:
-        return tuple(
+        whole = [
             replace(entry, views=tuple(one for _, one in views if entry.name in (one.scenes or scenes)))
             for entry in ordered
-        )
+        ]
+        parts = tuple(part for entry in whole for part in cut_scene(entry))
+        _require_other_names({part.name: part for part in parts}, len(parts))
+        return parts
     except DataError as error:
         raise DataError(f"{', '.join(map(str, paths)):.300}: {error}") from error
 
@@ -147,13 +151,8 @@ def has_data(entry: SceneEntry) -> bool:
     Raises:
         DataError: The folders cannot be read.
     """
-    layout = DriveLayout(entry.root, entry.sequence)
     try:
-        return any(
-            layout.scan_path(frame).is_file()
-            or any(layout.image_path(name, frame).is_file() for name in CAMERAS)
-            for frame in range(entry.first_frame, entry.last_frame + 1)
-        )
+        return drive_of(entry).has_data()
     except OSError as error:
         raise DataError(
             f"scene {entry.name}: cannot look into {error.filename or entry.root} ({error.strerror}); "
@@ -199,11 +198,11 @@ def _entries(table: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, 
 
 def _scene(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Path) -> SceneEntry:
     where = f"{path}: scene {raw.get('name')!r:.60}"
-    require_keys(raw, _SCENE_KEYS, _NEEDED_SCENE_KEYS, where)
-    values: dict[str, Any] = {
-        key: tuple(one) if isinstance(one, list) else one
-        for key, one in (raw | {"root": _root(raw, path, kitti360_root, home, where)}).items()
-    }
+    has_own_root = raw.get("kind") in OWN_ROOT_KINDS
+    needed = _NEEDED_SCENE_KEYS | (frozenset({"root"}) if has_own_root else frozenset({"sequence"}))
+    require_keys(raw, _SCENE_KEYS, needed, where)
+    given = {"sequence": raw["name"], **raw, "root": _root(raw, path, kitti360_root, home, where)}
+    values: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in given.items()}
     try:
         entry = SceneEntry(**values)
     except DataError as error:
@@ -219,8 +218,10 @@ def _root(raw: dict[str, Any], path: Path, kitti360_root: Path | None, home: Pat
     return path.absolute().parent.joinpath(path_of(raw["root"], home, f"{where}: root"))
 
 
-def _require_other_names(scenes: Mapping[str, SceneEntry]) -> None:
-    """Refuse names that differ only in case: on some disks they are one folder."""
+def _require_other_names(scenes: Mapping[str, SceneEntry], count: int | None = None) -> None:
+    """Refuse names that differ only in case: on some disks they are one folder; or names of two."""
+    if count is not None and len(scenes) != count:
+        raise DataError("a part of a scene with `cut_frames` has the name of another scene; rename one")
     known: dict[str, str] = {}
     for name in scenes:
         other = known.setdefault(name.casefold(), name)

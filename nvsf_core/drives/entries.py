@@ -21,11 +21,23 @@ from nvsf_core.drives.kinds import (
 from nvsf_core.drives.kitti360.layout import CAMERAS, LAST_FRAME
 from nvsf_core.drives.kitti360.timestamps import LONGEST_STEP_S, SHORTEST_STEP_S
 from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
+from nvsf_core.drives.view_parts import CAMERA_NAME
 from nvsf_core.errors import DataError, RecipeError
 from nvsf_core.names import RESERVED_SCENES
 from nvsf_core.recipe import preset
+from nvsf_core.sensors.tables import SENSOR_TABLES
 
-__all__ = ["EXPORTS", "MOST_FRAMES", "SceneEntry", "ViewEntry"]
+__all__ = ["DRIVE_KINDS", "EXPORTS", "FOUND", "KITTI360", "MOST_FRAMES", "SceneEntry", "ViewEntry"]
+
+KITTI360 = "kitti360"
+_KITTI_KINDS = (KITTI360, "kitti_odometry", "kitti_raw")
+"""Formats whose cameras are `image_00` to `image_03`."""
+OWN_ROOT_KINDS = ("plain", "bag")
+"""Formats whose root is one drive."""
+DRIVE_KINDS = (*_KITTI_KINDS, *OWN_ROOT_KINDS)
+"""Formats of recorded drives."""
+FOUND = "found"
+"""`lidar` of a scene whose lasers are found from its scans."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,9 +47,11 @@ class SceneEntry:
     name: str
     """Name of the scene; Dagster's partition key."""
     root: Path
-    """KITTI-360 root that holds `data_3d_raw`, `data_2d_raw`, `data_poses`, `calibration`."""
+    """KITTI-360 root that holds `data_3d_raw`, `data_2d_raw`, `data_poses`, `calibration`; of another `kind`
+    the folder of the drive, KITTI's root, or the bag."""
     sequence: str
-    """Name of the drive, for example `2013_05_28_drive_0000_sync`."""
+    """Name of the drive, for example `2013_05_28_drive_0000_sync`; of KITTI's odometry `00` to `21`. Of the
+    kinds `plain` and `bag` it only names exported data: the scene's name if it is left out."""
     first_frame: int
     """First frame number, inclusive."""
     last_frame: int
@@ -53,8 +67,19 @@ class SceneEntry:
     compensate: bool = True
     """Ego-motion compensation: each return is placed by the sensor's pose at its own time. False = one pose
     for a whole sweep, as papers do."""
+    kind: str = KITTI360
+    """Format of the drive: `kitti360`; `plain`, a folder of plain files; `kitti_odometry`; `kitti_raw`;
+    `bag`, of ROS 1 or 2, or MCAP (docs/drives.md)."""
+    lidar: str | None = None
+    """The LiDAR that recorded the drive, a known one by its name, or `found`: its lasers are found from the
+    scans. None given = as the drive says."""
     licence: str | None = None
     """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
+    cut_frames: int | None = None
+    """Most frames of a part of a long drive: the entry stands for scenes `name_000`, `name_001`, ..., each
+    trained by itself; `nvsf join` makes one data set of theirs. None = one scene."""
+    overlap_frames: int = 8
+    """Frames that neighbouring parts share at least."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
@@ -63,16 +88,27 @@ class SceneEntry:
         require_name("name", self.name, RESERVED_SCENES)
         require_name("sequence", self.sequence)
         require_kinds(self, _SCENE_KINDS)
+        if self.kind not in DRIVE_KINDS:
+            raise DataError(f"kind: expected one of {', '.join(DRIVE_KINDS)}, found {self.kind!r:.60}")
+        if self.lidar is not None and self.lidar != FOUND and self.lidar not in SENSOR_TABLES:
+            raise DataError(
+                f"lidar: expected one of {', '.join(SENSOR_TABLES)}, or {FOUND!r}, found {self.lidar!r:.60}"
+            )
         self._require_frames()
+        if self.cut_frames is not None and not 0 <= self.overlap_frames < self.cut_frames / 2:
+            raise DataError(
+                f"overlap_frames: expected 0 to less than half of cut_frames = {self.cut_frames}, found "
+                f"{self.overlap_frames}"
+            )
         if self.sweep_period_s is not None and not SHORTEST_STEP_S <= self.sweep_period_s <= LONGEST_STEP_S:
             raise DataError(
                 f"sweep_period_s: expected {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} seconds of one sweep, "
                 f"found {self.sweep_period_s}"
             )
-        unknown = [name for name in self.cameras or () if name not in CAMERAS]
+        unknown = [name for name in self.cameras or () if not self._may_have(name)]
         if unknown or len(set(self.cameras or ())) != len(self.cameras or ()):
             raise DataError(
-                f"cameras: expected different ones of {', '.join(CAMERAS)}, found {self.cameras!r:.200}"
+                f"cameras: expected different ones of {self._camera_words()}, found {self.cameras!r:.200}"
             )
         if self.recipe is not None:
             try:
@@ -81,6 +117,13 @@ class SceneEntry:
                 raise DataError(f"recipe: {error}") from error
 
         self._require_views()
+
+    def _may_have(self, camera: str) -> bool:
+        """Whether the format can have a camera of that name."""
+        return camera in CAMERAS if self.kind in _KITTI_KINDS else bool(CAMERA_NAME.fullmatch(camera))
+
+    def _camera_words(self) -> str:
+        return ", ".join(CAMERAS) if self.kind in _KITTI_KINDS else "the drive's own, as `front`"
 
     def _require_views(self) -> None:
         names = [view.name.casefold() for view in self.views]
@@ -95,7 +138,9 @@ class SceneEntry:
                      "like": [camera.like for camera in view.camera]}  # fmt: skip
             for key, names in asked.items():
                 absent = [
-                    name for name in names if name not in (CAMERAS if self.cameras is None else self.cameras)
+                    name
+                    for name in names
+                    if not self._may_have(name) or (self.cameras is not None and name not in self.cameras)
                 ]
                 if absent:
                     raise DataError(
@@ -139,6 +184,10 @@ _SCENE_KINDS: Kinds = {
     "cameras": (or_none(each(is_text, 0)), "a tuple of cameras, or None for all"),
     "recipe": (or_none(is_text), "a recipe's name, or None"),
     "compensate": (is_bool, "true or false"),
+    "kind": (is_text, f"one of {', '.join(DRIVE_KINDS)}"),
+    "lidar": (or_none(is_text), "a LiDAR's name, or None"),
+    "cut_frames": (or_none(is_whole), "a whole number, or None"),
+    "overlap_frames": (is_whole, "a whole number"),
     "licence": (or_none(is_line), "a line of at most 200 characters, or None"),
     "views": (each(lambda view: isinstance(view, ViewEntry), 0), "a tuple of ViewEntry"),
 }

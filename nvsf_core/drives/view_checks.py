@@ -6,11 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from nvsf_core.drives.catalogue import has_data
+from nvsf_core.drives.drive import AbstractDrive
 from nvsf_core.drives.entries import SceneEntry, ViewEntry
+from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kinds import MOST_FRAMES
-from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.drives.kitti360.poses import read_poses
-from nvsf_core.drives.kitti360.timestamps import frame_times
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError
 
@@ -100,9 +99,9 @@ def require_views(scene: SceneEntry) -> None:
                 )
     if not scene.views:
         return
-    layout = DriveLayout(scene.root, scene.sequence)
+    drive = drive_of(scene)
     try:
-        times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+        times = drive.times()
     except (DataError, OSError):
         return  # the stage `frames` reports what is wrong with the drive
     frames, end_s = np.arange(scene.first_frame, scene.last_frame + 1), float(times.time_s[-1])
@@ -118,21 +117,23 @@ def require_views(scene: SceneEntry) -> None:
             )
         if not has_data(scene):
             continue  # the embedded street is not written yet, or the drive is elsewhere
-        _require_near(view, layout, where)
+        _require_near(view, drive, where)
         needed = [*(view.cameras or ()), *(camera.like for camera in view.camera)]
-        absent = [name for name in needed if not layout.camera_dir(name).is_dir()]
+        absent = [name for name in needed if drive.camera_place(name) is None]
         if absent:
             raise DataError(
-                f"{where}: expected cameras that the drive has, found {absent[0]}: no images in "
-                f"{layout.camera_dir(absent[0])}"
+                f"{where}: expected cameras that the drive has, found {absent[0]}: there are no "
+                f"images of it below {scene.root}"
             )
 
 
-def _require_near(view: ViewEntry, layout: DriveLayout, where: str) -> None:
+def _require_near(view: ViewEntry, drive: AbstractDrive, where: str) -> None:
     """Refuse a path in the world that is nowhere near the drive's own."""
-    if view.is_on_recorded_path or view.path_in != "world" or not layout.poses_path.is_file():
+    if view.is_on_recorded_path or view.path_in != "world":
         return
-    known_m = np.stack([pose[:3, 3] for pose in read_poses(layout.poses_path).values()])
+    known_m = drive.places_m()
+    if len(known_m) == 0:
+        return
     asked_m = np.array([point.position_m for point in view.waypoints], np.float64).reshape(-1, 3)
     if view.pose_file is not None:
         asked_m = np.array(view.pose_file.poses).reshape(-1, 3, 4)[:, :, 3]
@@ -152,9 +153,9 @@ def described(scene: SceneEntry) -> list[str]:
         DataError: See `require_views`.
     """
     require_views(scene)
-    layout = DriveLayout(scene.root, scene.sequence)
+    drive = drive_of(scene)
     try:
-        times = frame_times(layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+        times = drive.times()
     except (DataError, OSError) as error:
         return [
             f"{view.name}: keys are fine; its times cannot be compared with the drive: {error}"

@@ -19,6 +19,7 @@ from nvsf_core.drives.kinds import (
 )
 from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.drives.view_parts import (
+    CAMERA_NAME,
     FARTHEST_SHIFT_M,
     CameraEntry,
     PoseFile,
@@ -169,10 +170,10 @@ class ViewEntry:
                 f"sensor: expected one of {', '.join(SENSOR_TABLES)}, a [[sensor]] of the catalogue, or "
                 f"{NO_SENSOR!r}, found {name!r:.60}"
             )
-        unknown = sorted(set(self.cameras or ()) - set(CAMERAS))
+        unknown = [name for name in self.cameras or () if not CAMERA_NAME.fullmatch(name)]
         if unknown or len(set(self.cameras or ())) != len(self.cameras or ()):
             raise DataError(
-                f"cameras: expected different ones of {', '.join(CAMERAS)}, found {self.cameras!r:.200}; "
+                f"cameras: expected different recorded ones, as {CAMERAS[0]}, found {self.cameras!r:.200}; "
                 "one of other intrinsics is a [[view.camera]]"
             )
         own = [camera.name for camera in self.camera]
@@ -208,8 +209,8 @@ class ViewEntry:
 
     def _require_truth(self) -> None:
         cameras = [camera for camera, _ in self.truth]
-        if not set(cameras) <= set(CAMERAS) or len(set(cameras)) != len(cameras):
-            raise DataError(f"truth: expected different ones of {', '.join(CAMERAS)}, found {cameras!r:.200}")
+        if not all(map(CAMERA_NAME.fullmatch, cameras)) or len(set(cameras)) != len(cameras):
+            raise DataError(f"truth: expected different cameras, as {CAMERAS[0]}, found {cameras!r:.200}")
         if cameras and (self.times_s is not None or self.rate_hz is not None):
             raise DataError("truth: expected a view of frames, found times; true images are named by frames")
         if cameras and self.sensor is not None and self.cameras is None:

@@ -27,6 +27,8 @@ FARTHEST_SHIFT_M = 1000.0
 MOST_DEG = 360.0
 _MOST_LASERS = 512
 _CAMERA_NAME = re.compile(r"image_\d\d")
+CAMERA_NAME = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*", re.ASCII)
+"""Names of recorded cameras: part of folders and of arrays' names."""
 _MOST_PIXELS = 8192
 
 
@@ -123,8 +125,8 @@ class CameraEntry:
         require_kinds(self, _CAMERA_KINDS)
         if not _CAMERA_NAME.fullmatch(self.name) or self.name in CAMERAS:
             raise DataError(f"name: expected image_04 to image_99, found {self.name!r:.60}")
-        if self.like not in CAMERAS:
-            raise DataError(f"like: expected one of {', '.join(CAMERAS)}, found {self.like!r:.60}")
+        if not CAMERA_NAME.fullmatch(self.like):
+            raise DataError(f"like: expected a recorded camera, as {CAMERAS[0]}, found {self.like!r:.60}")
         for what, size in (("width", self.width), ("height", self.height)):
             require_range(what, size, 8, _MOST_PIXELS, "pixels")
         if bool(self.mei) == (self.focal_px is not None):

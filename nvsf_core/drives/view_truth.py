@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, has_data
+from nvsf_core.drives.entries import KITTI360
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError
 
@@ -18,7 +19,6 @@ def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]
     Raises:
         DataError: A folder or an image is absent.
     """
-    layout = DriveLayout(scene.root, scene.sequence)
     found: dict[str, dict[int, Path]] = {}
     for camera, named in view.truth:
         folder = scene.root / named
@@ -30,7 +30,7 @@ def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]
             )
         is_all = view.frames == "all"
         frames = range(scene.first_frame, scene.last_frame + 1) if is_all else map(int, view.frames)
-        files = {frame: folder / layout.image_path(camera, frame).name for frame in frames}
+        files = {frame: folder / f"{frame:010d}.png" for frame in frames}
         there = {frame: file for frame, file in files.items() if file.is_file()}
         absent = sorted(set(files) - set(there))
         if not there or (absent and not is_all):
@@ -55,6 +55,8 @@ def require_truth(scene: SceneEntry) -> None:
     frames = range(scene.first_frame, scene.last_frame + 1)
     for view in scene.views:
         for camera, files in truth_files(scene, view).items():
+            if scene.kind != KITTI360:
+                continue  # images of any size and file type: the stage `scene_metrics` compares sizes
             where = f"scene {scene.name}, view {view.name}: truth of {camera}"
             paths = [layout.image_path(camera, frame) for frame in frames]
             recorded = next((path for path in paths if path.is_file()), None)

@@ -71,7 +71,7 @@ def _section(scene: str, view: str, versions: Sequence[VersionFacts]) -> str:
         cells = [f"<code>{escape(now.name)}</code>", made, escape(words), *counts, f"{now.megabytes:.1f}"]
         rows.append([*cells, *_moved(before, now)])
     note = f'<p class="soft">{left_out} older versions are not shown.</p>' if left_out else ""
-    table = plain_table(head, reversed(rows), words=(0, 2))
+    table = plain_table(head, reversed(rows), words=(2,))
     place, title = escape(f"{scene}-{view}"), escape(f"{scene}, {view}")
     return f'<section id="{place}"><h2>{title}</h2>{table}{note}</section>'
 
@@ -91,7 +91,9 @@ def changes(before: Manifest, now: Manifest) -> list[str]:
     commits = [str(one.get("commit", "unknown"))[:_SHORT] for one in (before, now)]
     found += [f"commit {' → '.join(commits)}"] if commits[0] != commits[1] else []
     found += _software_changes(before.get("software", {}), now.get("software", {}))
-    inputs = _differing(before.get("rendered_from", {}), now.get("rendered_from", {}))
+    sources = [one.get("rendered_from") for one in (before, now)]
+    # Manifests of before do not tell it.
+    inputs = _differing(sources[0], sources[1]) if sources[0] and sources[1] else []
     found += [f"content of {', '.join(inputs)}"] if inputs else []
     return found or [_SAME]
 

@@ -76,7 +76,7 @@ def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray,
         raise ShapeError(f"expected points (N, 3), found {points_m.shape}")
     if len(points_m) == 0:
         return np.zeros(0, np.int16), UNKNOWN, "an empty scan"
-    nearest, residual_rad = _nearest_laser(points_m, table)
+    nearest, residual_rad = nearest_laser(points_m, table)
     turn = _turns(points_m)
     turns = int(turn[-1]) + 1
     fitting = float((residual_rad < _RESIDUAL_RAD).mean())
@@ -156,8 +156,8 @@ def _elevation(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.arcsin(np.clip(z / range_m, -1.0, 1.0)), range_m
 
 
-def _nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, np.ndarray]:
-    """Laser with the nearest elevation for each point, and the distance from it in radians."""
+def nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, np.ndarray]:
+    """Laser with the nearest elevation for each point (N, 3) in metres, and how far it is, radians."""
     elevation, range_m = _elevation(points_m)
     best = np.zeros(len(points_m), np.int64)
     best_rad: np.ndarray = np.full(len(points_m), np.inf)

@@ -10,9 +10,10 @@ import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.drives.catalogue import has_data
-from nvsf_core.drives.kitti360.validation import Drive, read_drive
+from nvsf_core.drives.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
 from nvsf_core.reporting.previews import path_preview
+from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.tables import write_table
@@ -68,6 +69,8 @@ def _write(folder: Path, drive: Drive) -> None:
         "cameras": {name: camera.facts() for name, camera in drive.calibration.cameras.items()},
         "notes": list(drive.notes),
     }
+    if drive.sensor != HDL_64E.name:  # KITTI's own needs no word
+        facts["sensor"] = drive.sensor
     (folder / "drive.json").write_text(json.dumps(facts, indent=1))
 
 

@@ -9,7 +9,8 @@ from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.reporting.previews import range_preview
 from nvsf_core.sensors.beam_table import BeamPano
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.tables import LaserTable, sensor_table
+from nvsf_core.sensors.stored_table import recorded_table
+from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
@@ -24,7 +25,7 @@ def _run(task: Task) -> StageOutput:
     source = task.store.require("sweeps") / "returns.zarr"
     returns = read_arrays(source, "frame", "offsets", "points_m", "intensity", "laser")
     attrs = read_attrs(source)
-    table = sensor_table(attrs["sensor"])
+    table = recorded_table(attrs)
     linear = LinearPano()
     beam = BeamPano(table, linear.width) if bool((returns["laser"] >= 0).any()) else None
     arrays = _project_all(task, returns, linear, beam)

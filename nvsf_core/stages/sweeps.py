@@ -6,15 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.drives.kitti360.scans import read_scan
+from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
+from nvsf_core.sensors.found_table import find_table
+from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
+from nvsf_core.sensors.stored_table import ATTRIBUTE, table_facts
 from nvsf_core.sensors.sweep import compensate, trajectory_of
-from nvsf_core.sensors.tables import HDL_64E, LaserTable
+from nvsf_core.sensors.tables import HDL_64E, SENSOR_TABLES, LaserTable, sensor_table
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
@@ -27,6 +30,8 @@ SENSOR = HDL_64E
 """The sensor of KITTI and KITTI-360."""
 
 _OWN_VEHICLE_CELLS = 2000
+_FINDING_SCANS = 5
+"""Scans that an unknown sensor's lasers are found from."""
 
 _Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Origins, directions and ranges of one scan's returns, as `compensate` gives them."""
@@ -53,15 +58,15 @@ def _run(task: Task) -> StageOutput:
     rows = read_rows(frames_dir / "frames.parquet")
     drive: dict[str, Any] = read_document(frames_dir / "drive.json")
     posed = [row for row in rows if row["pose_valid"]]
-    scans = _read_scans(task, [row for row in posed if row["scan_valid"]])
+    table, found, scans = _read_scans(task, [row for row in posed if row["scan_valid"]], drive)
     sources = Counter(scan.timing.source for scan in scans)
     source = sources.most_common(1)[0][0] if scans else UNKNOWN
-    correction_rad = 0.0 if source == UNKNOWN else SENSOR.elevation_correction_rad
-    rays = _placed(task, posed, scans, drive, correction_rad)
-    arrays = _arrays(scans, rays, _learn_own_vehicle(scans, rays, np.array(drive["scene_origin_m"])))
-    arrays |= _mirrored(scans)
-    arrays |= _laser_errors(scans, arrays)
-    evidence = _evidence(scans, sources)
+    correction_rad = 0.0 if source == UNKNOWN else table.elevation_correction_rad
+    rays = _placed(task, table, posed, scans, drive, correction_rad)
+    arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, np.array(drive["scene_origin_m"])))
+    arrays |= _mirrored(table, scans)
+    arrays |= _laser_errors(table, scans, arrays)
+    evidence = found + _evidence(scans, sources)
     attrs = {
         "scene_origin_m": drive["scene_origin_m"],
         "sweep_period_s": drive["sweep_period_s"],
@@ -70,26 +75,55 @@ def _run(task: Task) -> StageOutput:
         "laser_evidence": evidence,
         "lasers": np.unique(arrays["laser"][arrays["laser"] >= 0]).tolist(),
         "compensated": task.scene.compensate,
-        "sensor": SENSOR.name,
+        "sensor": table.name,
     }
+    if table.name not in SENSOR_TABLES:
+        attrs[ATTRIBUTE] = table_facts(table)
     write_arrays(task.folder / ARRAYS_NAME, arrays, attrs)
-    return _output(task, scans, arrays, attrs, drive)
+    return _output(task, table, scans, arrays, attrs, drive)
 
 
-def _read_scans(task: Task, rows: list[dict[str, Any]]) -> list[_Scan]:
-    layout = DriveLayout(task.scene.root, task.scene.sequence)
-    scans = []
+def _read_scans(
+    task: Task, rows: list[dict[str, Any]], drive: dict[str, Any]
+) -> tuple[LaserTable, str, list[_Scan]]:
+    """The sensor's table, how it was found (empty for a known one), and the scans."""
+    source = drive_of(task.scene)
+    read: list[Scan] = []
     say = sparse(task.progress)
     for row in rows:
-        points = read_scan(layout.scan_path(row["frame"]), row["checksum"])
-        timing = recover_timing(points[:, :3], SENSOR)
-        scans.append(_Scan(row, np.ascontiguousarray(points[:, :3]), points[:, 3].copy(), timing))
-        say(f"[{task.scene.name}] sweeps: read {len(scans)} of {len(rows)} scans")
-    return scans
+        read.append(source.read_scan(row["frame"], row["checksum"]))
+        say(f"[{task.scene.name}] sweeps: read {len(read)} of {len(rows)} scans")
+    table, found = _table(drive.get("sensor", SENSOR.name), read)
+    period_s = float(drive["sweep_period_s"])
+    scans = []
+    for row, one in zip(rows, read, strict=True):
+        points_m = np.ascontiguousarray(one.points[:, :3])
+        if one.ring is None and one.offset_s is None:
+            timing = recover_timing(points_m, table)
+        else:
+            timing = given_timing(points_m, table, ring=one.ring, offset_s=one.offset_s, period_s=period_s)
+        scans.append(_Scan(row, points_m, one.points[:, 3].copy(), timing))
+    return table, found, scans
+
+
+def _table(sensor: str, scans: list[Scan]) -> tuple[LaserTable, str]:
+    """The table of the sensor of that name, or found from some of the scans, with the evidence."""
+    if sensor == SENSOR.name or not scans:
+        return SENSOR, ""
+    if sensor in SENSOR_TABLES:
+        return sensor_table(sensor), ""
+    chosen = scans[:: max(1, len(scans) // _FINDING_SCANS)][:_FINDING_SCANS]
+    made = find_table([(one.points[:, :3], one.ring) for one in chosen])
+    return made.table, f"found from the scans: {made.evidence}; "
 
 
 def _placed(
-    task: Task, posed: list[dict[str, Any]], scans: list[_Scan], drive: dict[str, Any], correction_rad: float
+    task: Task,
+    table: LaserTable,
+    posed: list[dict[str, Any]],
+    scans: list[_Scan],
+    drive: dict[str, Any],
+    correction_rad: float,
 ) -> list[_Rays]:
     """The scans' returns as rays in the scene, compensated for ego-motion."""
     if not scans:
@@ -104,7 +138,7 @@ def _placed(
         time_s = scan.row["time_s"] + scan.timing.sweep_fraction * period_s
         rays.append(
             compensate(
-                SENSOR, scan.points_m, scan.timing.laser, time_s, trajectory,
+                table, scan.points_m, scan.timing.laser, time_s, trajectory,
                 elevation_correction_rad=correction_rad,
             )
         )  # fmt: skip
@@ -112,7 +146,9 @@ def _placed(
     return rays
 
 
-def _learn_own_vehicle(scans: list[_Scan], rays: list[_Rays], scene_origin_m: np.ndarray) -> OwnVehicle:
+def _learn_own_vehicle(
+    table: LaserTable, scans: list[_Scan], rays: list[_Rays], scene_origin_m: np.ndarray
+) -> OwnVehicle:
     training = [(one, ray) for one, ray in zip(scans, rays, strict=True) if one.row["split"] == "train"]
     firings = [scan.timing.firings for scan, _ in training if scan.timing.firings > 0]
     # Cells finer than the firings would be empty by chance and miss the car.
@@ -125,17 +161,17 @@ def _learn_own_vehicle(scans: list[_Scan], rays: list[_Rays], scene_origin_m: np
         )
         for scan, (origin_m, direction, range_m) in training
     ]  # fmt: skip
-    return learn_own_vehicle(SENSOR, placed, cells)
+    return learn_own_vehicle(table, placed, cells)
 
 
-def _mirrored(scans: list[_Scan]) -> dict[str, np.ndarray]:
+def _mirrored(table: LaserTable, scans: list[_Scan]) -> dict[str, np.ndarray]:
     """The bonnet, learned from training scans, and which returns of all scans it mirrored."""
     returns = [ScanReturns(scan.points_m, scan.timing.laser) for scan in scans]
     is_training = [scan.row["split"] == "train" for scan in scans]
-    bonnet = fit_bonnet(SENSOR, [one for one, is_used in zip(returns, is_training, strict=True) if is_used])
+    bonnet = fit_bonnet(table, [one for one, is_used in zip(returns, is_training, strict=True) if is_used])
     if bonnet is None:
         return {"is_mirrored": np.zeros(sum(len(one.laser) for one in returns), np.bool_)}
-    mirrored = [bonnet.is_mirrored(SENSOR, one) for one in returns]
+    mirrored = [bonnet.is_mirrored(table, one) for one in returns]
     return {"is_mirrored": _joined(mirrored, np.bool_), "bonnet_shape": bonnet.shape}
 
 
@@ -179,20 +215,20 @@ def _evidence(scans: list[_Scan], sources: Counter[str]) -> str:
     )
 
 
-def _laser_errors(scans: list[_Scan], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _laser_errors(
+    table: LaserTable, scans: list[_Scan], arrays: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
     """Range bias and intensity gain of each laser, learned from training scans; all ranges without bias."""
     of_training = np.repeat([scan.row["split"] == "train" for scan in scans], np.diff(arrays["offsets"]))
     used = np.flatnonzero(of_training.astype(np.bool_) & ~arrays["is_own_vehicle"] & ~arrays["is_mirrored"])
     bias_m = learn_range_bias(
         arrays["origin_m"][used], arrays["direction"][used], arrays["range_m"][used], arrays["laser"][used],
-        SENSOR.laser_count,
+        table.laser_count,
     )  # fmt: skip
     own_m = np.where(arrays["laser"] >= 0, bias_m[arrays["laser"]], 0.0)
     range_m = np.maximum(arrays["range_m"] - own_m, 0.0).astype(np.float32)
     points_m = arrays["origin_m"][used] + arrays["direction"][used] * range_m[used, None]
-    gain = learn_intensity_gain(
-        points_m, arrays["intensity"][used], arrays["laser"][used], SENSOR.laser_count
-    )
+    gain = learn_intensity_gain(points_m, arrays["intensity"][used], arrays["laser"][used], table.laser_count)
     return {"laser_range_bias_m": bias_m, "laser_intensity_gain": gain, "range_m": range_m}
 
 
@@ -236,6 +272,7 @@ def _thickness(arrays: dict[str, np.ndarray]) -> float:
 
 def _output(
     task: Task,
+    table: LaserTable,
     scans: list[_Scan],
     arrays: dict[str, np.ndarray],
     attrs: dict[str, Any],
@@ -265,7 +302,7 @@ def _output(
             "laser_intensity_gain_min": float(arrays["laser_intensity_gain"].min()),
             "laser_intensity_gain_max": float(arrays["laser_intensity_gain"].max()),
         },
-        checks=_checks(scans, arrays, attrs, SENSOR),
+        checks=_checks(scans, arrays, attrs, table),
     )
     middle = scans[len(scans) // 2]
     (task.folder / "scan.png").write_bytes(scan_top_view(middle.points_m))
@@ -282,7 +319,7 @@ def _checks(
     homeless = int(((arrays["laser"] >= 0) & (arrays["firing"] < 0)).sum())
     dull = [scan.row["frame"] for scan in scans if np.ptp(scan.intensity) == 0.0]
     shared = sum(_shared_cells(scan.timing, table.laser_count) for scan in scans)
-    ordered = sum(scan.timing.source == FILE_ORDER for scan in scans)
+    ordered = sum(scan.timing.source in (FILE_ORDER, RING) for scan in scans)
     return [
         Check(
             name="every_return_has_a_ray", passed=finite and length_error < 1e-5, blocking=True,
@@ -294,7 +331,7 @@ def _checks(
         ),
         Check(
             name="scans_are_in_file_order", passed=ordered == len(scans),
-            detail=f"{ordered} of {len(scans)} scans hold laser after laser",
+            detail=f"{ordered} of {len(scans)} scans hold laser after laser, or say which",
         ),
         Check(
             name="intensities_are_recorded", passed=not dull,

@@ -7,8 +7,7 @@ import numpy as np
 
 from nvsf_core.cameras.masks import lens_circle
 from nvsf_core.cameras.undistort import Undistorter, make_undistorter, perspective_view
-from nvsf_core.drives.kitti360.images import read_image
-from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.formats import drive_of
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
@@ -86,7 +85,7 @@ def _undistort(
 
     `rows` are those of `cameras.parquet`, one per image.
     """
-    layout = DriveLayout(task.scene.root, task.scene.sequence)
+    drive = drive_of(task.scene)
     width, height = int(calibration["width"]), int(calibration["height"])
     undistorter, view = camera_of(camera, calibration)
     images = np.zeros((len(rows), view.height, view.width, 3), np.uint8)
@@ -94,8 +93,7 @@ def _undistort(
     say = sparse(task.progress)
     first = brightest
     for i, row in enumerate(rows):
-        path = layout.image_path(camera, int(row["frame"]))
-        image = read_image(path, width, height, row["checksum"] or "")
+        image = drive.read_image(camera, int(row["frame"]), width, height, row["checksum"] or "")
         first = image if i == 0 else first
         if undistorter is None:
             images[i] = image

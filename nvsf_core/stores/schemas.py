@@ -129,7 +129,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             ),
         ),
         "scene_origin_m, sweep_period_s, elevation_correction_deg, laser_source, laser_evidence, "
-        "compensated, sensor",
+        "compensated, sensor, sensor_table (of lasers that were found from the scans)",
     ),
     FileSpec(
         "pano", "pano/pano.zarr", "zarr", "Range images; 0 = no return.",

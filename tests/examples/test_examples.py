@@ -1,9 +1,13 @@
-"""The three examples run, one after the other, on the tiny drive."""
+"""The examples run, one after the other, on the tiny drive; one writes a drive of its own, which is read."""
 
 import sys
 from pathlib import Path
 
 import pytest
+
+from nvsf_core.drives.catalogue import load_catalogue
+from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages.inputs import read_sweeps
 
 REPO = Path(__file__).resolve().parents[2]
 
@@ -28,6 +32,17 @@ def test_the_examples_run_in_their_order(run, tmp_path):
     assert cloud.stat().st_size > 200
     said = run("read_metrics", "tiny", "smoke", "lidar4d_scan")
     assert "chamfer_m2" in said and "reproject" in said and "copy_nearest" in said
+
+
+def test_the_drive_of_plain_files_is_read_and_its_lasers_are_found(run, tmp_path):
+    run("plain_drive", str(tmp_path / "mine"))
+    (scene,) = load_catalogue([tmp_path / "mine/scenes.toml"], None)
+    done = plan_run(scene, tmp_path / "home", recipe="smoke")
+    for stage in ("frames", "sweeps"):
+        run_named_stage(stage, done, lambda line: None)
+    sweeps = read_sweeps(done.store)
+    assert sweeps.table.name == "found-16" and len(sweeps.arrays["frame"]) == 6
+    assert (sweeps.arrays["laser"] >= 0).all() and sweeps.table.firings_per_turn == 180
 
 
 @pytest.mark.parametrize("path", sorted((REPO / "examples").glob("*.py")), ids=lambda path: path.stem)

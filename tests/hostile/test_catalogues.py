@@ -66,7 +66,7 @@ CASES = [
     ("frames of another drive", VIEW + "frames = [7]\n", r"\[7\] are not in 0..3"),
     ("a frame twice", VIEW + "frames = [1, 1]\n", "once"),
     ("times before the drive", VIEW + "frames = [-1.0]\n", "frames: expected"),
-    ("true images of no camera", VIEW + 'truth = { "../x" = "right" }\n', "truth: expected different ones"),
+    ("true images of no camera", VIEW + 'truth = { "../x" = "right" }\n', "truth: expected different cam"),
     ("true images with a NUL", VIEW + 'truth = { image_00 = "a\\u0000b" }\n', "1 to 1000 printable"),
     ("true images without end", VIEW + f'truth = {{ image_00 = "{"a/" * 5000}" }}\n', "1 to 1000 printable"),
     ("true images in a table", VIEW + 'truth = { image_00 = { a = "b" } }\n', "1 to 1000 printable"),

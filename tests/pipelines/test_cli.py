@@ -1,6 +1,7 @@
 """The command `nvsf` says what there is, what is missing, and what went wrong in one line."""
 
 import os
+import shutil
 
 import dagster as dg
 import pytest
@@ -117,3 +118,18 @@ def test_the_report_is_made_of_what_is_there(ask):
     assert said.exit_code == 0, said.output
     assert said.output.strip().endswith("home/benchmark_report/index.html")
     assert os.path.isfile(said.output.strip())
+
+
+def test_a_recording_is_imported_and_what_is_left_out_is_named(ask, tiny_catalogue, tmp_path):
+    drive = tmp_path / "drive"
+    shutil.copytree(tiny_catalogue.parent / "drive", drive)
+    (scan,) = drive.glob("data_3d_raw/*/velodyne_points/data/0000000001.bin")
+    scan.write_bytes(b"cut")
+    done = ask("import", str(drive), "--out", str(tmp_path / "mine"))
+    assert done.exit_code == 0, done.output
+    assert "scan 1: " in done.output and "truncated scan" in done.output
+    assert "3 scans, 4 images, 4 poses of frames 0 to 3; 1 left out" in done.output
+    again = ask("import", str(drive), "--out", str(tmp_path / "mine"))
+    assert again.exit_code == 1 and "expected a folder to be made" in again.output
+    nothing = ask("import", str(tmp_path / "nowhere"), "--out", str(tmp_path / "other"))
+    assert nothing.exit_code == 1 and "found nothing" in nothing.output

@@ -28,6 +28,10 @@ class Scan:
     """(N, 4) float32: x, y, z (sensor frame, metres), reflectance 0..1."""
     n_absurd: int
     """Points left out as NaN, infinite, beyond 200 m, or with a reflectance outside 0..1."""
+    ring: np.ndarray | None = None
+    """(N,) int64, number of the laser as the recording has it, in no known order; None = not recorded."""
+    offset_s: np.ndarray | None = None
+    """(N,) float64, time of each return after the frame's, seconds; None = not recorded."""
 
 
 def read_scan(path: Path, checksum: str = "") -> np.ndarray:
@@ -68,7 +72,23 @@ def parse_scan(path: Path, data: bytes) -> Scan:
         raise DataError(
             f"{path}: truncated scan, {len(data)} bytes are no multiple of {_BYTES_PER_RETURN}; copy it again"
         )
-    points = np.frombuffer(data, dtype="<f4").reshape(-1, 4)
+    return usable_scan(path, np.frombuffer(data, dtype="<f4").reshape(-1, 4))
+
+
+def usable_scan(
+    path: Path, points: np.ndarray, ring: np.ndarray | None = None, offset_s: np.ndarray | None = None
+) -> Scan:
+    """The usable returns of decoded rows.
+
+    Args:
+        path: The file, for messages.
+        points: (M, 4) float32 x, y, z in metres and reflectance.
+        ring: (M,) laser of each; None = not recorded.
+        offset_s: (M,) time of each after the frame's; None = not recorded.
+
+    Raises:
+        DataError: There are no returns, or more than 1 % of the points are absurd.
+    """
     finite = np.isfinite(points).all(axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         range_m = np.linalg.norm(points[:, :3].astype(np.float64), axis=1)
@@ -85,7 +105,12 @@ def parse_scan(path: Path, data: bytes) -> Scan:
             f"{int((finite & in_reach & ~plausible).sum())} with reflectance outside 0..1), "
             f"expected at most {MAX_ABSURD_SHARE:.0%}; copy it again"
         )
-    usable = points[~(absurd | empty)]
-    if not len(usable):
+    usable = ~(absurd | empty)
+    if not usable.any():
         raise DataError(f"{path}: the scan has no returns; copy it again")
-    return Scan(usable.astype(np.float32), n_absurd)
+    return Scan(
+        points[usable].astype(np.float32),
+        n_absurd,
+        ring=None if ring is None else ring[usable].astype(np.int64),
+        offset_s=None if offset_s is None else offset_s[usable].astype(np.float64),
+    )

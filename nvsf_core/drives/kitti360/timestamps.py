@@ -74,18 +74,30 @@ def frame_times(
         misfit = f"{path.name} has gaps or steps back in this section"
         return _nominal(count, period_s, misfit, is_refused=True)
     time_s = (section - section[0]) / np.timedelta64(1, "s")
+    return spaced_times(time_s, period_s, str(path.relative_to(layout.root)))
+
+
+def spaced_times(time_s: np.ndarray, period_s: float, source: str) -> FrameTimes:
+    """Times of frames if their steps can be a LiDAR's or a camera's, else nominal ones and why.
+
+    Args:
+        time_s: (n,) ascending, seconds since the first frame.
+        period_s: Nominal time from frame to frame, and of a single one.
+        source: Where the times stand, for messages.
+    """
+    count = len(time_s)
     steps_s = np.diff(time_s) if count > 1 else np.array([period_s])
     median_s, longest_s = float(np.median(steps_s)), float(steps_s.max())
     shortest_s = float(steps_s.min())
     is_even = SHORTEST_STEP_S <= median_s <= LONGEST_STEP_S and shortest_s >= LEAST_OF_MEDIAN * median_s
     if not is_even or longest_s > LONGEST_PAUSE_S:
         misfit = (
-            f"{path.name}: frames {shortest_s:g} to {longest_s:g} s apart, {median_s:g} s in the median; "
+            f"{source}: frames {shortest_s:g} to {longest_s:g} s apart, {median_s:g} s in the median; "
             f"expected a median of {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} s, at least "
             f"{LEAST_OF_MEDIAN:g} of it and at most {LONGEST_PAUSE_S:g} s: another unit?"
         )
         return _nominal(count, period_s, misfit, is_refused=True)
-    return FrameTimes(time_s, median_s, False, str(path.relative_to(layout.root)))
+    return FrameTimes(time_s, median_s, False, source)
 
 
 def read_timestamps(path: Path) -> np.ndarray:

@@ -11,13 +11,13 @@ from nvsf_core.stores.checksums import damaged_file
 from nvsf_core.stores.documents import read_document
 
 MANIFEST_NAME = "manifest.json"
-_SEAL = "manifest_sha256"
+SEAL = "manifest_sha256"
 """Key of the manifest: SHA-256 of all its other entries."""
 
 
 def write_manifest(folder: Path, entries: Mapping[str, Any]) -> None:
     """Write the manifest, as strict JSON, with the digest of its entries."""
-    sealed = {**entries, _SEAL: _digest(entries)}
+    sealed = {**entries, SEAL: _digest(entries)}
     (folder / MANIFEST_NAME).write_text(json.dumps(sealed, indent=1, allow_nan=False))
 
 
@@ -29,7 +29,7 @@ def damaged_data_set(folder: Path) -> str | None:
     """
     try:
         manifest = dict(read_document(folder / MANIFEST_NAME))
-        seal, listed = manifest.pop(_SEAL, None), manifest.get("checksums", {})
+        seal, listed = manifest.pop(SEAL, None), manifest.get("checksums", {})
     except StoreError:
         return MANIFEST_NAME
     if seal is not None and seal != _digest(manifest):
@@ -42,7 +42,7 @@ def damaged_data_set(folder: Path) -> str | None:
 def is_sealed(folder: Path) -> bool:
     """Whether a data set's manifest carries its own digest."""
     try:
-        return _SEAL in read_document(folder / MANIFEST_NAME)
+        return SEAL in read_document(folder / MANIFEST_NAME)
     except StoreError:
         return False
 

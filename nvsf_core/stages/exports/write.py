@@ -27,7 +27,7 @@ DEPTH_UNIT_M = 1.0 / 256.0
 """Of depth images, as KITTI has it; 0 = not known, or beyond 256 m."""
 _MOST_STEPS = 65_535
 _CLOUDS = ("bin", "ply", "pcd")
-_WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
+WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
     "kitti": write_kitti, "kitti360": write_kitti360, "mcap": write_mcap,
     "nuscenes": write_nuscenes, "rosbag2": write_rosbag2,
 }  # fmt: skip
@@ -48,8 +48,8 @@ def write_data_set(
     scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
     images = _images(folder, view)
     for name in view.entry.exports:
-        if name in _WHOLE:
-            _WHOLE[name](folder, view.data_set(boxes))
+        if name in WHOLE:
+            WHOLE[name](folder, view.data_set(boxes))
     return {
         "schema_version": SCHEMA_VERSION,
         "sensor": view.attrs.get("sensor", ""),
@@ -122,6 +122,7 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
         }  # fmt: skip
         row |= _pixels(folder, view, camera, index, number)
         if f"{camera}_support" in a:
+            row["support"] = f"{camera}/support/{number:010d}.png"
             row |= _support_counts(a[f"{camera}_support"][index])
         if len(a[f"{camera}_frame"]) == len(a["time_s"]):
             row |= {"time_s": float(a["time_s"][index]), "stamp_s": float(view.stamp_s[index])}

@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.drives.kitti360.section import section_of
+from nvsf_core.drives.section import section_of
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.errors import DataError
 from nvsf_core.stores.file_hashes import FileHashes

@@ -83,9 +83,19 @@ def plan_run(
     return SceneRun(scene=scene, store=SceneStore(home=home, scene=scene.name), config=config)
 
 
+_OWN_FOLDERS = {
+    "kitti360": ("calibration", "data_2d_raw", "data_3d_raw", "data_3d_bboxes", "data_poses"),
+    "plain": ("scans", "images", "ring", "time"),
+    "kitti_odometry": ("sequences", "poses"),
+    "kitti_raw": ("",),
+    "bag": ("",),
+}
+"""Folders of a drive's root, by its kind, in which no outputs may lie; the root itself where it is empty."""
+
+
 def _require_apart(scene: SceneEntry, home: Path) -> None:
     """Refuse a home inside the recorded drive."""
-    for kind in ("calibration", "data_2d_raw", "data_3d_raw", "data_3d_bboxes", "data_poses"):
+    for kind in _OWN_FOLDERS[scene.kind]:
         if home.is_relative_to((scene.root / kind).resolve()):
             raise StoreError(
                 f"NVSF_HOME={home} lies in the drive's own folder {scene.root / kind}; choose another"

@@ -102,6 +102,10 @@ def test_a_drive_that_changes_while_it_is_read_is_not_published(copy: Path, tiny
     assert not (copy / "home/tiny/a").exists()
 
 
+_LATER = ("views", "recipe", "licence", "kind", "lidar", "cut_frames", "overlap_frames")
+"""Fields of an entry that earlier fingerprints did not have."""
+
+
 def _make_earlier(home: Path, entry: SceneEntry) -> None:
     """Give the records of a home the fingerprints that NVSF 0.1 gave them, computed as it did."""
     known: dict[str, str] = {}
@@ -112,7 +116,7 @@ def _make_earlier(home: Path, entry: SceneEntry) -> None:
             "stage": stage.name,
             "version": stage.version,
             "inputs": {name: known[name] for name in sorted(stage.inputs)},
-            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in ("views", "recipe", "licence")},
+            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in _LATER},
         }
         if stage.reads_drive:
             facts["drive"] = _listing(entry)

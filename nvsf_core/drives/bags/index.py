@@ -1,0 +1,173 @@
+"""What a bag holds: its topics, stamps, transforms and camera infos, found in one pass. No scan is kept."""
+
+import functools
+import importlib
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.drives.bags.messages import (
+    CAMERA_INFO,
+    IMAGES,
+    ODOMETRY,
+    POINT_CLOUD,
+    TRANSFORMS,
+    stamp_s,
+)
+from nvsf_core.drives.bags.transforms import TransformTree, plain_name, pose_of
+from nvsf_core.errors import DataError, MissingLibraryError
+
+_FOREVER = "/tf_static"
+
+
+@dataclass(slots=True)
+class Stamped:
+    """One message: the seconds of its header, and the nanoseconds under which the bag keeps it."""
+
+    stamp_s: float
+    kept_ns: int
+
+
+@dataclass(slots=True)
+class BagIndex:
+    """The topics of a bag that drives are made of."""
+
+    path: Path
+    scans: dict[str, list[Stamped]] = field(default_factory=dict)
+    images: dict[str, list[Stamped]] = field(default_factory=dict)
+    frame_ids: dict[str, str] = field(default_factory=dict)
+    """Topic to the frame of its first message."""
+    infos: dict[str, Any] = field(default_factory=dict)
+    """Topic of camera infos to the first one."""
+    tree: TransformTree = field(default_factory=lambda: TransformTree(Path()))
+    faults: Counter[str] = field(default_factory=Counter)
+    """Messages that cannot be read, by topic."""
+
+    @property
+    def lidar_topic(self) -> str | None:
+        """The topic of point clouds with the most messages, the first by name of several."""
+        return min(self.scans, key=lambda topic: (-len(self.scans[topic]), topic), default=None)
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Any]:
+    """The bag's reader, of ROS 1 (`.bag`), ROS 2 (a folder with `metadata.yaml`), or MCAP.
+
+    Raises:
+        MissingLibraryError: The package rosbags is not installed.
+        DataError: It is no bag, or damaged.
+    """
+    try:
+        highlevel = importlib.import_module("rosbags.highlevel")
+        typesys = importlib.import_module("rosbags.typesys")
+    except ImportError as error:
+        raise MissingLibraryError(
+            "bags are read by the package rosbags: pip install 'nvsf[rosbags]'"
+        ) from error
+    inside = path
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        files = sorted(path.glob("*.mcap"))
+        if len(files) != 1:
+            raise DataError(f"{path}: expected metadata.yaml or one .mcap, found {len(files)} of these")
+        inside = files[0]
+    try:
+        # Old bags hold no definitions of their messages: these are then of ROS 2 Humble.
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        reader = highlevel.AnyReader([inside], default_typestore=store)
+        reader.open()
+    except Exception as error:  # the library's errors on damaged bags have no common base
+        raise DataError(f"{path}: cannot be read as a bag ({error!s:.200}); copy it again") from error
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def index_of(path: Path) -> BagIndex:
+    """The index of a bag, made once as long as its files stay the same.
+
+    Raises:
+        DataError: It cannot be read, or ends in the middle.
+        MissingLibraryError: See `open_bag`.
+    """
+    files = [path] if path.is_file() else sorted(one for one in path.glob("*") if one.is_file())
+    if not files:
+        raise DataError(f"{path}: expected a bag, found nothing")
+    return _index(path, tuple((one, one.stat().st_size, one.stat().st_mtime_ns) for one in files))
+
+
+@functools.lru_cache(maxsize=4)
+def _index(path: Path, _files: tuple[tuple[Path, int, int], ...]) -> BagIndex:
+    index = BagIndex(path, tree=TransformTree(path))
+    with open_bag(path) as reader:
+        wanted = [
+            one for one in reader.connections
+            if one.msgtype in (POINT_CLOUD, *IMAGES, CAMERA_INFO, *TRANSFORMS, ODOMETRY)
+        ]  # fmt: skip
+        try:
+            for connection, kept_ns, raw in reader.messages(connections=wanted) if wanted else ():
+                _take(index, reader, connection, kept_ns, raw)
+        except Exception as error:  # as above
+            raise DataError(
+                f"{path}: ends after {sum(map(len, index.scans.values()))} scans ({error!s:.200}); `rosbag "
+                "reindex`, `mcap recover` or `ros2 bag reindex` mends what can be"
+            ) from error
+    for messages in (*index.scans.values(), *index.images.values()):
+        messages.sort(key=lambda one: one.stamp_s)
+    return index
+
+
+def _take(index: BagIndex, reader: Any, connection: Any, kept_ns: int, raw: bytes) -> None:
+    topic, kind = connection.topic, connection.msgtype
+    try:
+        if kind == POINT_CLOUD or kind in IMAGES:
+            seconds, frame = header_of(raw, is_ros2=reader.is2)
+            found = index.scans if kind == POINT_CLOUD else index.images
+            found.setdefault(topic, []).append(Stamped(seconds, kept_ns))
+            index.frame_ids.setdefault(topic, frame)
+            return
+        if kind == CAMERA_INFO and topic in index.infos:
+            return
+        message = reader.deserialize(raw, kind)
+        if kind == CAMERA_INFO:
+            index.infos[topic] = message
+        elif kind == ODOMETRY:
+            pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
+            index.tree.add(message.child_frame_id, message.header.frame_id, pose, stamp_s(message))
+        else:
+            for one in message.transforms:
+                pose = pose_of(one.transform.translation, one.transform.rotation)
+                moment_s = None if topic.endswith(_FOREVER) else stamp_s(one)
+                index.tree.add(one.child_frame_id, one.header.frame_id, pose, moment_s)
+    except Exception:  # counted and named; the other messages are read
+        index.faults[topic] += 1
+
+
+def header_of(raw: bytes, *, is_ros2: bool) -> tuple[float, str]:
+    """Seconds and frame of a message's header, of its bytes alone.
+
+    Raises:
+        DataError: They are too few.
+    """
+    # CDR: 4 bytes of encapsulation. ROS 1: a number of the message.
+    order = "<" if not is_ros2 or raw[1:2] in (b"\x01", b"\x03", b"\x07", b"\x09") else ">"
+    if len(raw) < 16:
+        raise DataError("expected a header, found a message that ends before")
+    seconds, nanoseconds, length = struct.unpack_from(f"{order}III", raw, 4)
+    if length > len(raw) - 16:
+        raise DataError("expected a header, found a name that is longer than the message")
+    return seconds + 1e-9 * nanoseconds, plain_name(
+        raw[16 : 16 + length].rstrip(b"\0").decode("utf-8", "replace")
+    )
+
+
+def median_step_s(messages: list[Stamped]) -> float | None:
+    """Median time from message to message."""
+    stamps = [one.stamp_s for one in messages]
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else None

@@ -1,0 +1,156 @@
+"""Decoding of ROS messages that drives are made of: point clouds, images, camera infos."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from nvsf_core.errors import CalibrationError, DataError
+
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+ODOMETRY = "nav_msgs/msg/Odometry"
+_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
+_RINGS = ("ring", "channel", "line", "row")
+_INTENSITIES = ("intensity", "reflectivity", "i")
+_ABSOLUTE_S = 1e6
+"""Times beyond this are of a clock and not of a sweep."""
+_COLOURS = {
+    "rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB, "8UC3": cv2.COLOR_BGR2RGB,
+    # OpenCV names a Bayer pattern by its second row.
+    "bayer_rggb8": cv2.COLOR_BayerBG2RGB, "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB, "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
+}  # fmt: skip
+_CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
+_LENSES = {"": "pinhole", "plumb_bob": "pinhole", "rational_polynomial": "pinhole",
+           "equidistant": "fisheye", "fisheye": "fisheye"}  # fmt: skip
+_POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
+    """Columns of a PointCloud2: x, y, z, and, where present, intensity, `ring`, and `time` after the stamp.
+
+    Points without a return (NaN) are left out.
+
+    Args:
+        message: The message.
+        where: Topic and time, for messages.
+
+    Raises:
+        DataError: Its fields do not fit its bytes, or one of x, y, z is absent.
+    """
+    order = ">" if message.is_bigendian else "<"
+    names, kinds, offsets = [], [], []
+    for one in message.fields:
+        if one.datatype in _FIELD_TYPES and one.count in (0, 1) and one.name not in names:
+            names.append(one.name)
+            kinds.append(order + _FIELD_TYPES[one.datatype])
+            offsets.append(one.offset)
+    count = message.width * message.height
+    data = np.asarray(message.data, np.uint8).tobytes()
+    try:
+        kind = np.dtype(
+            {"names": names, "formats": kinds, "offsets": offsets, "itemsize": message.point_step}
+        )
+        # Rows may be padded.
+        rows = [
+            np.frombuffer(data, kind, message.width, row * message.row_step) for row in range(message.height)
+        ]
+    except ValueError as error:
+        raise DataError(f"{where}: a point cloud whose fields do not fit its bytes ({error})") from error
+    points = np.concatenate(rows) if rows else np.zeros(0, kind)
+    if not {"x", "y", "z"} <= set(names) or len(points) != count:
+        raise DataError(f"{where}: expected x, y, z of each point, found {', '.join(names)!s:.200}")
+    points = points[np.isfinite(np.stack([points[name] for name in "xyz"])).all(axis=0)]
+    found = {name: points[name] for name in "xyz"}
+    for column, known in (("intensity", _INTENSITIES), ("ring", _RINGS), ("time", _TIMES)):
+        own = next((name for name in known if name in names), None)
+        if own is not None:
+            found[column] = points[own]
+    if "time" in found:
+        found["time"] = _after_stamp(found["time"], stamp_s(message))
+    return found
+
+
+def _after_stamp(time: np.ndarray, stamp: float) -> np.ndarray:
+    """Seconds after the stamp, of whole nanoseconds or seconds, of the sweep or of a clock."""
+    scale = 1e-9 if np.issubdtype(time.dtype, np.integer) else 1.0
+    seconds = time.astype(np.float64) * scale
+    if len(seconds) and float(np.nanmax(np.abs(seconds))) > _ABSOLUTE_S:
+        seconds = seconds if scale != 1.0 or seconds.max() < 1e12 else seconds * 1e-9
+        seconds = seconds - stamp
+    return seconds
+
+
+def stamp_s(message: Any) -> float:
+    """Seconds of a message's header."""
+    stamp = message.header.stamp
+    return float(stamp.sec) + 1e-9 * float(getattr(stamp, "nanosec", 0))
+
+
+def image_rgb(message: Any, where: str, decode: Any) -> np.ndarray:
+    """Pixels (H, W, 3) uint8, red first, of an Image or a CompressedImage.
+
+    Args:
+        message: The message.
+        where: Topic and time, for messages.
+        decode: Decodes the bytes of a PNG or JPEG.
+
+    Raises:
+        DataError: It is of an encoding that is not read, or cut.
+    """
+    if not hasattr(message, "encoding"):
+        return np.asarray(decode(np.asarray(message.data, np.uint8).tobytes()))
+    encoding = message.encoding
+    if encoding not in _COLOURS:
+        raise DataError(f"{where}: encoding: expected one of {', '.join(_COLOURS)}, found {encoding!r:.40}")
+    channels = _CHANNELS.get(encoding, 1)
+    data = np.asarray(message.data, np.uint8)
+    if len(data) < message.height * message.step or message.step < message.width * channels:
+        raise DataError(f"{where}: expected {message.height} rows of {message.step} bytes, found {len(data)}")
+    rows = data[: message.height * message.step].reshape(message.height, message.step)
+    pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+    code = _COLOURS[encoding]
+    return np.ascontiguousarray(pixels if code is None else cv2.cvtColor(np.ascontiguousarray(pixels), code))
+
+
+def lens_facts(message: Any, where: str, *, is_rectified: bool) -> dict[str, Any]:
+    """A CameraInfo as `lens_of` reads it.
+
+    Args:
+        message: The message.
+        where: Its topic, for messages.
+        is_rectified: Whether the images are rectified: then `P` holds, without distortion.
+
+    Raises:
+        CalibrationError: It is uncalibrated, or of a model that is not read.
+    """
+    # ROS 1 has these names in capitals.
+    k, d, p = (
+        np.asarray(getattr(message, name, getattr(message, name.upper(), ())), np.float64).reshape(-1)
+        for name in "kdp"
+    )
+    model = str(message.distortion_model)
+    size = {"width": int(message.width), "height": int(message.height)}
+    if len(k) != 9 or k[0] == 0.0:
+        raise CalibrationError(f"{where}: expected a calibrated camera, found K = {k.tolist()}")
+    if is_rectified and len(p) == 12 and p[0] > 0.0:
+        return {"model": "pinhole", **size, "fx": p[0], "fy": p[5], "cx": p[2], "cy": p[6]}
+    if model == "mei":  # as this project's own bags have it
+        mei = dict(zip(("xi", "k1", "k2", "p1", "p2"), d.tolist(), strict=False))
+        return {"model": "mei", **size, **mei, "gamma1": k[0], "gamma2": k[4], "u0": k[2], "v0": k[5]}
+    if model not in _LENSES and d.any():
+        raise CalibrationError(
+            f"{where}: distortion_model: expected one of {', '.join(filter(None, _LENSES))}, mei, found "
+            f"{model!r:.40}"
+        )
+    lens = _LENSES.get(model, "pinhole")
+    names = ("k1", "k2", "k3", "k4") if lens == "fisheye" else _POLYNOMIAL
+    distortion = {name: float(value) for name, value in zip(names, d, strict=False)}
+    return {
+        "model": lens, **size, "fx": k[0], "fy": k[4], "cx": k[2], "cy": k[5], "distortion": distortion,
+    }  # fmt: skip

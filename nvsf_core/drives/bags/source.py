@@ -1,0 +1,265 @@
+"""A drive in a bag of ROS 1 or ROS 2, or in an MCAP file: point clouds, images, camera infos, transforms.
+
+Frames are the point clouds, counted from 0 in the order of their stamps. An image belongs to the scan whose
+middle is nearest, and is placed by the path at its own time.
+"""
+
+import re
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.drives.bags.index import BagIndex, Stamped, index_of, median_step_s, open_bag
+from nvsf_core.drives.bags.messages import IMAGES, POINT_CLOUD, cloud_columns, image_rgb, lens_facts
+from nvsf_core.drives.drive import Recorded
+from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S
+from nvsf_core.drives.lenses import Lens, lens_of
+from nvsf_core.drives.pictures import decode_picture
+from nvsf_core.drives.plain.source import scan_of_columns
+from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
+from nvsf_core.drives.section import Section
+from nvsf_core.errors import CalibrationError, DataError
+
+_NOT_A_NAME = re.compile(r"image(?:_(?:raw|rect|rect_color|color|mono))?|compressed|sensors?|driver")
+_BRIGHTEST = (1.0, 255.0, 65535.0)
+"""Largest intensities of LiDARs: of calibrated ones, of one byte, of two."""
+_LOOKED_AT = 5
+
+
+class BagDrive(AbstractPosedDrive):
+    """Reads the point clouds of one topic, and every camera with a camera info."""
+
+    @cached_property
+    def _index(self) -> BagIndex:
+        return index_of(self.scene.root)
+
+    @cached_property
+    def _scans(self) -> list[Stamped]:
+        topic = self._index.lidar_topic
+        return [] if topic is None else self._index.scans[topic]
+
+    @cached_property
+    def _topics(self) -> dict[str, str]:
+        """Camera to the topic of its images; of a raw and a compressed topic the compressed one."""
+        found: dict[str, str] = {}
+        for topic in sorted(self._index.images, key=len):
+            found[camera_name(topic)] = topic
+        return found
+
+    @cached_property
+    def _images(self) -> dict[str, dict[int, Stamped]]:
+        """Camera to frame to image."""
+        frames = np.array(list(self._seconds.values())) + self.stamp_shift_s
+        found: dict[str, dict[int, Stamped]] = {}
+        numbers = list(self._seconds)
+        nearest_s = 0.5 * (median_step_s(self._scans) or NOMINAL_PERIOD_S)
+        for name, topic in self._topics.items():
+            own: dict[int, Stamped] = {}
+            for image in self._index.images[topic]:
+                at = int(np.abs(frames - image.stamp_s).argmin())
+                apart_s = abs(float(frames[at]) - image.stamp_s)
+                before = own.get(numbers[at])
+                is_nearer = before is None or apart_s < abs(float(frames[at]) - before.stamp_s)
+                if apart_s <= nearest_s and is_nearer:
+                    own[numbers[at]] = image
+            found[name] = own
+        return found
+
+    def has_data(self) -> bool:
+        """Whether the bag is there and has one of the section's frames."""
+        return self.scene.root.exists() and any(frame in self._seconds for frame in self.frames)
+
+    def section(self) -> Section:
+        """The bag's files."""
+        root = self.scene.root
+        files = (root,) if root.is_file() else tuple(sorted(one for one in root.glob("*") if one.is_file()))
+        frames = list(self._seconds) if files else []
+        return Section(
+            files=files, folders=(root,) if root.exists() else (), missing=(), gaps=(),
+            recorded=(frames[0], frames[-1]) if frames else None,
+        )  # fmt: skip
+
+    def frame_seconds(self) -> dict[int, float]:
+        """Stamps of the point clouds; without any, of the first camera's images."""
+        messages = self._scans or next(iter(self._index.images.values()), [])
+        return {k: one.stamp_s for k, one in enumerate(_distinct(messages))}
+
+    @property
+    def times_source(self) -> str:
+        """For messages."""
+        return f"headers of {self._index.lidar_topic or next(iter(self._index.images), 'nothing')}"
+
+    def pose_path(self) -> PosePath | None:
+        """Poses by `/tf` or an odometry; None if nothing above the LiDAR moves."""
+        return self._index.tree.path(self._lidar_frame)
+
+    @property
+    def _lidar_frame(self) -> str:
+        index = self._index
+        topic = index.lidar_topic or next(iter(index.images), "")
+        return index.frame_ids.get(topic, "")
+
+    def has_scans(self) -> bool:
+        """Whether there is a point cloud."""
+        return bool(self._scans)
+
+    def recorded_sensor(self) -> str:
+        """Bags do not say."""
+        return ""
+
+    @cached_property
+    def _mounted(self) -> tuple[Calibration, dict[str, Lens]]:
+        wanted = self._topics if self.scene.cameras is None else self.scene.cameras
+        cameras, lenses, notes = {}, {}, []
+        for name in wanted:
+            try:
+                if name not in self._topics:
+                    raise CalibrationError(f"camera {name}: no topic of images; there are {[*self._topics]}")
+                lenses[name], to_lidar = self._camera(name)
+                cameras[name] = CameraCalibration(
+                    name=name, intrinsics=lenses[name].intrinsics, to_pose=to_lidar
+                )
+            except CalibrationError as error:
+                if self.scene.cameras is not None:
+                    raise
+                notes.append(f"{name} left out: {error}")
+        others = sorted(set(self._index.scans) - {self._index.lidar_topic})
+        if others:
+            notes.append(f"point clouds of {self._index.lidar_topic}; not read: {', '.join(others)}")
+        notes += [f"{count} messages of {topic} are damaged" for topic, count in self._index.faults.items()]
+        found = Calibration(
+            lidar_to_pose=np.eye(4), lidar_is_assumed=False, cameras=cameras, notes=tuple(notes)
+        )
+        return found, lenses
+
+    def _camera(self, name: str) -> tuple[Lens, np.ndarray]:
+        """A camera's lens and its pose in the LiDAR's frame."""
+        index, topic = self._index, self._topics[name]
+        info = next(
+            (own for own in index.infos if camera_name(own.replace("camera_info", "image")) == name), None
+        )
+        if info is None:
+            raise CalibrationError(f"expected a camera info beside {topic}, found none")
+        to_lidar = index.tree.between(index.frame_ids[topic], self._lidar_frame)
+        if to_lidar is None:
+            raise CalibrationError(
+                f"expected fixed transforms from {index.frame_ids[topic]!r} to {self._lidar_frame!r} in "
+                "/tf_static, found none"
+            )
+        is_rectified = "rect" in topic.split("/")[-1] or "/rect" in topic or "_rect" in topic
+        return lens_of(lens_facts(index.infos[info], info, is_rectified=is_rectified), info), to_lidar
+
+    def calibration(self) -> Calibration:
+        """Camera infos and fixed transforms. The pose frame is the LiDAR's."""
+        return self._mounted[0]
+
+    def image_seconds(self, camera: str) -> dict[int, float]:
+        """Stamps of a camera's images."""
+        return {frame: one.stamp_s for frame, one in self._images.get(camera, {}).items()}
+
+    def camera_place(self, camera: str) -> Path | None:
+        """The bag."""
+        return self.scene.root if camera in self._topics else None
+
+    def scan_name(self, frame: int) -> str:
+        """For messages."""
+        return f"number {frame} of {self._index.lidar_topic}"
+
+    def image_name(self, camera: str, frame: int) -> str:
+        """For messages."""
+        return f"of {self._topics.get(camera, camera)} near scan {frame}"
+
+    def find_scan(self, frame: int) -> Recorded | None:
+        """The bytes of a point cloud's message."""
+        messages = _distinct(self._scans)
+        if not 0 <= frame < len(messages):
+            return None
+        return self._recorded(str(self._index.lidar_topic), messages[frame])
+
+    def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
+        """The bytes of an image's message."""
+        found = self._images.get(camera, {}).get(frame)
+        return None if found is None else self._recorded(self._topics[camera], found)
+
+    def _recorded(self, topic: str, message: Stamped) -> Recorded:
+        with open_bag(self.scene.root) as reader:
+            connections = [one for one in reader.connections if one.topic == topic]
+            try:
+                for _, _, raw in reader.messages(
+                    connections=connections, start=message.kept_ns, stop=message.kept_ns + 1
+                ):
+                    return Recorded(self.scene.root / f"{topic.strip('/')}@{message.stamp_s:.6f}", bytes(raw))
+            except Exception as error:  # the library's errors on damaged bags have no common base
+                raise DataError(
+                    f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s cannot be read ({error!s:.200})"
+                ) from error
+        raise DataError(f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s is gone; copy the bag again")
+
+    def _message(self, found: Recorded, kinds: tuple[str, ...]) -> Any:
+        topic = "/" + str(found.path.relative_to(self.scene.root)).rpartition("@")[0]
+        with open_bag(self.scene.root) as reader:
+            kind = next(
+                one.msgtype for one in reader.connections
+                if one.topic.strip("/") == topic.strip("/") and one.msgtype in kinds
+            )  # fmt: skip
+            try:
+                return reader.deserialize(found.data, kind)
+            except Exception as error:  # as above
+                raise DataError(f"{found.path}: damaged message ({error!s:.200})") from error
+
+    def _decoded(self, found: Recorded) -> dict[str, np.ndarray]:
+        return cloud_columns(self._message(found, (POINT_CLOUD,)), str(found.path))
+
+    @cached_property
+    def _brightest(self) -> float:
+        """The largest intensity that the LiDAR can give, from some scans."""
+        most = 0.0
+        for frame in list(self.frames)[:: max(1, len(self.frames) // _LOOKED_AT)]:
+            try:
+                found = self.find_scan(frame)
+                shine = None if found is None else self._decoded(found).get("intensity")
+            except DataError:
+                continue
+            if shine is not None and len(shine):
+                most = max(most, float(np.percentile(shine.astype(np.float64), 99.9)))
+        return next((one for one in _BRIGHTEST if most <= one), most)
+
+    def decode_scan(self, frame: int) -> Scan | None:
+        """A frame's scan with times after its stamp."""
+        found = self.find_scan(frame)
+        return None if found is None else scan_of_columns(found.path, self._decoded(found), self._brightest)
+
+    def parse_scan(self, found: Recorded) -> Scan:
+        """Decode points, intensity, ring and time."""
+        return self.centred(scan_of_columns(found.path, self._decoded(found), self._brightest))
+
+    def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
+        """Decode an image and take out the distortion that the flow has no model of."""
+        message = self._message(found, IMAGES)
+
+        def decode(data: bytes) -> np.ndarray:
+            return decode_picture(found.path, data, width, height)
+
+        rgb = image_rgb(message, str(found.path), decode)
+        if rgb.shape != (height, width, 3):
+            raise DataError(
+                f"{found.path}: wrong size, expected {width} x {height} as the camera info says, found "
+                f"{rgb.shape[1]} x {rgb.shape[0]}"
+            )
+        return self._mounted[1][camera].rectified(rgb)
+
+
+def camera_name(topic: str) -> str:
+    """A camera's name from its topic: `/sensors/camera/front/image_raw` is `camera_front`."""
+    parts = [part for part in topic.lower().split("/") if part and not _NOT_A_NAME.fullmatch(part)]
+    name = re.sub(r"[^a-z0-9]+", "_", "_".join(parts)).strip("_")
+    return name if name[:1].isalpha() else f"camera_{name}".rstrip("_")
+
+
+def _distinct(messages: list[Stamped]) -> list[Stamped]:
+    """Messages of ascending stamps; a repeated stamp is taken once."""
+    return [one for k, one in enumerate(messages) if k == 0 or one.stamp_s > messages[k - 1].stamp_s]

@@ -1,0 +1,104 @@
+"""The transforms of a bag: a tree of frames, some of whose links move."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nvsf_core.drives.posed import PosePath
+from nvsf_core.errors import DataError
+
+_LONGEST_CHAIN = 100
+
+
+def plain_name(frame: str) -> str:
+    """A frame's name without the slash that ROS 1 may begin it with."""
+    return frame.lstrip("/")
+
+
+def pose_of(translation: Any, rotation: Any) -> np.ndarray:
+    """(4, 4) of a message's translation and quaternion.
+
+    Raises:
+        DataError: The quaternion has no length, or a number is not finite.
+    """
+    quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w], np.float64)
+    pose = np.eye(4)
+    pose[:3, 3] = translation.x, translation.y, translation.z
+    if not np.isfinite(pose).all() or not abs(float(np.linalg.norm(quaternion)) - 1.0) < 0.01:
+        raise DataError(f"expected a rotation and a place, found {quaternion.tolist()}")
+    pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    return pose
+
+
+@dataclass(slots=True)
+class TransformTree:
+    """Links from frames to their parents."""
+
+    place: Path
+    """The bag, for messages."""
+    fixed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
+    """(child, parent) to child's frame in the parent's, (4, 4)."""
+    moving: dict[tuple[str, str], dict[float, np.ndarray]] = field(default_factory=dict)
+    """(child, parent) to seconds and pose."""
+
+    def add(self, child: str, parent: str, pose: np.ndarray, time_s: float | None) -> None:
+        """Add a link; without a time it never moves."""
+        link = (plain_name(child), plain_name(parent))
+        if time_s is None:
+            self.fixed[link] = pose
+        else:
+            self.moving.setdefault(link, {})[time_s] = pose
+
+    def _parents(self) -> dict[str, str]:
+        """Child to parent; a moving link outdoes a fixed one of the same child."""
+        return dict((*self.fixed, *self.moving))
+
+    def chain(self, frame: str) -> list[tuple[str, str]]:
+        """Links from a frame up to its root."""
+        parents, links, at = self._parents(), list[tuple[str, str]](), plain_name(frame)
+        while at in parents and len(links) < _LONGEST_CHAIN:
+            links.append((at, parents[at]))
+            at = parents[at]
+        return links
+
+    def path(self, frame: str) -> PosePath | None:
+        """Poses of a frame in its root; None if no link above it moves."""
+        links = self.chain(frame)
+        moving = {link: self._path_of(link) for link in links if link in self.moving}
+        if not moving:
+            return None
+        finest = max(moving.values(), key=lambda one: len(one.time_s))
+        times_s, poses = [], []
+        for time_s in finest.time_s.tolist():
+            pose: np.ndarray | None = np.eye(4)
+            for link in links:
+                step = moving[link].at(time_s) if link in moving else self.fixed[link]
+                pose = None if step is None or pose is None else step @ pose
+            if pose is not None:
+                times_s.append(time_s)
+                poses.append(pose)
+        return PosePath(np.array(times_s), np.stack(poses), self.place) if poses else None
+
+    def between(self, frame: str, other: str) -> np.ndarray | None:
+        """(4, 4) from a frame to another, of links that do not move; None if there is no such way."""
+        up, down = self._fixed_way(frame), self._fixed_way(other)
+        common = next((name for name in up if name in down), None)
+        return None if common is None else np.linalg.inv(down[common]) @ up[common]
+
+    def _fixed_way(self, frame: str) -> dict[str, np.ndarray]:
+        """Frames above a frame, as far as links do not move, and the frame's pose in each."""
+        found = {plain_name(frame): np.eye(4)}
+        pose = np.eye(4)
+        for link in self.chain(frame):
+            if link in self.moving:
+                break
+            pose = self.fixed[link] @ pose
+            found[link[1]] = pose
+        return found
+
+    def _path_of(self, link: tuple[str, str]) -> PosePath:
+        times_s = np.array(sorted(self.moving[link]))
+        return PosePath(times_s, np.stack([self.moving[link][one] for one in times_s.tolist()]), self.place)

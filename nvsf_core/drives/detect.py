@@ -1,0 +1,89 @@
+"""Which format a recording on disk is of, and which frames it has."""
+
+import re
+from pathlib import Path
+
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.formats import drive_of
+from nvsf_core.errors import DataError
+
+_WHOLE = (0, 1)
+"""Frames of the entry by which a drive is asked for all that it has."""
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_-]+")
+
+
+def kind_of(source: Path) -> str:
+    """The format of a recording: `kind` of a catalogue's scene.
+
+    Raises:
+        DataError: It is none that is known; the message says what each looks like.
+    """
+    if source.is_file() and source.suffix.lower() in (".bag", ".mcap"):
+        return "bag"
+    if source.is_dir():
+        if (source / "metadata.yaml").is_file() or any(source.glob("*.mcap")):
+            return "bag"
+        if (source / "data_3d_raw").is_dir() or (source / "data_2d_raw").is_dir():
+            return "kitti360"
+        if (source / "sequences").is_dir():
+            return "kitti_odometry"
+        if any(source.glob("*_drive_*_*/velodyne_points")) or any(source.glob("*_drive_*_*/image_0[0-3]")):
+            return "kitti_raw"
+        if any((source / name).exists() for name in ("scans", "images", "poses.csv")):
+            return "plain"
+    raise DataError(
+        f"{source}: expected a recording, found {'another folder or file' if source.exists() else 'nothing'}"
+        ": a bag (.bag, .mcap, or a folder with metadata.yaml), KITTI-360's root (data_3d_raw), KITTI "
+        "odometry's (sequences), a date of KITTI raw (*_drive_*_sync), or plain files (scans, poses.csv: "
+        "docs/drives.md); name another place"
+    )
+
+
+def whole_drive(source: Path, kind: str, sequence: str = "", lidar: str | None = None) -> SceneEntry:
+    """An entry of all frames that a recording has.
+
+    Args:
+        source: Its root, as in a catalogue.
+        kind: Its format.
+        sequence: Its name there; empty = the only one.
+        lidar: The sensor's name, or `found`; None = as the recording says.
+
+    Raises:
+        DataError: There is no such sequence, several and none is named, or no frame.
+    """
+    name = _NOT_IN_NAMES.sub("_", sequence or source.stem).strip("_") or "drive"
+    chosen = sequence or _only_sequence(source, kind) or name
+    first, last = _WHOLE
+    entry = SceneEntry(
+        name=name[:60], root=source.absolute(), sequence=chosen, first_frame=first, last_frame=last,
+        test_frames=(), kind=kind, lidar=lidar,
+    )  # fmt: skip
+    try:
+        recorded = drive_of(entry).section().recorded
+    except OSError as error:
+        raise DataError(f"{source}: cannot be read ({error.strerror}); check its permissions") from error
+    if recorded is None:
+        raise DataError(f"{source}, sequence {chosen}: expected scans or images, found none")
+    first, last = recorded
+    return SceneEntry(
+        name=name[:60], root=source.absolute(), sequence=chosen, first_frame=first, last_frame=last,
+        test_frames=(), kind=kind, lidar=lidar,
+    )  # fmt: skip
+
+
+def _only_sequence(source: Path, kind: str) -> str:
+    """The one sequence below a root; empty for formats that have no sequences."""
+    folders = {
+        "kitti360": [source / "data_3d_raw", source / "data_2d_raw"],
+        "kitti_odometry": [source / "sequences"],
+        "kitti_raw": [source],
+    }.get(kind, [])
+    found = {
+        path.name for folder in folders if folder.is_dir() for path in folder.iterdir()
+        if path.is_dir() and (kind != "kitti_raw" or "_drive_" in path.name)
+    }  # fmt: skip
+    if len(found) > 1:
+        raise DataError(
+            f"{source}: expected one sequence, found {', '.join(sorted(found))!s:.300}; name it (--sequence)"
+        )
+    return found.pop() if found else ""

@@ -1,0 +1,238 @@
+"""What the flow reads of a recorded drive, whatever its format; each format has one class in its folder.
+
+Frames: a pose is the pose frame's in the world. The LiDAR has x forward, y left, z up; a camera x right,
+y down, z forward. A frame's time is the instant of its pose.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.poses import PoseDisagreement
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.kitti360.text import checksum_of
+from nvsf_core.drives.kitti360.timestamps import FrameTimes
+from nvsf_core.drives.section import Section
+from nvsf_core.errors import DataError
+
+__all__ = ["AbstractDrive", "Boxes", "DriveFacts", "Recorded"]
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """The bytes of one scan or image, as they are recorded."""
+
+    path: Path
+    """The file, for messages; in a bag the bag's, with topic and time."""
+    data: bytes
+    beside: tuple[tuple[str, bytes], ...] = ()
+    """Files beside a scan that hold more of its points, as `ring` and `time`."""
+
+    @property
+    def checksum(self) -> str:
+        """`checksum_of` all of it."""
+        return checksum_of(b"".join([self.data, *(data for _, data in self.beside)]))
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """Labelled boxes of a section."""
+
+    boxes: tuple[Box, ...] = ()
+    left_out: tuple[str, ...] = ()
+    """Boxes that were left out, and why."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveFacts:
+    """What a section's calibration, poses and times say, before a scan or an image is opened."""
+
+    calibration: Calibration
+    poses: dict[int, np.ndarray]
+    """Frame number to (4, 4) float64, pose frame to world; a frame without a pose is absent."""
+    poses_place: Path
+    """Where the poses stand, for messages."""
+    times: FrameTimes
+    """Of the section's frames, first to last."""
+    has_scans: bool
+    """Whether the drive has a LiDAR."""
+    sensor: str
+    """Name of the LiDAR's table; empty = its lasers are to be found from the scans."""
+    disagreement: PoseDisagreement | None = None
+    """Of two sources of the same poses; None if there is one."""
+    notes: tuple[str, ...] = ()
+    """What was assumed or left out, and why."""
+
+
+class AbstractDrive(ABC):
+    """A section of a recorded drive."""
+
+    def __init__(self, scene: SceneEntry) -> None:
+        self.scene = scene
+
+    @property
+    def frames(self) -> range:
+        """Frame numbers of the section."""
+        return range(self.scene.first_frame, self.scene.last_frame + 1)
+
+    @abstractmethod
+    def has_data(self) -> bool:
+        """Whether a scan or an image of the section is on this machine.
+
+        Raises:
+            OSError: A folder cannot be read.
+            DataError: What lies there is not of this format.
+        """
+
+    @abstractmethod
+    def section(self) -> Section:
+        """Which files the section reads, and whether they are all there; none of its scans is opened.
+
+        Raises:
+            OSError: A folder cannot be read.
+        """
+
+    @abstractmethod
+    def facts(self) -> DriveFacts:
+        """Calibration, poses and times of the section.
+
+        Raises:
+            CalibrationError: A calibration file is absent, or a key is missing or damaged.
+            DataError: A line of poses or times cannot be read.
+        """
+
+    @abstractmethod
+    def times(self) -> FrameTimes:
+        """Times of the section's frames.
+
+        Raises:
+            DataError: They cannot be read.
+        """
+
+    @abstractmethod
+    def places_m(self) -> np.ndarray:
+        """(n, 3) positions of the drive's poses in the world, metres; n = 0 where there is none yet.
+
+        Raises:
+            DataError: The poses cannot be read.
+        """
+
+    @abstractmethod
+    def camera_place(self, camera: str) -> Path | None:
+        """Where a camera's images lie; None if the drive has no such camera."""
+
+    @abstractmethod
+    def find_scan(self, frame: int) -> Recorded | None:
+        """The recorded bytes of a frame's scan, not validated; None if there is none.
+
+        Raises:
+            DataError: They cannot be read, or are too large for a scan.
+        """
+
+    @abstractmethod
+    def parse_scan(self, found: Recorded) -> Scan:
+        """Validate and decode a scan.
+
+        Raises:
+            DataError: It is damaged, or too much of it is absurd.
+        """
+
+    @abstractmethod
+    def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
+        """The recorded bytes of a camera's image, not validated; None if there is none.
+
+        Args:
+            camera: Its name.
+            frame: Frame number.
+            width: Expected columns, pixels.
+            height: Expected rows, pixels.
+
+        Raises:
+            DataError: They cannot be read, or are too large for an image of that size.
+        """
+
+    @abstractmethod
+    def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
+        """Validate and decode an image: (height, width, 3) uint8 RGB, as the calibration describes it.
+
+        Raises:
+            DataError: It is damaged, or of another size.
+        """
+
+    def scan_name(self, frame: int) -> str:
+        """What a frame's scan would be called, for messages."""
+        return f"{frame:010d}.bin"
+
+    def image_name(self, camera: str, frame: int) -> str:
+        """What a camera's image would be called, for messages."""
+        return f"{frame:010d}.png"
+
+    def pose_at_image(self, camera: str, frame: int, pose: np.ndarray) -> np.ndarray:
+        """(4, 4) pose frame to world when a camera's image was taken; by default the frame's own pose."""
+        return pose
+
+    def image_time_s(self, camera: str, frame: int) -> float | None:
+        """Seconds from the section's first frame to an image; None = it was taken at its frame's instant."""
+        return None
+
+    def boxes(self) -> Boxes:
+        """Labelled boxes of the section; by default there are none.
+
+        Raises:
+            DataError: Their file cannot be read.
+        """
+        return Boxes()
+
+    def read_scan(self, frame: int, checksum: str = "") -> Scan:
+        """A frame's usable returns.
+
+        Args:
+            frame: Frame number.
+            checksum: The `Recorded.checksum` when it was validated; empty = not compared.
+
+        Raises:
+            DataError: It is absent, damaged, or has changed since.
+        """
+        found = self.find_scan(frame)
+        if found is None:
+            raise DataError(
+                f"no scan file {self.scan_name(frame)} of {self.scene.root}; unpack the drive's scans"
+            )
+        _require_unchanged(found, checksum)
+        return self.parse_scan(found)
+
+    def read_image(self, camera: str, frame: int, width: int, height: int, checksum: str = "") -> np.ndarray:
+        """A camera's image, (height, width, 3) uint8 RGB.
+
+        Args:
+            camera: Its name.
+            frame: Frame number.
+            width: Expected columns, pixels.
+            height: Expected rows, pixels.
+            checksum: The `Recorded.checksum` when it was validated; empty = not compared.
+
+        Raises:
+            DataError: It is absent, damaged, of another size, or has changed since.
+        """
+        found = self.find_image(camera, frame, width, height)
+        if found is None:
+            raise DataError(
+                f"no image file {self.image_name(camera, frame)} of {self.scene.root}; unpack its images"
+            )
+        _require_unchanged(found, checksum)
+        return self.parse_image(camera, found, width, height)
+
+
+def _require_unchanged(found: Recorded, validated: str) -> None:
+    if validated and found.checksum != validated:
+        raise DataError(
+            f"{found.path}: changed since the stage `frames` validated it (expected SHA-256 {validated}..., "
+            f"found {found.checksum}...); run again, and where that does not help delete the scene's output "
+            "`frames` first"
+        )

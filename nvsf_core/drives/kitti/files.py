@@ -1,0 +1,197 @@
+"""What KITTI's two layouts have in common: numbered `.bin` scans and rectified PNG images of four cameras."""
+
+from abc import abstractmethod
+from functools import cached_property
+from os.path import lexists
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import rq
+
+from nvsf_core.drives.drive import Recorded
+from nvsf_core.drives.kitti360.calibration import CameraCalibration
+from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
+from nvsf_core.drives.kitti360.layout import CAMERAS
+from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
+from nvsf_core.drives.plain.layout import numbered_files
+from nvsf_core.drives.posed import AbstractPosedDrive
+from nvsf_core.drives.section import Section
+from nvsf_core.errors import CalibrationError
+from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.sensors.tables import HDL_64E
+
+CAMERA_AXES_TO_Z_UP = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""From a camera's axes (x right, y down, z forward) to x forward, y left, z up."""
+
+
+class AbstractKittiDrive(AbstractPosedDrive):
+    """KITTI's scans and images; the layouts differ in folders, calibration, poses and times."""
+
+    @property
+    @abstractmethod
+    def scans_dir(self) -> Path:
+        """Folder of the scans."""
+
+    @abstractmethod
+    def images_dir(self, camera: str) -> Path:
+        """Folder of a camera's images."""
+
+    @property
+    @abstractmethod
+    def tables(self) -> tuple[Path, ...]:
+        """Files of calibration, poses and times, whether they exist or not; the first ones are needed."""
+
+    @property
+    @abstractmethod
+    def needed(self) -> tuple[Path, ...]:
+        """Files without which nothing can be read."""
+
+    def frame_files(self, frame: int) -> tuple[Path, ...]:
+        """Files of one frame beside its scan and images."""
+        return ()
+
+    @cached_property
+    def scan_files(self) -> dict[int, Path]:
+        """The drive's scans by frame."""
+        return numbered_files(self.scans_dir, ("bin",))
+
+    @cached_property
+    def image_files(self) -> dict[str, dict[int, Path]]:
+        """The drive's images by camera and frame."""
+        found = {name: numbered_files(self.images_dir(name), ("png",)) for name in CAMERAS}
+        return {name: files for name, files in found.items() if files}
+
+    @property
+    def wanted_cameras(self) -> tuple[str, ...]:
+        """Cameras of the scene.
+
+        Raises:
+            CalibrationError: One was asked for and has no images.
+        """
+        for name in self.scene.cameras or ():
+            if name not in self.image_files:
+                raise CalibrationError(
+                    f"camera {name} was asked for, but has no images in {self.images_dir(name)}; take it out "
+                    "of `cameras` in the catalogue, or put them there"
+                )
+        return tuple(self.image_files) if self.scene.cameras is None else self.scene.cameras
+
+    def has_data(self) -> bool:
+        """Whether a scan or an image of the section is there."""
+        found = [self.scan_files, *self.image_files.values()]
+        return any(frame in files for files in found for frame in self.frames)
+
+    def section(self) -> Section:
+        """Calibration, poses, times, and the section's scans and images."""
+        used = [
+            files for name, files in self.image_files.items()
+            if self.scene.cameras is None or name in self.scene.cameras
+        ]  # fmt: skip
+        frames = [
+            path for frame in self.frames
+            for path in (
+                *(files[frame] for files in (self.scan_files, *used) if frame in files),
+                *self.frame_files(frame),
+            )
+        ]  # fmt: skip
+        folders = [self.scans_dir, *(self.images_dir(name) for name in CAMERAS)]
+        everything = sorted(self.scan_files or {k for files in self.image_files.values() for k in files})
+        gaps = [frame for frame in self.frames if self.scan_files and frame not in self.scan_files]
+        return Section(
+            files=tuple(path for path in (*self.tables, *frames) if lexists(path)),
+            folders=tuple(folder for folder in folders if folder.is_dir()),
+            missing=tuple(
+                path.relative_to(self.scene.root).as_posix() for path in self.needed if not lexists(path)
+            ),
+            gaps=tuple(f"{self.scans_dir.relative_to(self.scene.root)}/{frame}.bin" for frame in gaps),
+            recorded=(everything[0], everything[-1]) if everything else None,
+        )
+
+    def has_scans(self) -> bool:
+        """Whether there is a scan at all."""
+        return bool(self.scan_files)
+
+    def recorded_sensor(self) -> str:
+        """KITTI's LiDAR."""
+        return HDL_64E.name
+
+    def camera_place(self, camera: str) -> Path | None:
+        """Its folder of images."""
+        return self.images_dir(camera) if camera in self.image_files else None
+
+    def find_scan(self, frame: int) -> Recorded | None:
+        """The bytes of a `.bin`."""
+        path = self.scan_files.get(frame)
+        return None if path is None else Recorded(path, read_scan_bytes(path))
+
+    def parse_scan(self, found: Recorded) -> Scan:
+        """Decode float32 x, y, z, reflectance."""
+        return parse_scan(found.path, found.data)
+
+    def decode_scan(self, frame: int) -> Scan | None:
+        """A frame's scan; its points have no times."""
+        found = self.find_scan(frame)
+        return None if found is None else self.parse_scan(found)
+
+    def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
+        """The bytes of a PNG."""
+        path = self.image_files.get(camera, {}).get(frame)
+        return None if path is None else Recorded(path, read_image_bytes(path, width, height))
+
+    def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
+        """Decode a PNG."""
+        return decode_image(found.path, found.data, width, height)
+
+
+def camera_of_projection(
+    name: str, projection: np.ndarray, size_px: tuple[int, int], first_to_pose: np.ndarray, where: str
+) -> CameraCalibration:
+    """A rectified camera from its projection K [R | t] of the first rectified camera's frame.
+
+    Args:
+        name: The camera.
+        projection: (3, 4).
+        size_px: Columns and rows of its images.
+        first_to_pose: (4, 4) first rectified camera to pose frame.
+        where: File and key, for messages.
+
+    Raises:
+        CalibrationError: It is no projection of a camera.
+    """
+    if not np.isfinite(projection).all() or abs(np.linalg.det(projection[:, :3])) < 1e-9:
+        raise CalibrationError(f"{where}: expected a projection of a camera, found {projection.tolist()}")
+    matrix, turn = rq(projection[:, :3])
+    # Focal lengths are positive: signs belong to the rotation.
+    signs = np.diag(np.sign(np.diag(matrix)))
+    matrix, turn = matrix @ signs, signs @ turn
+    scale = matrix[2, 2]
+    from_first = np.eye(4)
+    from_first[:3, :3] = turn
+    from_first[:3, 3] = np.linalg.solve(matrix, projection[:, 3])
+    fx, fy, cx, cy = (float(matrix[at] / scale) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    fault = intrinsics_fault((fx, fy), (cx, cy), size_px)
+    if fault is not None or np.linalg.det(turn) < 0 or abs(matrix[0, 1]) > 1e-3 * abs(matrix[0, 0]):
+        raise CalibrationError(f"{where}: {fault or 'expected a projection without mirror and skew'}")
+    return CameraCalibration(
+        name=name,
+        intrinsics=Pinhole(fx, fy, cx, cy, *size_px),
+        to_pose=first_to_pose @ invert_pose(from_first),
+    )
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    """Columns and rows that a PNG's header claims.
+
+    Raises:
+        CalibrationError: It is no PNG.
+    """
+    with path.open("rb") as file:
+        head = file.read(24)
+    if len(head) < 24 or not head.startswith(b"\x89PNG"):
+        raise CalibrationError(
+            f"{path}: expected a PNG whose size says the camera's, found none; copy it again"
+        )
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")

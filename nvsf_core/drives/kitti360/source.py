@@ -1,0 +1,113 @@
+"""A section of a drive in KITTI-360's layout."""
+
+from os.path import lexists
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts, Recorded
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.boxes import read_boxes
+from nvsf_core.drives.kitti360.calibration import (
+    Calibration,
+    read_calibration,
+    read_rectified_camera0_to_pose,
+)
+from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
+from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
+from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
+from nvsf_core.drives.kitti360.section import kitti360_section
+from nvsf_core.drives.kitti360.text import require_folder
+from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times
+from nvsf_core.drives.section import Section
+from nvsf_core.sensors.tables import HDL_64E
+
+
+class Kitti360Drive(AbstractDrive):
+    """Reads KITTI-360: `.bin` scans, PNG images, `poses.txt`, keyed calibration, XML boxes."""
+
+    def __init__(self, scene: SceneEntry) -> None:
+        super().__init__(scene)
+        self._layout = DriveLayout(scene.root, scene.sequence)
+
+    def has_data(self) -> bool:
+        """Whether a scan or an image is there."""
+        return any(
+            self._layout.scan_path(frame).is_file()
+            or any(self._layout.image_path(name, frame).is_file() for name in CAMERAS)
+            for frame in self.frames
+        )
+
+    def section(self) -> Section:
+        """The files that the section reads."""
+        return kitti360_section(self.scene)
+
+    def times(self) -> FrameTimes:
+        """Times of the frames, from the timestamp files or a nominal period."""
+        scene = self.scene
+        return frame_times(self._layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+
+    def facts(self) -> DriveFacts:
+        """Calibration, poses and times."""
+        layout = self._layout
+        has_scans = require_folder(layout.velodyne_dir) and require_folder(layout.scan_path(0).parent)
+        calibration = read_calibration(layout, self.scene.cameras, has_scans=has_scans)
+        poses = read_poses(layout.poses_path)
+        return DriveFacts(
+            calibration=calibration, poses=poses, poses_place=layout.poses_path, times=self.times(),
+            has_scans=has_scans, sensor=self.scene.lidar or HDL_64E.name,
+            disagreement=self._disagreement(poses, calibration),
+        )  # fmt: skip
+
+    def places_m(self) -> np.ndarray:
+        """Positions of `poses.txt`."""
+        if not self._layout.poses_path.is_file():
+            return np.zeros((0, 3))
+        return np.array([pose[:3, 3] for pose in read_poses(self._layout.poses_path).values()]).reshape(-1, 3)
+
+    def camera_place(self, camera: str) -> Path | None:
+        """Its folder of images."""
+        place = self._layout.camera_dir(camera)
+        return place if place.is_dir() else None
+
+    def find_scan(self, frame: int) -> Recorded | None:
+        """The bytes of a `.bin`."""
+        path = self._layout.scan_path(frame)
+        return Recorded(path, read_scan_bytes(path)) if lexists(path) else None
+
+    def parse_scan(self, found: Recorded) -> Scan:
+        """Decode float32 x, y, z, reflectance."""
+        return parse_scan(found.path, found.data)
+
+    def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
+        """The bytes of a PNG."""
+        path = self._layout.image_path(camera, frame)
+        return Recorded(path, read_image_bytes(path, width, height)) if lexists(path) else None
+
+    def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
+        """Decode a PNG."""
+        return decode_image(found.path, found.data, width, height)
+
+    def boxes(self) -> Boxes:
+        """Boxes of `data_3d_bboxes`."""
+        layout = self._layout
+        require_folder(layout.boxes_dir)
+        paths = layout.boxes_paths
+        if not paths:
+            return Boxes()
+        # `train_full`, the last by name, has whole objects; `train` cuts them at its windows.
+        boxes, left_out = read_boxes(paths[-1], self.scene.first_frame, self.scene.last_frame)
+        notes = [f"boxes read from {paths[-1].relative_to(layout.root)}"] if len(paths) > 1 else []
+        return Boxes(tuple(boxes), tuple(left_out), tuple(notes))
+
+    def _disagreement(
+        self, poses: dict[int, np.ndarray], calibration: Calibration
+    ) -> PoseDisagreement | None:
+        layout = self._layout
+        camera0 = calibration.cameras.get("image_00")
+        camera0_to_pose = read_rectified_camera0_to_pose(layout) if camera0 is None else camera0.to_pose
+        if camera0_to_pose is None or not lexists(layout.cam0_to_world_path):
+            return None
+        ours = {frame: poses[frame] @ camera0_to_pose for frame in self.frames if frame in poses}
+        return compare_poses(ours, read_cam0_to_world(layout.cam0_to_world_path))

@@ -1,0 +1,1 @@
+"""Recorded drives of one format."""

@@ -1,0 +1,129 @@
+"""Reading of a plain drive's `drive.json` and `cameras.json`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os.path import lexists
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
+from nvsf_core.drives.kitti360.text import read_calibration_text, rigid
+from nvsf_core.drives.lenses import Lens, lens_of
+from nvsf_core.drives.view_parts import CAMERA_NAME
+from nvsf_core.errors import CalibrationError
+from nvsf_core.sensors.tables import SENSOR_TABLES
+
+_LONGEST_ARM_M = 100.0
+_FOUND = "found"
+_DRIVE_KEYS = ("lidar", "intensity_max", "lidar_to_pose", "notes")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Description:
+    """What `drive.json` says; without the file all has its default."""
+
+    lidar: str = ""
+    """Name of the LiDAR's table; empty = to be found from the scans."""
+    intensity_max: float = 1.0
+    """Intensity of the brightest returns, as 255."""
+    lidar_to_pose: np.ndarray
+    """(4, 4) LiDAR to the frame that `poses.csv` speaks of."""
+
+
+def read_description(path: Path) -> Description:
+    """Read `drive.json`, or the defaults where it is absent.
+
+    Raises:
+        CalibrationError: It cannot be read, or a key is unknown or has a wrong value.
+    """
+    if not lexists(path):
+        return Description(lidar_to_pose=np.eye(4))
+    raw = read_json(path)
+    unknown = sorted(set(raw) - set(_DRIVE_KEYS))
+    if unknown:
+        raise CalibrationError(f"{path}: expected {', '.join(_DRIVE_KEYS)}, found {unknown[0]!r:.60}")
+    lidar = raw.get("lidar", _FOUND)
+    if lidar != _FOUND and lidar not in SENSOR_TABLES:
+        raise CalibrationError(
+            f"{path}: lidar: expected {_FOUND!r} or one of {', '.join(SENSOR_TABLES)}, found {lidar!r:.60}"
+        )
+    brightest = raw.get("intensity_max", 1.0)
+    if not isinstance(brightest, int | float) or isinstance(brightest, bool) or not 0.0 < brightest < 1e9:
+        raise CalibrationError(f"{path}: intensity_max: expected a number above 0, found {brightest!r:.60}")
+    return Description(
+        lidar="" if lidar == _FOUND else lidar, intensity_max=float(brightest),
+        lidar_to_pose=_mounting(raw, "lidar_to_pose", str(path), np.eye(4)),
+    )  # fmt: skip
+
+
+def read_cameras(
+    path: Path, wanted: Sequence[str] | None, present: Sequence[str], lidar_to_pose: np.ndarray
+) -> tuple[Calibration, dict[str, Lens]]:
+    """Calibration of the wanted cameras, and how their images are rectified.
+
+    Args:
+        path: `cameras.json`; it may be absent in a drive without images.
+        wanted: Cameras that the scene asks for; None = all that are present and described.
+        present: Cameras that have images.
+        lidar_to_pose: (4, 4).
+
+    Raises:
+        CalibrationError: It cannot be read, a camera is wanted and absent, or its description is damaged.
+    """
+    raw = read_json(path) if lexists(path) else {}
+    for name in wanted or ():
+        if name not in present or name not in raw:
+            what = "no images" if name not in present else f"no entry in {path.name}"
+            raise CalibrationError(f"{path.parent}: camera {name} was asked for, but has {what}; add it")
+    notes = [f"{name} left out: no entry in {path.name}" for name in present if name not in raw]
+    names = [name for name in present if name in raw] if wanted is None else list(wanted)
+    cameras, lenses = {}, {}
+    for name in names:
+        where = f"{path}: {name}"
+        if not CAMERA_NAME.fullmatch(name):
+            raise CalibrationError(f"{where}: expected a name of a-z, 0-9 and _, from a letter; rename it")
+        if not isinstance(raw[name], dict):
+            raise CalibrationError(f"{where}: expected an object, found {raw[name]!r:.60}")
+        lenses[name] = lens_of(raw[name], where)
+        to_lidar = _mounting(raw[name], "camera_to_lidar", where, None)
+        cameras[name] = CameraCalibration(
+            name=name, intrinsics=lenses[name].intrinsics, to_pose=lidar_to_pose @ to_lidar
+        )
+    found = Calibration(
+        lidar_to_pose=lidar_to_pose, lidar_is_assumed=False, cameras=cameras,
+        notes=tuple(notes) if wanted is None else (),
+    )  # fmt: skip
+    return found, lenses
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """An object of a small JSON file.
+
+    Raises:
+        CalibrationError: It cannot be read, or is none.
+    """
+    try:
+        raw = json.loads(read_calibration_text(path))
+    except (ValueError, RecursionError) as error:
+        raise CalibrationError(f"{path}: expected JSON ({error!s:.100}); correct the file") from error
+    if not isinstance(raw, dict):
+        raise CalibrationError(f"{path}: expected a JSON object, found {raw!r:.60}")
+    return raw
+
+
+def _mounting(raw: Mapping[str, Any], key: str, where: str, default: np.ndarray | None) -> np.ndarray:
+    values = raw.get(key)
+    if values is None and default is not None:
+        return default
+    try:
+        found = np.array(values, np.float64).reshape(-1)
+        if len(found) not in (12, 16) or not np.isfinite(found).all():
+            raise ValueError(f"expected 16 finite numbers, found {len(found)}")
+        if len(found) == 16 and np.abs(found[12:] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+            raise ValueError(f"expected the last row 0 0 0 1, found {found[12:].tolist()}")
+        return rigid(found[:12], _LONGEST_ARM_M)
+    except (ValueError, TypeError) as error:
+        raise CalibrationError(f"{where}: {key}: {error}; give a 4 x 4 matrix row by row") from error

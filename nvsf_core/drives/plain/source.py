@@ -1,0 +1,223 @@
+"""A drive as a folder of plain files (docs/drives.md): for every recording that has no reader of its own."""
+
+from functools import cached_property
+from os.path import lexists
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.drives.drive import Boxes, Recorded
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.scans import MOST_RETURNS, Scan, usable_scan
+from nvsf_core.drives.kitti360.text import read_bytes
+from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S
+from nvsf_core.drives.lenses import Lens
+from nvsf_core.drives.pictures import decode_picture, read_picture_bytes
+from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
+from nvsf_core.drives.plain.description import Description, read_cameras, read_description
+from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
+from nvsf_core.drives.plain.tables import read_box_table, read_pose_table, read_times
+from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
+from nvsf_core.drives.section import Section
+from nvsf_core.errors import DataError
+
+_MOST_POINT_BYTES = 256
+"""Most bytes of a point in a file of any kind."""
+_TIME_NAMES = ("time", "t", "timestamp", "time_offset")
+_BESIDE = {"ring": "<u2", "time": "<f4"}
+
+
+class PlainDrive(AbstractPosedDrive):
+    """Reads `scans/`, `poses.csv`, `cameras.json`, `images/` and what may lie beside them."""
+
+    def __init__(self, scene: SceneEntry) -> None:
+        super().__init__(scene)
+        self.layout = PlainLayout(scene.root)
+
+    @cached_property
+    def _scans(self) -> dict[int, Path]:
+        return numbered_files(self.layout.scans_dir, SCAN_KINDS)
+
+    @cached_property
+    def _images(self) -> dict[str, dict[int, Path]]:
+        folder = self.layout.root / "images"
+        names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+        return {name: numbered_files(self.layout.images_dir(name), IMAGE_KINDS) for name in names}
+
+    @cached_property
+    def _description(self) -> Description:
+        return read_description(self.layout.drive_path)
+
+    def has_data(self) -> bool:
+        """Whether a scan or an image of the section is there."""
+        found = [self._scans, *self._images.values()]
+        return any(frame in files for files in found for frame in self.frames)
+
+    def section(self) -> Section:
+        """The tables, and the section's scans and images."""
+        layout = self.layout
+        tables = [layout.drive_path, layout.poses_path, layout.frames_path, layout.cameras_path]
+        tables += [layout.boxes_path, *(layout.image_times_path(name) for name in self._images)]
+        scans = [self._scans[frame] for frame in self.frames if frame in self._scans]
+        beside = [layout.beside_path(name, frame) for name in _BESIDE for frame in self.frames]
+        used = self._images if self.scene.cameras is None else self.scene.cameras
+        images = [
+            files[frame] for name, files in self._images.items() if name in used
+            for frame in self.frames if frame in files
+        ]  # fmt: skip
+        folders = [layout.scans_dir, *(layout.images_dir(name) for name in self._images)]
+        gaps = [f"scans/{frame:010d}" for frame in self.frames if self._scans and frame not in self._scans]
+        everything = sorted({*self._scans, *(frame for files in self._images.values() for frame in files)})
+        return Section(
+            files=tuple(path for path in (*tables, *scans, *beside, *images) if lexists(path)),
+            folders=tuple(folder for folder in folders if folder.is_dir()),
+            missing=() if lexists(layout.poses_path) else (layout.poses_path.name,),
+            gaps=tuple(gaps),
+            recorded=(everything[0], everything[-1]) if everything else None,
+        )
+
+    @cached_property
+    def _poses(self) -> tuple[PosePath, np.ndarray | None]:
+        return read_pose_table(self.layout.poses_path)
+
+    def pose_path(self) -> PosePath | None:
+        """Poses of `poses.csv`."""
+        return self._poses[0] if lexists(self.layout.poses_path) else None
+
+    def frame_seconds(self) -> dict[int, float]:
+        """Times of `frames.csv`, or of the poses by their frame; without both, a nominal pace."""
+        layout = self.layout
+        if lexists(layout.frames_path):
+            return read_times(layout.frames_path)
+        if not lexists(layout.poses_path):
+            period_s = self.scene.sweep_period_s or NOMINAL_PERIOD_S
+            return {frame: frame * period_s for frame in self._scans}
+        path, frames = self._poses
+        if frames is None:
+            raise DataError(
+                f"{layout.poses_path}: expected a column `frame`, or a file frames.csv with the columns "
+                "frame and time_s, found neither: which scan was taken when is not known"
+            )
+        return dict(zip(frames.tolist(), path.time_s.tolist(), strict=True))
+
+    @property
+    def times_source(self) -> str:
+        """`frames.csv` or `poses.csv`."""
+        layout = self.layout
+        return (layout.frames_path if lexists(layout.frames_path) else layout.poses_path).name
+
+    def has_scans(self) -> bool:
+        """Whether there is a scan at all."""
+        return bool(self._scans)
+
+    def recorded_sensor(self) -> str:
+        """`lidar` of `drive.json`."""
+        return self._description.lidar
+
+    @cached_property
+    def _mounted(self) -> tuple[Calibration, dict[str, Lens]]:
+        present = [name for name, files in self._images.items() if files]
+        return read_cameras(
+            self.layout.cameras_path, self.scene.cameras, present, self._description.lidar_to_pose
+        )
+
+    def calibration(self) -> Calibration:
+        """`cameras.json`, of the cameras that have a folder of images."""
+        return self._mounted[0]
+
+    @cached_property
+    def _image_seconds(self) -> dict[str, dict[int, float]]:
+        paths = {name: self.layout.image_times_path(name) for name in self._images}
+        return {name: read_times(path) for name, path in paths.items() if lexists(path)}
+
+    def image_seconds(self, camera: str) -> dict[int, float]:
+        """`images/<camera>/times.csv`."""
+        return self._image_seconds.get(camera, {})
+
+    def camera_place(self, camera: str) -> Path | None:
+        """Its folder of images."""
+        return self.layout.images_dir(camera) if camera in self._images else None
+
+    def scan_name(self, frame: int) -> str:
+        """For messages."""
+        return f"scans/{frame:010d}.bin, .ply or .pcd"
+
+    def find_scan(self, frame: int) -> Recorded | None:
+        """The bytes of the scan, and of ring and time beside it."""
+        path = self._scans.get(frame)
+        if path is None:
+            return None
+        data = read_bytes(path, _MOST_POINT_BYTES * MOST_RETURNS, "scan")
+        beside = [(name, self.layout.beside_path(name, frame)) for name in _BESIDE]
+        found = [(name, read_bytes(one, 4 * MOST_RETURNS, "scan")) for name, one in beside if lexists(one)]
+        return Recorded(path, data, tuple(found))
+
+    def parse_scan(self, found: Recorded) -> Scan:
+        """Decode points, intensity, ring and time."""
+        return self.centred(self._decoded(found))
+
+    def decode_scan(self, frame: int) -> Scan | None:
+        """A frame's scan with times after its stamp."""
+        found = self.find_scan(frame)
+        return None if found is None else self._decoded(found)
+
+    def _decoded(self, found: Recorded) -> Scan:
+        kind = found.path.suffix.lower()
+        read = {".bin": read_bin, ".ply": read_ply, ".pcd": read_pcd}[kind]
+        columns = dict(read(found.path, found.data))
+        count = len(columns.get("x", ()))
+        for name, data in found.beside:
+            kind_of = np.dtype(_BESIDE[name])
+            values = np.frombuffer(data, kind_of) if len(data) == count * kind_of.itemsize else np.zeros(0)
+            if len(values) != count:
+                raise DataError(
+                    f"{found.path}: expected {count} values {_BESIDE[name]}, one {name} a point, found "
+                    f"{len(data)} bytes in the file {name}/ beside it"
+                )
+            columns[name] = values
+        return scan_of_columns(found.path, columns, self._description.intensity_max)
+
+    def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
+        """The bytes of a PNG or JPEG."""
+        path = self._images.get(camera, {}).get(frame)
+        return None if path is None else Recorded(path, read_picture_bytes(path, width, height))
+
+    def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
+        """Decode an image and take out the distortion that the flow has no model of."""
+        rgb = decode_picture(found.path, found.data, width, height)
+        return self._mounted[1][camera].rectified(rgb)
+
+    def boxes(self) -> Boxes:
+        """`boxes.csv`."""
+        if not lexists(self.layout.boxes_path):
+            return Boxes()
+        boxes, left_out = read_box_table(self.layout.boxes_path, self.frames)
+        return Boxes(tuple(boxes), tuple(left_out))
+
+
+def scan_of_columns(path: Path, columns: Columns, intensity_max: float) -> Scan:
+    """A scan from columns by name.
+
+    Args:
+        path: The file, for messages.
+        columns: (N,) each: x, y, z; intensity, ring and time where present.
+        intensity_max: Intensity of the brightest returns, which becomes 1.
+
+    Raises:
+        DataError: A coordinate is absent, or see `usable_scan`.
+    """
+    absent = [name for name in ("x", "y", "z") if name not in columns]
+    if absent:
+        raise DataError(f"{path}: expected x, y, z of each point, found {', '.join(columns)!s:.100}")
+    intensity = columns.get("intensity", columns.get("reflectivity"))
+    zero = np.zeros(len(columns["x"]))
+    shine = zero if intensity is None else intensity.astype(np.float64) / intensity_max
+    rows = np.stack([columns[name].astype(np.float32) for name in ("x", "y", "z")], axis=1)
+    points = np.column_stack([rows, np.minimum(shine, 1.0) if intensity_max > 1.0 else shine])
+    time = next((columns[name] for name in _TIME_NAMES if name in columns), None)
+    if time is not None and not np.isfinite(time.astype(np.float64)).all():
+        raise DataError(f"{path}: expected a finite time of each point, found NaN or infinity")
+    if time is not None and np.issubdtype(time.dtype, np.integer):
+        time = time.astype(np.float64) * 1e-9  # whole numbers are nanoseconds, as drivers write them
+    return usable_scan(path, points.astype(np.float32), columns.get("ring"), time)

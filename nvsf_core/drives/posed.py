@@ -1,0 +1,245 @@
+"""Drives whose frames have times in seconds and whose poses are a path of their own rate.
+
+A frame's instant is the middle of its sweep: where a recording stamps the sweep's begin, and its points have
+times of their own, the instants are moved there, and the pose is the path's at that moment.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from nvsf_core.drives.drive import AbstractDrive, DriveFacts
+from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S, FrameTimes, spaced_times
+from nvsf_core.errors import DataError
+from nvsf_core.sensors.sweep import Trajectory
+
+_LONGEST_GAP_S = 1.0
+"""Poses further apart say nothing of the path between them."""
+_LEAST_SHIFT = 0.1
+"""Least distance of the middle of a scan's times from its stamp, in sweeps, for the stamp to be moved."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePath:
+    """Poses of a drive at times of their own."""
+
+    time_s: np.ndarray
+    """(n,) float64, ascending, on the clock of the frames."""
+    poses: np.ndarray
+    """(n, 4, 4) float64, pose frame to world, metres."""
+    place: Path
+    """Where they stand, for messages."""
+
+    def at(self, time_s: float) -> np.ndarray | None:
+        """The pose (4, 4) at a time; None outside of the path by more than a pose's step, or in a gap."""
+        after = int(np.searchsorted(self.time_s, time_s))
+        near = self.time_s[max(0, after - 1) : after + 1]
+        exact = np.flatnonzero(np.abs(near - time_s) < 1e-9)
+        if len(exact):
+            return np.asarray(self.poses[max(0, after - 1) + int(exact[0])])
+        if len(self.time_s) < 2:
+            return None
+        first = min(max(after - 1, 0), len(self.time_s) - 2)
+        start_s, end_s = self.time_s[first : first + 2]
+        spare_s = end_s - start_s
+        if spare_s > _LONGEST_GAP_S or not start_s - spare_s <= time_s <= end_s + spare_s:
+            return None
+        origin_m = self.poses[first, :3, 3]
+        path = Trajectory(self.time_s[first : first + 2], self.poses[first : first + 2], origin_m)
+        rotation, place_m = path.at(np.array([time_s]))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation[0], place_m[0] + origin_m
+        return pose
+
+
+class AbstractPosedDrive(AbstractDrive):
+    """A drive whose format gives times of frames and a path of poses."""
+
+    @abstractmethod
+    def frame_seconds(self) -> dict[int, float]:
+        """Time of each frame that the whole drive has, seconds on any clock.
+
+        Raises:
+            DataError: They cannot be read, or do not ascend.
+        """
+
+    @abstractmethod
+    def pose_path(self) -> PosePath | None:
+        """The drive's poses; None if it has none.
+
+        Raises:
+            DataError: They cannot be read.
+        """
+
+    @abstractmethod
+    def calibration(self) -> Calibration:
+        """Mounting of the LiDAR and calibration of the scene's cameras.
+
+        Raises:
+            CalibrationError: It is absent or damaged.
+        """
+
+    @abstractmethod
+    def has_scans(self) -> bool:
+        """Whether the drive has a LiDAR."""
+
+    @abstractmethod
+    def recorded_sensor(self) -> str:
+        """Name of the LiDAR's table as the drive says; empty = it does not."""
+
+    @abstractmethod
+    def decode_scan(self, frame: int) -> Scan | None:
+        """A frame's scan with times after its stamp; None if there is none.
+
+        Raises:
+            DataError: It cannot be read.
+        """
+
+    def image_seconds(self, camera: str) -> dict[int, float]:
+        """Time of each image of a camera, by frame; empty = the frames' own."""
+        return {}
+
+    @property
+    def times_source(self) -> str:
+        """Where the times stand, for messages."""
+        return self.scene.root.name
+
+    @cached_property
+    def _seconds(self) -> dict[int, float]:
+        return self.frame_seconds()
+
+    given_path: PosePath | None = None
+    """Poses that were found for a drive that has none."""
+
+    @cached_property
+    def _path(self) -> PosePath:
+        path = self.given_path or self.pose_path()
+        if path is None:
+            raise DataError(
+                f"scene {self.scene.name}: expected poses in {self.scene.root}, found none; "
+                f"`nvsf import {self.scene.root} --out DRIVE` finds them from the scans (KISS-ICP)"
+            )
+        return path
+
+    @cached_property
+    def stamp_shift_s(self) -> float:
+        """Seconds from a scan's stamp to the middle of its sweep; 0 where points have no times."""
+        period_s = self._stamps().sweep_period_s
+        for frame in self.frames:
+            try:
+                scan = self.decode_scan(frame)
+            except DataError:
+                continue
+            if scan is None:
+                continue
+            if scan.offset_s is None:
+                return 0.0
+            middle_s = 0.5 * float(np.sum(np.percentile(scan.offset_s, [0.5, 99.5])))
+            return middle_s if abs(middle_s) > _LEAST_SHIFT * period_s else 0.0
+        return 0.0
+
+    def times(self) -> FrameTimes:
+        """Times of the section's frames."""
+        return self._stamps()
+
+    def _stamps(self) -> FrameTimes:
+        known = {frame: self._seconds[frame] for frame in self.frames if frame in self._seconds}
+        if not known:
+            raise DataError(
+                f"scene {self.scene.name}: expected frames {self.frames[0]} to {self.frames[-1]} in "
+                f"{self.scene.root}, found {_span(sorted(self._seconds))}; correct first_frame and last_frame"
+            )
+        period_s = self.scene.sweep_period_s or _median_step(self._seconds) or NOMINAL_PERIOD_S
+        frames = np.array(sorted(known))
+        seconds = np.array([known[frame] for frame in frames.tolist()])
+        wanted = np.array(self.frames)
+        # A frame that is not there is given a time between its neighbours'; it has no scan and no pose.
+        found = np.interp(wanted, frames, seconds)
+        found = np.where(wanted < frames[0], seconds[0] - period_s * (frames[0] - wanted), found)
+        found = np.where(wanted > frames[-1], seconds[-1] + period_s * (wanted - frames[-1]), found)
+        return spaced_times(found - found[0], period_s, self.times_source)
+
+    def image_time_s(self, camera: str, frame: int) -> float | None:
+        """Seconds from the section's first frame to the image, where images have times of their own."""
+        moment_s, first_s = self.image_seconds(camera).get(frame), self.instant_s(self.frames[0])
+        return None if moment_s is None or first_s is None else moment_s - first_s
+
+    def instant_s(self, frame: int) -> float | None:
+        """The instant of a frame's pose on the drive's clock; None if the drive has no such frame."""
+        stamp_s = self._seconds.get(frame)
+        return None if stamp_s is None else stamp_s + self.stamp_shift_s
+
+    def facts(self) -> DriveFacts:
+        """Calibration, poses and times."""
+        path, times = self._path, self.times()
+        poses = {}
+        for frame in self.frames:
+            moment_s = self.instant_s(frame)
+            pose = None if moment_s is None else path.at(moment_s)
+            if pose is not None:
+                poses[frame] = pose
+        notes = []
+        if self.stamp_shift_s:
+            notes.append(
+                f"scans are stamped {1000.0 * self.stamp_shift_s:.1f} ms before the middle of their sweep: "
+                "poses are those of the middle"
+            )
+        named = self.scene.lidar or self.recorded_sensor()
+        return DriveFacts(
+            calibration=self.calibration(), poses=poses, poses_place=path.place, times=times,
+            has_scans=self.has_scans(), sensor="" if named == "found" else named, notes=tuple(notes),
+        )  # fmt: skip
+
+    def places_m(self) -> np.ndarray:
+        """Positions of the path."""
+        path = self.pose_path()
+        return np.zeros((0, 3)) if path is None else np.asarray(path.poses[:, :3, 3])
+
+    def pose_at_image(self, camera: str, frame: int, pose: np.ndarray) -> np.ndarray:
+        """The path's pose at the image's own time, if it has one."""
+        moment_s = self.image_seconds(camera).get(frame)
+        if moment_s is None:
+            return pose
+        found = self._path.at(moment_s)
+        if found is None:
+            raise DataError(f"no pose at the time of the image, {moment_s:.6f} s, in {self._path.place.name}")
+        return found
+
+    def centred(self, scan: Scan) -> Scan:
+        """A scan with times after the frame's instant instead of its stamp."""
+        if scan.offset_s is None or not self.stamp_shift_s:
+            return scan
+        return Scan(scan.points, scan.n_absurd, scan.ring, scan.offset_s - self.stamp_shift_s)
+
+
+def require_ascending(time_s: np.ndarray, where: str) -> None:
+    """Refuse times that do not ascend.
+
+    Args:
+        time_s: (n,) seconds.
+        where: The file, for the message.
+
+    Raises:
+        DataError: One is not later than the one before.
+    """
+    late = np.flatnonzero(np.diff(time_s) <= 0.0)
+    if len(late):
+        k = int(late[0])
+        raise DataError(
+            f"{where}: expected ascending times, found {time_s[k + 1]:.9g} s after {time_s[k]:.9g} s in row "
+            f"{k + 2}; sort the rows, and keep one of each time"
+        )
+
+
+def _median_step(seconds: dict[int, float]) -> float | None:
+    found = [seconds[frame] for frame in sorted(seconds)]
+    return float(np.median(np.diff(found))) if len(found) > 1 else None
+
+
+def _span(frames: list[int]) -> str:
+    return f"{frames[0]} to {frames[-1]}" if frames else "none"

@@ -1,0 +1,220 @@
+"""Reading and validation of a section of a drive: its frames and images, their poses, and their faults."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.poses import PoseDisagreement
+from nvsf_core.drives.kitti360.timestamps import FrameTimes
+from nvsf_core.errors import DataError
+
+_FARTHEST_BOX_M = 20_000.0
+"""Largest distance of a box from the section's middle. All static boxes of a sequence are read: some km."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameRow:
+    """One frame of the section."""
+
+    frame: int
+    time_s: float
+    """Seconds since the section's first frame."""
+    split: str
+    """`train` or `test`."""
+    lidar_to_world: np.ndarray | None
+    """(4, 4) float64, or None if the frame has no pose."""
+    scan_valid: bool
+    """The scan is readable and plausible, and the frame has a pose."""
+    reason: str
+    """Why scan or pose cannot be used; empty if both can."""
+    checksum: str
+    """`checksum_of` the scan's file; empty if there is none of a possible size."""
+    n_returns: int
+    """Number of usable returns."""
+    n_dropped: int
+    """Number of absurd points that were left out."""
+
+    @property
+    def pose_valid(self) -> bool:
+        """Whether the frame has a pose."""
+        return self.lidar_to_world is not None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraRow:
+    """One image of the section."""
+
+    frame: int
+    camera: str
+    camera_to_world: np.ndarray | None
+    """(4, 4) float64 of the stored image (rectified if perspective), or None if the frame has no pose."""
+    image_valid: bool
+    """The image is readable and of the calibrated size, and its frame has a pose."""
+    reason: str
+    """Why it cannot be used; empty if it can."""
+    checksum: str
+    """`checksum_of` the image's file; empty if there is none of a possible size."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """A validated section of a drive, without the returns and the pixels."""
+
+    frames: tuple[FrameRow, ...]
+    images: tuple[CameraRow, ...]
+    boxes: tuple[Box, ...]
+    calibration: Calibration
+    times: FrameTimes
+    scene_origin_m: np.ndarray
+    """(3,) float64, world: the LiDAR's position in the middle frame, rounded to 1 m."""
+    boxes_left_out: tuple[str, ...]
+    """Boxes that were left out, and why."""
+    has_scans: bool
+    """Whether there is a folder of scans; else the drive is camera-only."""
+    sensor: str
+    """Name of the LiDAR's table; empty = its lasers are to be found from the scans."""
+    disagreement: PoseDisagreement | None
+    """Of `poses.txt` and `cam0_to_world.txt`; None if the drive does not have both."""
+    notes: tuple[str, ...]
+    """What was assumed or left out, and why."""
+
+
+def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
+    """Read and validate the section of a catalogue entry.
+
+    A frame that cannot be used is kept, with the reason; it never gets its neighbour's pose.
+
+    Args:
+        entry: The scene.
+        progress: Called with a line of text before each frame is read.
+
+    Raises:
+        CalibrationError: A calibration file is absent, or a key is missing or damaged.
+        DataError: A line of poses or times cannot be read, or no scan or image of the section can be used.
+    """
+    source = drive_of(entry)
+    facts = source.facts()
+    calibration, times = facts.calibration, facts.times
+    frames, images = [], []
+    for index, frame in enumerate(source.frames):
+        progress(f"reading frame {frame}, {index} of {len(times.time_s)} done")
+        frames.append(_frame_row(source, facts, frame, float(times.time_s[index])))
+        images += [_camera_row(source, facts, name, frame) for name in calibration.cameras]
+    _require_something(source, facts, frames, images)
+    origin_m = _scene_origin_m(frames)
+    boxes, far = _near_boxes(source.boxes(), origin_m)
+    notes = [*calibration.notes, *boxes.notes, *facts.notes]
+    if calibration.lidar_is_assumed:
+        notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")
+    return Drive(
+        frames=tuple(frames),
+        images=tuple(images),
+        boxes=boxes.boxes,
+        boxes_left_out=(*boxes.left_out, *far),
+        has_scans=facts.has_scans,
+        sensor=facts.sensor,
+        calibration=calibration,
+        times=times,
+        scene_origin_m=origin_m,
+        disagreement=facts.disagreement,
+        notes=tuple(notes),
+    )
+
+
+def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: float) -> FrameRow:
+    pose = facts.poses.get(frame)
+    reasons = [] if pose is not None else [f"no pose in {facts.poses_place.name}"]
+    checksum, n_returns, n_dropped = "", 0, 0
+    if not facts.has_scans:
+        reasons.append("camera-only drive")
+    else:
+        try:
+            found = source.find_scan(frame)
+            if found is None:
+                reasons.append(f"no scan file {source.scan_name(frame)}")
+            else:
+                checksum = found.checksum
+                scan = source.parse_scan(found)
+                n_returns, n_dropped = len(scan.points), scan.n_absurd
+        except DataError as error:
+            reasons.append(str(error))
+    return FrameRow(
+        frame=frame,
+        time_s=time_s,
+        split="test" if frame in source.scene.test_frames else "train",
+        lidar_to_world=None if pose is None else pose @ facts.calibration.lidar_to_pose,
+        scan_valid=n_returns > 0 and pose is not None,
+        reason="; ".join(reasons),
+        checksum=checksum,
+        n_returns=n_returns,
+        n_dropped=n_dropped,
+    )
+
+
+def _camera_row(source: AbstractDrive, facts: DriveFacts, camera: str, frame: int) -> CameraRow:
+    pose = facts.poses.get(frame)
+    reasons = [] if pose is not None else [f"no pose in {facts.poses_place.name}"]
+    checksum, to_world = "", None
+    mounted = facts.calibration.cameras[camera]
+    try:
+        if pose is not None:
+            to_world = source.pose_at_image(camera, frame, pose) @ mounted.to_pose
+        width, height = mounted.intrinsics.width, mounted.intrinsics.height
+        found = source.find_image(camera, frame, width, height)
+        if found is None:
+            reasons.append(f"no image file {source.image_name(camera, frame)}")
+        else:
+            checksum = found.checksum
+            source.parse_image(camera, found, width, height)
+    except DataError as error:
+        reasons.append(str(error))
+    return CameraRow(
+        frame=frame,
+        camera=camera,
+        camera_to_world=to_world,
+        image_valid=not reasons,
+        reason="; ".join(reasons),
+        checksum=checksum,
+    )
+
+
+def _require_something(
+    source: AbstractDrive, facts: DriveFacts, frames: list[FrameRow], images: list[CameraRow]
+) -> None:
+    if any(row.scan_valid for row in frames) or any(row.image_valid for row in images):
+        return
+    section = f"frames {frames[0].frame}..{frames[-1].frame}"
+    if not any(row.pose_valid for row in frames):
+        raise DataError(
+            f"{facts.poses_place}: no line for any of {section}; correct first_frame and last_frame in the "
+            "catalogue, or unpack the poses of this sequence"
+        )
+    rows: list[FrameRow | CameraRow] = [*frames, *images]
+    examples = " | ".join(dict.fromkeys(row.reason for row in rows if row.reason))[:600]
+    raise DataError(
+        f"{source.scene.root}, sequence {source.scene.sequence}: {section} hold no usable scan or image "
+        f"({examples}); unpack the drive again or correct the catalogue entry"
+    )
+
+
+def _scene_origin_m(frames: list[FrameRow]) -> np.ndarray:
+    placed = [row.lidar_to_world for row in frames if row.lidar_to_world is not None]
+    return np.round(placed[len(placed) // 2][:3, 3])
+
+
+def _near_boxes(found: Boxes, origin_m: np.ndarray) -> tuple[Boxes, list[str]]:
+    """The boxes that are near the section, and a reason for each of the others."""
+    near, far = [], []
+    for box in found.boxes:
+        if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) <= _FARTHEST_BOX_M:
+            near.append(box)
+        else:
+            place = f"object {box.object_id} in frame {box.frame}"
+            far.append(f"{place}: more than {_FARTHEST_BOX_M:g} m away")
+    return replace(found, boxes=tuple(near)), far

@@ -1,0 +1,309 @@
+"""A table of lasers found from scans, for a rotating LiDAR that no table is known of.
+
+Each laser's returns follow the model of `tables.LaserTable`:
+    elevation = elevation_l + vertical_offset_l / r
+    azimuth   = (column + phase_l) 2 pi / n + horizontal_offset_l / (r cos elevation_l)
+The first line is a straight line in 1 / r. The second is periodic in the encoder's n steps: for each lever
+arm h that a laser may have, the spectrum of its azimuths less h / rho has a peak at n, the highest for the
+true h.
+Lasers that fire together leave the same pattern of columns, each shifted by its own constant.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from nvsf_core.errors import DataError
+from nvsf_core.sensors.stored_table import FOUND_PREFIX
+from nvsf_core.sensors.tables import LaserTable
+
+Scans = Sequence[tuple[np.ndarray, np.ndarray | None]]
+"""Points (N, 3) in the sensor's frame, metres, and the laser (N,) of each as the recording numbers them."""
+
+_NEAREST_M = 2.0
+_FAR_M = 10.0
+"""Elevations are separated by returns beyond this, where a lever arm of 5 cm turns them by 0.3 degrees."""
+_FEWEST_RETURNS = 30
+"""Returns of a laser below which it is not one."""
+_MOST_LASERS = 256
+_SPREAD_RAD = np.deg2rad(0.15)
+"""Largest robust spread of a laser's elevations about its line; real lasers have 0.02 degrees."""
+_LEAST_FITTING = 0.9
+_NEARNESS_SPAN = 0.03
+"""Least span of 1 / r, 1/m, that tells a lever arm: returns from 10 to 14 m."""
+_LEAST_SPREAD_RAD = np.deg2rad(0.03)
+"""Returns this near to a line are never outliers: it is the sensors' own noise."""
+_APART_RAD = np.deg2rad(0.08)
+"""Least gap between two lasers' elevations where neither rings nor the file's order tell them apart."""
+_ARMS_M = np.linspace(-0.08, 0.08, 81)
+"""Lever arms to the left that are tried: sensors are less than 16 cm wide at their lasers."""
+_BINS = 1 << 15
+_MOST_STEPS = 12_000
+_LATTICE_PEAK = 0.6
+"""Least height of the spectrum's peak, of 1, for an encoder's lattice."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundTable:
+    """A table, and why."""
+
+    table: LaserTable
+    evidence: str
+    """How lasers were separated, and how well the model fits, in words and numbers."""
+
+
+class _Line(NamedTuple):
+    """Elevation of a laser's returns as a line in 1 / r."""
+
+    elevation_rad: float
+    """At infinite range."""
+    arm_m: float
+    """Lever arm upwards."""
+    spread_rad: float
+    """Robust spread of the returns about the line."""
+    is_certain: bool
+    """Whether the ranges differ enough to tell the lever arm."""
+
+
+def find_table(scans: Scans) -> FoundTable:
+    """The table of lasers that recorded these scans.
+
+    Args:
+        scans: Some scans of one drive, in file order.
+
+    Raises:
+        DataError: There are no lasers to be separated; the message says what was tried.
+    """
+    groups, words = _told_apart(scans)
+    lines = _lines(groups)
+    good = [k for k, one in enumerate(lines) if one.spread_rad <= _SPREAD_RAD]
+    if not good or 2 * len(good) < len(groups):
+        raise DataError(
+            f"lasers: {words}, and {len(groups) - len(good)} of {len(groups)} look into more than one "
+            "direction: is this one scan of a rotating LiDAR, in its own frame and not corrected for motion? "
+            "Name the sensor (`lidar` of the scene), or give each point its `ring`"
+        )
+    order = sorted(good, key=lambda k: -lines[k].elevation_rad)
+    groups, lines = [groups[k] for k in order], [lines[k] for k in order]
+    fitting = _fitting(scans, lines)
+    if fitting < _LEAST_FITTING:
+        raise DataError(
+            f"lasers: {words}, found {len(groups)}, but {fitting:.0%} of the far returns lie on one of them, "
+            f"expected {_LEAST_FITTING:.0%}; name the sensor (`lidar` of the scene), or give each point its "
+            "`ring`"
+        )
+    steps, peak, arms_m, phases = _lattice(groups)
+    firings = _firings(groups, len(scans))
+    is_lattice = peak >= _LATTICE_PEAK
+    if not is_lattice:
+        steps, arms_m, phases = firings, np.zeros(len(groups)), np.zeros(len(groups))
+    shifts = _shifts(groups, steps, arms_m, phases) if is_lattice else np.zeros(len(groups), np.int64)
+    farthest_m = max(float(np.linalg.norm(points_m[:, :3], axis=1).max()) for points_m in groups)
+    table = LaserTable(
+        name=f"{FOUND_PREFIX}-{len(groups)}",
+        elevation_rad=np.array([line.elevation_rad for line in lines]),
+        vertical_offset_m=np.array([line.arm_m for line in lines]),
+        horizontal_offset_m=arms_m,
+        phase_steps=phases,
+        firing_shift_steps=shifts,
+        lattice_steps=steps,
+        firings_per_turn=min(firings, steps),
+        max_range_m=float(np.ceil(1.02 * farthest_m)),
+        elevation_correction_rad=0.0,
+        range_bias_m=np.zeros(len(groups)),
+        intensity_gain=np.ones(len(groups)),
+    )
+    spread_deg = np.degrees(np.median([line.spread_rad for line in lines]))
+    lattice = (
+        f"an encoder of {steps} steps (peak {peak:.2f})" if is_lattice
+        else f"no encoder's lattice (peak {peak:.2f}): lever arms to the side are taken as 0"
+    )  # fmt: skip
+    elevations = np.degrees([lines[0].elevation_rad, lines[-1].elevation_rad])
+    evidence = (
+        f"{len(groups)} lasers from {len(scans)} scans, {words}: {elevations[0]:.2f} to {elevations[1]:.2f} "
+        f"degrees, {spread_deg:.3f} degrees off their lines in the median; {table.firings_per_turn} firings; "
+        f"{lattice}; {len(groups) - len(order) or 'none'} left out"
+    )
+    return FoundTable(table, evidence)
+
+
+def _fitting(scans: Scans, lines: Sequence[_Line]) -> float:
+    """Share of the far returns within 0.15 degrees of a laser's line."""
+    found = [_elevation(points_m) for points_m, _ in scans]
+    elevation, range_m = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    far = range_m > _FAR_M
+    off = np.full(int(far.sum()), np.inf)
+    for line in lines:
+        off = np.minimum(off, np.abs(elevation[far] - line.arm_m / range_m[far] - line.elevation_rad))
+    return float((off <= _SPREAD_RAD).mean()) if len(off) else 1.0
+
+
+def _told_apart(scans: Scans) -> tuple[list[np.ndarray], str]:
+    """What `_grouped` gives, and how lasers were separated."""
+    if all(ring is not None for _, ring in scans):
+        return _grouped(scans, [np.asarray(ring) for _, ring in scans]), "separated by their `ring`"
+    turns = [_turns(points_m) for points_m, _ in scans]
+    counts = {int(turn.max(initial=-1)) + 1 for turn in turns}
+    if len(counts) == 1 and 2 <= max(counts) <= _MOST_LASERS:
+        groups = _grouped(scans, turns)
+        spreads = [one.spread_rad for one in _lines(groups)]
+        if groups and np.mean(np.array(spreads) <= _SPREAD_RAD) > 0.5:
+            return groups, "separated by the file's order, one rotation each"
+    bands, labels = _bands(scans), []
+    if not 2 <= len(bands) - 1 <= _MOST_LASERS:
+        raise DataError(
+            f"lasers: found {max(0, len(bands) - 1)} directions in the points' elevations, no `ring`, and no "
+            "order in the file; name the sensor (`lidar` of the scene), or give each point its `ring`"
+        )
+    for points_m, _ in scans:
+        elevation, range_m = _elevation(points_m)
+        band = np.searchsorted(bands, elevation) - 1
+        labels.append(np.where((range_m > _FAR_M) & (band >= 0) & (band < len(bands) - 1), band, -1))
+    return _grouped(scans, labels), "separated by gaps between their elevations"
+
+
+def _grouped(scans: Scans, labels: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """(N, 4) float64 of each laser: its points, metres, and the scan that each is of."""
+    points_m = np.concatenate([points for points, _ in scans]).astype(np.float64)
+    scan = np.repeat(np.arange(len(scans)), [len(points) for points, _ in scans])
+    label = np.concatenate(labels)
+    kept = (np.linalg.norm(points_m, axis=1) > _NEAREST_M) & (label >= 0)
+    rows, label = np.column_stack([points_m, scan])[kept], label[kept]
+    groups = [rows[label == one] for one in np.unique(label)]
+    return [group for group in groups if len(group) >= _FEWEST_RETURNS]
+
+
+def _turns(points_m: np.ndarray) -> np.ndarray:
+    """How often the azimuth has wrapped before each point, in file order."""
+    azimuth = np.mod(np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64), 2.0 * np.pi)
+    return np.concatenate([[0], np.cumsum(np.abs(np.diff(azimuth)) > np.pi)])[: len(points_m)]
+
+
+def _elevation(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    points_m = points_m[:, :3].astype(np.float64)
+    range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-6)
+    return np.arcsin(np.clip(points_m[:, 2] / range_m, -1.0, 1.0)), range_m
+
+
+def _bands(scans: Scans) -> np.ndarray:
+    """Limits of the elevations of each laser: the middles of the gaps between far returns' elevations."""
+    found = [_elevation(points_m) for points_m, _ in scans]
+    elevation = np.concatenate([one[range_m > _FAR_M] for one, range_m in found])
+    if len(elevation) < _FEWEST_RETURNS:
+        return np.zeros(0)
+    # Gaps are of a histogram, where single stray returns do not close them.
+    width = 0.25 * _APART_RAD
+    count, edge = np.histogram(
+        elevation, np.arange(elevation.min() - width, elevation.max() + 2 * width, width)
+    )
+    is_empty = count <= max(1.0, 0.02 * np.percentile(count[count > 0], 90))
+    middles, k = [float(edge[0])], 0
+    while k < len(count):
+        if not is_empty[k]:
+            k += 1
+            continue
+        end = k
+        while end < len(count) and is_empty[end]:
+            end += 1
+        if k > 0 and end < len(count) and end - k >= 2:
+            middles.append(0.5 * float(edge[k] + edge[end]))
+        k = end
+    return np.array([*middles, float(edge[-1])])
+
+
+def _lines(groups: Sequence[np.ndarray]) -> list[_Line]:
+    """The line of each laser; one whose returns have all one range takes the lever arm of its neighbour."""
+    lines = [_line(points_m) for points_m in groups]
+    known = [k for k, one in enumerate(lines) if one.is_certain]
+    for k, one in enumerate(lines):
+        if one.is_certain or not known:
+            continue
+        near = min(known, key=lambda other: abs(lines[other].elevation_rad - one.elevation_rad))
+        arm_m = lines[near].arm_m
+        elevation, range_m = _elevation(groups[k])
+        base = float(np.median(elevation - arm_m / range_m))
+        spread = 1.4826 * float(np.median(np.abs(elevation - arm_m / range_m - base)))
+        lines[k] = _Line(base, arm_m, spread, is_certain=False)
+    return lines
+
+
+def _line(points_m: np.ndarray) -> _Line:
+    """The line of one laser's elevations over 1 / r, without its outliers."""
+    elevation, range_m = _elevation(points_m)
+    nearness = 1.0 / range_m
+    kept = np.ones(len(elevation), np.bool_)
+    line = _Line(float(np.median(elevation)), 0.0, float("inf"), is_certain=False)
+    for _ in range(4):
+        low, high = np.percentile(nearness[kept], [2.0, 98.0])
+        is_certain = bool(high - low > _NEARNESS_SPAN)
+        arm_m, base = (
+            np.polyfit(nearness[kept], elevation[kept], 1) if is_certain else (0.0, line.elevation_rad)
+        )
+        off = np.abs(elevation - base - arm_m * nearness)
+        line = _Line(float(base), float(arm_m), 1.4826 * float(np.median(off)), is_certain)
+        kept = off <= max(3.0 * line.spread_rad, _LEAST_SPREAD_RAD)
+    return line
+
+
+def _lattice(groups: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray, np.ndarray]:
+    """Steps of the encoder, height of the peak, and each laser's lever arm (m) and phase (steps)."""
+    chosen = list(range(0, len(groups), max(1, len(groups) // 8)))
+    mean = np.mean([_spectra(groups[k]).max(axis=0) for k in chosen], axis=0)
+    mean[: min(64, len(mean))] = 0.0
+    # A lattice of n steps also peaks at 2 n, 3 n, ...: the first high peak is n.
+    steps = int(np.flatnonzero(mean >= 0.9 * mean.max())[0])
+    arms_m, phases, peaks = np.zeros(len(groups)), np.zeros(len(groups)), np.zeros(len(groups))
+    for k, points_m in enumerate(groups):
+        azimuth, rho_m = _flat(points_m)
+        waves = np.array([np.exp(1j * steps * (azimuth - arm / rho_m)).mean() for arm in _ARMS_M])
+        best = int(np.abs(waves).argmax())
+        arms_m[k], peaks[k] = _ARMS_M[best], abs(waves[best])
+        phases[k] = np.angle(waves[best]) / (2.0 * np.pi)
+    return steps, float(np.median(peaks)), arms_m, phases
+
+
+def _spectra(points_m: np.ndarray) -> np.ndarray:
+    """Height of each wave number for each lever arm tried, (arms, wave numbers)."""
+    azimuth, rho_m = _flat(points_m)
+    found = []
+    for arm_m in _ARMS_M:
+        angle = np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi)
+        bins = np.minimum((angle * (_BINS / (2.0 * np.pi))).astype(np.int64), _BINS - 1)
+        wave = np.abs(np.fft.rfft(np.bincount(bins, minlength=_BINS))) / len(angle)
+        found.append(wave[:_MOST_STEPS])
+    return np.array(found)
+
+
+def _flat(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    azimuth: np.ndarray = np.arctan2(points_m[:, 1], points_m[:, 0])
+    return azimuth, np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), 1e-3)
+
+
+def _firings(groups: Sequence[np.ndarray], n_scans: int) -> int:
+    """Firings of a sweep: as many as the fullest lasers have returns."""
+    counts = np.array([len(points_m) / n_scans for points_m in groups])
+    return max(1, round(float(np.percentile(counts, 98))))
+
+
+def _shifts(groups: Sequence[np.ndarray], steps: int, arms_m: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """(L,) int64 steps between each laser's columns and those of the fullest laser that fire together."""
+    n_scans = 1 + int(max(points_m[:, 3].max() for points_m in groups))
+    pattern = []
+    for points_m, arm_m, phase in zip(groups, arms_m, phases, strict=True):
+        azimuth, rho_m = _flat(points_m)
+        column = np.rint((azimuth - arm_m / rho_m) * steps / (2.0 * np.pi) - phase).astype(np.int64)
+        scan = points_m[:, 3].astype(np.int64)
+        fired = np.zeros((n_scans, steps))
+        fired[scan, np.mod(column, steps)] = 1.0
+        pattern.append(np.fft.rfft(fired - fired.mean(axis=1, keepdims=True)))
+    reference = np.conj(pattern[int(np.argmax([len(one) for one in groups]))])
+    shifts = np.zeros(len(groups), np.int64)
+    for k, own in enumerate(pattern):
+        match = np.fft.irfft((own * reference).sum(axis=0), steps)
+        best = int(match.argmax())
+        # Where every column fires there is no pattern: nothing is shifted.
+        if match[best] > 6.0 * match.std() and match[best] > 0.0:
+            shifts[k] = -((best + steps // 2) % steps - steps // 2)
+    return np.asarray(shifts - round(float(np.median(shifts))))

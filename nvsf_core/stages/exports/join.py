@@ -1,0 +1,191 @@
+"""Joins the data sets of a cut drive's parts into one, file by file."""
+
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
+from nvsf_core.errors import DataError
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
+from nvsf_core.stages.exports.write import WHOLE, finish_data_set
+
+_OF_A_PART = ("scene", "value", "n_frames", "n_defined")
+"""Columns of a mean error that differ between parts."""
+_SAME = ("recipe", "seed", "draw_seed", "cameras", "schema_version")
+"""What the parts' data sets must have in common."""
+
+
+def join_data_sets(
+    name: str, parts: Sequence[tuple[SceneEntry, range]], folders: Sequence[Path], out: Path
+) -> Path:
+    """Write one data set of the frames that are each part's own.
+
+    Scans, images and the files beside them are joined; whole trees in one (`kitti`, `mcap` ...) are
+    not, and are named in the manifest.
+
+    Args:
+        name: Of the scene that was cut.
+        parts: The parts, and the frames that are their own.
+        folders: Each part's data set of the same view.
+        out: Folder to make.
+
+    Returns:
+        `out`.
+
+    Raises:
+        DataError: The data sets are not of one recipe, seed and view, are not of recorded frames, or `out`
+            is taken.
+    """
+    if out.exists():
+        raise DataError(f"{out}: expected a folder to be made, found one that is there; name another")
+    for folder in folders:
+        fault = damaged_data_set(folder)
+        if fault is not None:
+            raise DataError(
+                f"{folder}: expected a whole data set, found {fault} damaged; `nvsf verify --mend`"
+            )
+    manifests = [_manifest(folder) for folder in folders]
+    for (part, _), manifest in zip(parts, manifests, strict=True):
+        differing = [key for key in _SAME if manifest.get(key) != manifests[0].get(key)]
+        if differing:
+            raise DataError(
+                f"{part.name}: expected the {differing[0]} of {parts[0][0].name}, found another; make all "
+                "parts' data sets by one recipe and seed"
+            )
+    part_folder = out.with_name(f".{out.name}.part-{os.getpid()}")
+    try:
+        joined = _joined(name, parts, manifests, folders, part_folder)
+        finish_data_set(part_folder, joined)
+        part_folder.rename(out)
+    except OSError as error:
+        raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
+    finally:
+        shutil.rmtree(part_folder, ignore_errors=True)
+    return out
+
+
+def _joined(
+    name: str,
+    parts: Sequence[tuple[SceneEntry, range]],
+    manifests: Sequence[dict[str, Any]],
+    folders: Sequence[Path],
+    out: Path,
+) -> dict[str, Any]:
+    """Copy the files; the manifest's entries."""
+    rows: dict[str, list[dict[str, Any]]] = {"scans": [], "images": [], "boxes": [], "field_metrics": []}
+    left_out: set[str] = set()
+    known: set[tuple[int, int | None]] = set()
+    objects = _objects(manifests)
+    for (part, own), manifest, folder in zip(parts, manifests, folders, strict=True):
+        for row in manifest["scans"] + manifest["images"]:
+            if row["number"] != row["nearest_frame"]:
+                raise DataError(f"{part.name}: expected a view of recorded frames, found one of other times")
+        for kind in ("scans", "images"):
+            for row in manifest[kind]:
+                if row["number"] in own:
+                    rows[kind].append(row)
+                    for file in _files(row):
+                        (out / file).parent.mkdir(parents=True, exist_ok=True)
+                        shutil.copyfile(folder / file, out / file)
+                    if "instance" in row:
+                        values = read_numbers(folder / row["instance"])
+                        write_numbers(out / row["instance"], _renumbered(manifest, objects)[values])
+        for box in manifest["boxes"]:
+            key = (box["object_id"], box["number"])
+            if key not in known and (box["number"] is None or box["number"] in own):
+                known.add(key)
+                rows["boxes"].append(box)
+        rows["field_metrics"] += manifest["field_metrics"]
+        left_out |= {path.name for path in folder.iterdir() if path.name in WHOLE}
+    version = "joined-" + "-".join(one["version"].rpartition("-")[2] for one in manifests)[:60]
+    return {
+        **manifests[0], **rows, "scene": name, "version": version,
+        "instances": [{**row, "value": value} for value, row in enumerate(objects, start=1)],
+        "field_metrics": _means(name, rows["field_metrics"]),
+        "parts": [
+            {"scene": part.name, "version": one["version"], "frames": [own[0], own[-1]],
+             "source_checksums": one["source_checksums"]}
+            for (part, own), one in zip(parts, manifests, strict=True)
+        ],
+        "not_joined": sorted(left_out),
+    }  # fmt: skip
+
+
+def _files(row: dict[str, Any]) -> list[str]:
+    """The files of a scan's or an image's row that are copied as they are."""
+    if "files" in row:
+        return [*row["files"].values()]
+    return [row[kind] for kind in ("file", "depth", "support") if kind in row]
+
+
+def _objects(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The labelled objects of all parts' instance images, each once, by number."""
+    found = {row["object_id"]: row for one in manifests for row in one.get("instances", [])}
+    return [found[number] for number in sorted(found)]
+
+
+def _renumbered(manifest: dict[str, Any], objects: Sequence[dict[str, Any]]) -> np.ndarray:
+    """What each value of a part's instance images becomes, as uint16; 0 stays 0."""
+    value_of = {row["object_id"]: value for value, row in enumerate(objects, start=1)}
+    table = np.zeros(len(manifest["instances"]) + 1, np.uint16)
+    for row in manifest["instances"]:
+        table[row["value"]] = value_of[row["object_id"]]
+    return table
+
+
+def _means(name: str, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Means over the parts, weighed by the frames that each is defined in."""
+    grouped: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        key = tuple(value for column, value in row.items() if column not in _OF_A_PART)
+        grouped.setdefault(key, []).append(row)
+    found = []
+    for group in grouped.values():
+        weighed = [(row["value"], row["n_defined"]) for row in group if row["value"] is not None]
+        count = sum(weight for _, weight in weighed)
+        mean = sum(value * weight for value, weight in weighed) / count if count else None
+        sums = {column: sum(row[column] for row in group) for column in ("n_frames", "n_defined")}
+        found.append({**group[0], "scene": name, "value": mean, **sums})
+    return found
+
+
+def newest_data_set(home: Path, scene: str, view: str, recipe: str | None, seed: int) -> Path:
+    """The newest published data set of a view.
+
+    Args:
+        home: Folder of all outputs.
+        scene: The part.
+        view: Name of the view.
+        recipe: A preset's name; None = any.
+        seed: Of training.
+
+    Raises:
+        DataError: There is none.
+    """
+    found = []
+    for path in (home / scene / "dataset" / view).glob(f"*/{MANIFEST_NAME}"):
+        manifest = _manifest(path.parent)
+        if manifest["seed"] == seed and recipe in (None, manifest["recipe"]["name"]):
+            found.append((path.stat().st_mtime_ns, path.parent))
+    if not found:
+        raise DataError(
+            f"expected a data set of view {view!r} of scene {scene}, recipe {recipe or 'any'}, seed {seed}, "
+            f"below {home}, found none; `nvsf train {scene}` makes it"
+        )
+    return max(found)[1]
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    try:
+        manifest: dict[str, Any] = json.loads((folder / MANIFEST_NAME).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{folder}: expected a data set with {MANIFEST_NAME} ({error})") from error
+    for own in ("checksums", SEAL):
+        manifest.pop(own, None)
+    return manifest

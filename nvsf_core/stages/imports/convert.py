@@ -1,0 +1,178 @@
+"""Converts a recorded drive of any readable format, a frame at a time, whole or not at all.
+
+A frame that cannot be used is named with its reason, in `import.json` and to the caller; the others are
+written. The drive appears under its name only when it is complete.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from nvsf_core.drives.drive import AbstractDrive, DriveFacts
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.kinds import MOST_FRAMES
+from nvsf_core.drives.posed import AbstractPosedDrive
+from nvsf_core.errors import DataError
+from nvsf_core.stages.imports.kitti360_layout import Kitti360Target
+from nvsf_core.stages.imports.odometry import found_path
+from nvsf_core.stages.imports.plain_layout import PlainTarget
+from nvsf_core.stages.imports.target import AbstractTarget
+
+TARGETS: dict[str, type[AbstractTarget]] = {"plain": PlainTarget, "kitti360": Kitti360Target}
+"""Layouts that a drive can be written in."""
+_HOLD_OUT = 10
+"""Every tenth frame of the suggested catalogue is a test frame, as in the paper's moving scenes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """What was written, and what was not."""
+
+    folder: Path
+    scans: int
+    images: int
+    frames: int
+    """Frames with a pose."""
+    left_out: tuple[str, ...]
+    """A line for each scan, image, pose or box that could not be used, with the reason."""
+    notes: tuple[str, ...]
+    """What was assumed, and how well poses were found."""
+
+
+def import_drive(
+    scene: SceneEntry, out: Path, *, layout: str = "plain", progress: Callable[[str], None]
+) -> Imported:
+    """Convert the section of a scene's drive.
+
+    Args:
+        scene: The recorded drive, and its frames.
+        out: Folder to make; it must not exist, or be empty.
+        layout: One of `TARGETS`.
+        progress: Receives progress lines.
+
+    Raises:
+        DataError: The drive cannot be read, nothing of it can be used, or `out` is taken.
+        MissingLibraryError: Poses are to be found and KISS-ICP is not installed.
+    """
+    if layout not in TARGETS:
+        raise DataError(f"layout: expected one of {', '.join(TARGETS)}, found {layout!r:.60}")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise DataError(f"{out}: expected a folder to be made, found one that is taken; name another")
+    if len(range(scene.first_frame, scene.last_frame + 1)) > MOST_FRAMES:
+        raise DataError(f"expected at most {MOST_FRAMES:,} frames; name a part (--first, --last)")
+    part = out.with_name(f".{out.name}.part-{os.getpid()}")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        done = _convert(scene, part, layout, progress)
+        if out.exists():
+            out.rmdir()
+        part.rename(out)
+    except OSError as error:
+        raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return replace(done, folder=out)
+
+
+def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[str], None]) -> Imported:
+    source = drive_of(scene)
+    notes: list[str] = []
+    if isinstance(source, AbstractPosedDrive) and source.pose_path() is None:
+        source.given_path, words = found_path(source, progress)
+        notes.append(words)
+    facts = source.facts()
+    target = TARGETS[layout](folder, scene, facts)
+    left_out: list[str] = []
+    scans, images = 0, 0
+    for number, frame in enumerate(source.frames):
+        progress(f"frame {frame}, {number} of {len(source.frames)} done")
+        if frame not in facts.poses:
+            left_out.append(f"pose {frame}: none in {facts.poses_place.name}")
+        scans += _scan(source, facts, target, frame, left_out)
+        images += sum(_image(source, facts, target, name, frame, left_out) for name in target.cameras)
+    if not scans + images:
+        raise DataError(
+            f"{scene.root}: expected a scan or an image that can be used, found none: "
+            f"{' | '.join(left_out)!s:.600}"
+        )
+    boxes = source.boxes()
+    left_out += [f"box: {words}" for words in (*boxes.left_out, *target.left_out)]
+    target.finish(boxes.boxes)
+    notes += [*facts.calibration.notes, *facts.notes, *boxes.notes]
+    done = Imported(
+        folder=folder, scans=scans, images=images, frames=len(facts.poses), left_out=tuple(left_out),
+        notes=tuple(notes),
+    )  # fmt: skip
+    _write_log(folder, scene, layout, target, done)
+    return done
+
+
+def _scan(
+    source: AbstractDrive, facts: DriveFacts, target: AbstractTarget, frame: int, left_out: list[str]
+) -> int:
+    if not facts.has_scans:
+        return 0
+    try:
+        found = source.find_scan(frame)
+        if found is None:
+            raise DataError(f"no scan file {source.scan_name(frame)}")
+        target.write_scan(frame, source.parse_scan(found))
+    except DataError as error:
+        left_out.append(f"scan {frame}: {error}")
+        return 0
+    return 1
+
+
+def _image(
+    source: AbstractDrive,
+    facts: DriveFacts,
+    target: AbstractTarget,
+    camera: str,
+    frame: int,
+    left_out: list[str],
+) -> int:
+    model = facts.calibration.cameras[camera].intrinsics
+    try:
+        found = source.find_image(camera, frame, model.width, model.height)
+        if found is None:
+            raise DataError(f"no image file {source.image_name(camera, frame)}")
+        rgb = source.parse_image(camera, found, model.width, model.height)
+    except DataError as error:
+        left_out.append(f"image {camera} {frame}: {error}")
+        return 0
+    target.write_image(camera, frame, rgb, source.image_time_s(camera, frame))
+    return 1
+
+
+def _write_log(folder: Path, scene: SceneEntry, layout: str, target: AbstractTarget, done: Imported) -> None:
+    facts = {
+        "source": str(scene.root), "kind": scene.kind, "sequence": scene.sequence, "layout": layout,
+        "frames": [scene.first_frame, scene.last_frame], "poses": done.frames, "scans": done.scans,
+        "images": done.images, "left_out": list(done.left_out), "notes": list(done.notes),
+    }  # fmt: skip
+    (folder / "import.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    test = list(range(scene.first_frame + _HOLD_OUT // 2, scene.last_frame, _HOLD_OUT))
+    lines = [
+        "[[scene]]", f'name = "{scene.name}"', 'root = "."', *target.catalogue_lines(),
+        f"first_frame = {scene.first_frame}", f"last_frame = {scene.last_frame}", f"test_frames = {test}", "",
+    ]  # fmt: skip
+    (folder / "scenes.toml").write_text("\n".join(lines), encoding="utf-8")
+
+
+def span_of(scene: SceneEntry, first: int | None, last: int | None) -> SceneEntry:
+    """The scene with other first and last frames.
+
+    Raises:
+        DataError: They lie outside of the recorded ones.
+    """
+    begin = scene.first_frame if first is None else first
+    end = scene.last_frame if last is None else last
+    if not scene.first_frame <= begin <= end <= scene.last_frame:
+        raise DataError(
+            f"expected frames within {scene.first_frame} to {scene.last_frame}, found {begin} to {end}"
+        )
+    return replace(scene, first_frame=begin, last_frame=end)

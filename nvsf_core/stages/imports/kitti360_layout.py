@@ -1,0 +1,134 @@
+"""An imported drive in KITTI-360's layout: up to two pinhole cameras and two fisheyes, no rings or times.
+
+Points that were stamped one by one, or numbered by their lasers, lose that here: a plain drive keeps it.
+"""
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+
+import numpy as np
+
+from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.calibration import CameraCalibration
+from nvsf_core.drives.kitti360.layout import FISHEYE_CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.kitti360.writer import (
+    RectifiedCamera,
+    WrittenBox,
+    write_boxes,
+    write_cam_to_pose,
+    write_fisheye,
+    write_frame_poses,
+    write_image,
+    write_perspective,
+    write_pose,
+    write_scan,
+    write_timestamps,
+)
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.stages.imports.target import AbstractTarget
+
+START = datetime(2013, 5, 28, 8, 0, 0)
+"""Date of frame 0: the layout needs one, and other formats' clocks have none."""
+
+
+class Kitti360Target(AbstractTarget):
+    """Writes a KITTI-360 root of one sequence."""
+
+    @property
+    def _layout(self) -> DriveLayout:
+        return DriveLayout(self.folder, self.scene.sequence)
+
+    @property
+    def _names(self) -> Mapping[str, str]:
+        """Recorded camera to its name in the layout."""
+        cameras = self.facts.calibration.cameras
+        if set(cameras) <= {*PERSPECTIVE_CAMERAS, *FISHEYE_CAMERAS} and all(
+            (name in PERSPECTIVE_CAMERAS) == isinstance(one.intrinsics, Pinhole)
+            for name, one in cameras.items()
+        ):
+            return {name: name for name in cameras}
+        flat = [name for name, one in cameras.items() if isinstance(one.intrinsics, Pinhole)]
+        round_ones = [name for name in cameras if name not in flat]
+        pairs = [
+            *zip(flat, PERSPECTIVE_CAMERAS, strict=False),
+            *zip(round_ones, FISHEYE_CAMERAS, strict=False),
+        ]
+        return dict(pairs)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The first two of each kind."""
+        return tuple(self._names)
+
+    def write_scan(self, frame: int, scan: Scan) -> None:
+        """Write a `.bin`."""
+        write_scan(self._layout.scan_path(frame), scan.points[:, :3], scan.points[:, 3])
+
+    def write_image(self, camera: str, frame: int, rgb: np.ndarray, time_s: float | None) -> None:
+        """Write a PNG; the layout takes images to be of their frame's instant."""
+        write_image(self._layout.image_path(self._names[camera], frame), rgb)
+
+    def finish(self, boxes: Sequence[Box]) -> None:
+        """Write calibration, poses, timestamps and boxes."""
+        layout, facts = self._layout, self.facts
+        own = facts.calibration.cameras
+        cameras = {there: own[here] for here, there in self._names.items()}
+        self._write_calibration(layout, cameras)
+        posed = sorted(facts.poses)
+        poses = np.array([facts.poses[frame] for frame in posed]).reshape(-1, 4, 4)
+        write_frame_poses(layout.poses_path, posed, poses, rows=3)
+        if "image_00" in cameras:
+            write_frame_poses(layout.cam0_to_world_path, posed, poses @ cameras["image_00"].to_pose, rows=4)
+        # A line a frame from frame 0, also before the section.
+        step_s, first = facts.times.sweep_period_s, self.scene.first_frame
+        stamps = np.concatenate([step_s * np.arange(first), first * step_s + facts.times.time_s])
+        for kind, shift in (("", 0.0), ("start", -0.5), ("end", 0.5)):
+            write_timestamps(layout.timestamps_path(kind), START, (stamps + shift * step_s).tolist())
+        first_frame, last_frame = self.scene.first_frame, self.scene.last_frame
+        write_boxes(
+            layout.boxes_path("train"),
+            [
+                WrittenBox(
+                    one.object_id,
+                    one.label,
+                    one.dynamic,
+                    one.frame,
+                    first_frame,
+                    last_frame,
+                    one.box_to_world,
+                )
+                for one in boxes
+            ],
+        )
+
+    def _write_calibration(self, layout: DriveLayout, cameras: Mapping[str, CameraCalibration]) -> None:
+        perspective = {}
+        for name, camera in cameras.items():
+            model = camera.intrinsics
+            if isinstance(model, MeiFisheye):
+                write_fisheye(layout.fisheye_path(name), name, model)
+            else:
+                perspective[name] = RectifiedCamera(
+                    model.width, model.height, model.fx, model.cx, model.cy, 0.0, np.eye(3),
+                    focal_y_px=model.fy,
+                )  # fmt: skip
+        if perspective:
+            write_perspective(layout.perspective_path, perspective)
+        lidar_to_pose = self.facts.calibration.lidar_to_pose
+        to_pose = {name: camera.to_pose for name, camera in cameras.items()}
+        # The LiDAR's mounting is given by that of camera 0, so without images one is assumed in its place.
+        to_pose = {"image_00": lidar_to_pose, **to_pose}
+        write_cam_to_pose(layout.cam_to_pose_path, to_pose)
+        write_pose(layout.cam_to_velo_path, invert_pose(lidar_to_pose) @ to_pose["image_00"])
+
+    def catalogue_lines(self) -> list[str]:
+        """Sequence and period."""
+        lidar = self.facts.sensor or "found"
+        return [
+            f'sequence = "{self.scene.sequence}"',
+            f'lidar = "{lidar}"',
+            f"sweep_period_s = {self.facts.times.sweep_period_s:.6g}",
+        ]

@@ -1,0 +1,190 @@
+"""One drive in every format: each reader gives the same scans, images, poses, mounting and times."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.demo.drive import DemoSize, write_demo
+from nvsf_core.drives.detect import kind_of, whole_drive
+from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.validation import read_drive
+from nvsf_core.errors import CalibrationError, DataError
+from nvsf_core.stages.exports.kitti import write_kitti
+from nvsf_core.stages.exports.ros import write_mcap
+from nvsf_core.stages.imports.convert import import_drive
+from tests.drives.copies import assert_same_drive, data_set, scene_at, tiny_scene
+from tests.drives.kitti.raw_writer import write_raw
+
+
+def _silent(line: str) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("formats")
+    write_demo(folder / "demo", size=DemoSize.tiny())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(root):
+    return drive_of(tiny_scene(root / "demo"))
+
+
+@pytest.fixture(scope="module")
+def plain(root):
+    done = import_drive(tiny_scene(root / "demo"), root / "plain", progress=_silent)
+    assert (done.scans, done.images, done.frames, done.left_out) == (4, 4, 4, ())
+    return root / "plain"
+
+
+def test_a_plain_drive_is_the_recorded_one(plain, recorded):
+    assert kind_of(plain) == "plain"
+    found = drive_of(scene_at(plain, "plain"))
+    assert_same_drive(found, recorded, "image_00", 1e-6)
+    assert found.facts().sensor == "HDL-64E"
+    boxes = [{(one.object_id, one.frame): one for one in drive.boxes().boxes} for drive in (found, recorded)]
+    assert boxes[0].keys() == boxes[1].keys()
+    for key, one in boxes[0].items():
+        assert np.allclose(one.box_to_world, boxes[1][key].box_to_world, atol=1e-5)
+
+
+def test_an_imported_drive_of_kitti360s_layout_is_the_recorded_one(root, recorded, plain):
+    import_drive(scene_at(plain, "plain"), root / "back", layout="kitti360", progress=_silent)
+    assert kind_of(root / "back") == "kitti360"
+    scene = whole_drive(root / "back", "kitti360")
+    assert (scene.first_frame, scene.last_frame) == (0, 3)
+    found = drive_of(scene)
+    assert_same_drive(found, recorded, "image_00", 1e-5)
+    assert found.facts().disagreement.translation_m < 1e-5
+
+
+def test_kittis_odometry_tree_is_read_back(root, recorded):
+    write_kitti(root, data_set(tiny_scene(root / "demo")))
+    assert kind_of(root / "kitti") == "kitti_odometry"
+    assert_same_drive(drive_of(scene_at(root / "kitti", "kitti_odometry", "00")), recorded, "image_02", 1e-5)
+
+
+def test_a_sequence_of_kittis_odometry_without_poses_says_how_to_find_them(root):
+    write_kitti(root / "bare", data_set(tiny_scene(root / "demo")))
+    shutil.rmtree(root / "bare/kitti/poses")
+    with pytest.raises(DataError, match=r"expected poses in .*nvsf import"):
+        drive_of(scene_at(root / "bare/kitti", "kitti_odometry", "00")).facts()
+
+
+def test_a_raw_drive_of_kitti_is_read_with_its_tracklets(root, recorded):
+    sequence = write_raw(root / "raw", data_set(tiny_scene(root / "demo")))
+    assert kind_of(root / "raw") == "kitti_raw"
+    found = drive_of(scene_at(root / "raw", "kitti_raw", sequence))
+    # Degrees of latitude with 12 digits are a tenth of a millimetre, and Mercator stretches a street by less.
+    assert_same_drive(found, recorded, "image_02", 2e-3)
+    boxes = {one.frame: one for one in found.boxes().boxes if one.label == "car" and one.dynamic}
+    assert sorted(boxes) == [0, 1, 2, 3]
+    sides_m = np.linalg.norm(boxes[0].box_to_world[:3, :3], axis=0)
+    assert np.allclose(sides_m, [4.3, 1.8, 1.5], atol=1e-6)
+    in_lidar = np.linalg.inv(found.facts().poses[2] @ found.facts().calibration.lidar_to_pose)
+    assert np.allclose((in_lidar @ boxes[2].box_to_world)[:3, 3], [12.0 + 2.0 * 2, 3.0, -0.9], atol=1e-6)
+
+
+def test_a_tracklet_with_an_entity_is_refused(root):
+    sequence = write_raw(root / "evil", data_set(tiny_scene(root / "demo")))
+    path = root / "evil" / sequence / "tracklet_labels.xml"
+    path.write_text('<!DOCTYPE a [<!ENTITY b "c">]>' + path.read_text())
+    with pytest.raises(DataError, match="cannot read tracklets"):
+        drive_of(scene_at(root / "evil", "kitti_raw", sequence)).boxes()
+
+
+@pytest.fixture(scope="module")
+def bag(root):
+    pytest.importorskip("rosbags", reason="the extra `rosbags` is not installed")
+    write_mcap(root, data_set(tiny_scene(root / "demo")))
+    return root / "mcap"
+
+
+def test_a_bag_of_our_own_is_read_back_as_a_folder_and_as_a_file(bag, recorded):
+    (file,) = bag.glob("*.mcap")
+    for place in (bag, file):
+        assert kind_of(place) == "bag"
+        found = drive_of(scene_at(place, "bag"))
+        assert_same_drive(found, recorded, "image_00", 1e-6)
+        scan = found.read_scan(1)
+        assert len(np.unique(scan.ring)) == 8 and np.abs(scan.offset_s).max() <= 0.05 + 1e-6
+        assert whole_drive(place, "bag").last_frame == 3
+
+
+def test_a_bag_is_imported_with_its_rings_and_times(bag, root, recorded):
+    done = import_drive(whole_drive(bag, "bag"), root / "of_bag", progress=_silent)
+    assert (done.scans, done.images, done.left_out) == (4, 4, ())
+    found = drive_of(scene_at(root / "of_bag", "plain"))
+    assert_same_drive(found, recorded, "image_00", 1e-6)
+    scan, kept = found.read_scan(2), drive_of(scene_at(bag, "bag")).read_scan(2)
+    assert np.array_equal(scan.ring, kept.ring) and np.allclose(scan.offset_s, kept.offset_s, atol=1e-6)
+    assert json.loads((root / "of_bag/drive.json").read_text())["lidar"] == "found"
+
+
+def test_a_cut_bag_is_refused_with_what_mends_it(bag, tmp_path):
+    (file,) = bag.glob("*.mcap")
+    (tmp_path / "cut.mcap").write_bytes(file.read_bytes()[:20_000])
+    with pytest.raises(DataError, match=r"cannot be read as a bag|ends after"):
+        drive_of(scene_at(tmp_path / "cut.mcap", "bag")).facts()
+
+
+def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tmp_path):
+    shutil.copytree(plain, tmp_path / "bad")
+    scans, images = tmp_path / "bad/scans", tmp_path / "bad/images/image_00"
+    (scans / "0000000000.bin").write_bytes(b"abc")
+    (scans / "0000000001.bin").unlink()
+    (images / "0000000003.png").write_bytes(b"\x89PNG")
+    lines = (tmp_path / "bad/poses.csv").read_text().splitlines()
+    (tmp_path / "bad/poses.csv").write_text("\n".join([*lines[:3], *lines[4:]]) + "\n")
+    found = read_drive(scene_at(tmp_path / "bad", "plain", cameras=("image_00",)), _silent)
+    assert [row.scan_valid for row in found.frames] == [False, False, True, True]
+    assert "rows of 16 bytes" in found.frames[0].reason
+    assert "no scan file scans/0000000001" in found.frames[1].reason
+    # Poses are a path: the missing one lies between its neighbours.
+    assert found.frames[2].pose_valid
+    done = import_drive(scene_at(tmp_path / "bad", "plain"), tmp_path / "out", progress=_silent)
+    assert (done.scans, done.images) == (2, 3)
+    assert [words.split(":")[0] for words in done.left_out] == ["scan 0", "scan 1", "image image_00 3"]
+    assert json.loads((tmp_path / "out/import.json").read_text())["left_out"] == list(done.left_out)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("poses.csv", "frame,time_s,x\n0,0,1\n", r"poses\.csv: expected the columns time_s, x, y, z, qx"),
+        ("poses.csv", "frame,time_s\n0,zero\n", r"poses\.csv, row 2, time_s: expected a finite number"),
+        ("frames.csv", "frame,time_s\n0,0\n1,0\n", r"frames\.csv: expected ascending times"),
+        ("frames.csv", "frame,time_s\n0,0\n0,1\n", r"expected each frame once, found 0"),
+        ("drive.json", '{"lidar": "HDL-65"}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),
+        ("cameras.json", '{"image_00": {"model": "box"}}', r"image_00: model: expected one of pinhole"),
+        ("cameras.json", "{", r"cameras\.json: expected JSON"),
+    ],
+)
+def test_a_mistake_in_a_table_is_named_with_file_and_place(plain, tmp_path, name, text, reason):
+    shutil.copytree(plain, tmp_path / "bad")
+    (tmp_path / "bad" / name).write_text(text)
+    with pytest.raises((DataError, CalibrationError), match=reason):
+        drive_of(scene_at(tmp_path / "bad", "plain")).facts()
+
+
+def test_an_import_never_overwrites_and_leaves_nothing_half_written(plain, tmp_path):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken/mine").touch()
+    with pytest.raises(DataError, match="taken"):
+        import_drive(scene_at(plain, "plain"), tmp_path / "taken", progress=_silent)
+    shutil.copytree(plain, tmp_path / "none")
+    for path in (*tmp_path.glob("none/scans/*"), *tmp_path.glob("none/images/*/*")):
+        path.write_bytes(b"")
+    with pytest.raises(DataError, match=r"expected a scan or an image that can be used.*scan 0"):
+        import_drive(scene_at(tmp_path / "none", "plain"), tmp_path / "out", progress=_silent)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["none", "taken"]
+
+
+def test_what_is_no_recording_is_refused_with_what_each_looks_like(tmp_path: Path):
+    with pytest.raises(DataError, match=r"found another folder or file: a bag .* docs/drives\.md"):
+        kind_of(tmp_path)

@@ -1,0 +1,93 @@
+"""Lasers found from scans of the demo's writer are the table that wrote them."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.demo.lidar import simulate_scan
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.errors import DataError
+from nvsf_core.sensors.found_table import find_table
+from nvsf_core.sensors.given_timing import RING, given_timing
+from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
+from nvsf_core.sensors.stored_table import ATTRIBUTE, recorded_table, table_facts
+from nvsf_core.sensors.tables import HDL_64E
+
+LASERS = np.arange(0, 64, 2)
+FIRINGS = 700
+
+
+@pytest.fixture(scope="module")
+def scans():
+    world = DemoWorld(0)
+    return [simulate_scan(world, frame, LASERS, FIRINGS) for frame in (0, 4, 8)]
+
+
+@pytest.fixture(scope="module")
+def found(scans):
+    return find_table([(one.points_m, None) for one in scans])
+
+
+def test_the_32_lasers_of_a_scan_in_file_order_are_found(found):
+    table = found.table
+    assert table.laser_count == 32 and table.lattice_steps == 4000
+    assert np.degrees(np.abs(table.elevation_rad - HDL_64E.elevation_rad[LASERS])).max() < 0.01
+    assert np.abs(table.vertical_offset_m - HDL_64E.vertical_offset_m[LASERS]).max() < 0.001
+    assert np.abs(table.horizontal_offset_m - HDL_64E.horizontal_offset_m[LASERS]).max() < 0.003
+    assert len(np.unique(table.firing_shift_steps - HDL_64E.firing_shift_steps[LASERS])) == 1
+    assert abs(table.firings_per_turn - FIRINGS) < 0.03 * FIRINGS
+    assert "32 lasers from 3 scans, separated by the file's order" in found.evidence
+
+
+def test_scans_are_timed_by_a_found_table_as_by_the_known_one(found, scans):
+    timing, known = (recover_timing(scans[1].points_m, table) for table in (found.table, HDL_64E))
+    assert timing.source == FILE_ORDER
+    assert np.array_equal(timing.laser, known.laser // 2) and timing.firings == known.firings
+    apart = np.mod(timing.sweep_fraction - known.sweep_fraction + 0.5, 1.0) - 0.5
+    assert np.abs(apart).max() < 0.02
+
+
+def test_rings_in_any_order_and_times_are_used(found, scans):
+    one = scans[1]
+    order = np.random.default_rng(0).permutation(len(one.points_m))
+    points_m, ring = one.points_m[order], 31 - one.laser[order]
+    made = find_table([(points_m, ring)]).table
+    assert np.degrees(np.abs(made.elevation_rad - found.table.elevation_rad)).max() < 0.02
+    offset_s = one.time_s[order] - 0.4
+    timing = given_timing(points_m, made, ring=ring, offset_s=offset_s, period_s=0.1)
+    assert timing.source == RING and np.array_equal(timing.laser, one.laser[order])
+    assert np.allclose(timing.sweep_fraction, 10.0 * offset_s)
+
+
+def test_rings_that_are_not_lasers_are_not_believed(scans):
+    one = scans[0]
+    ring = np.arange(len(one.points_m)) % 32
+    timing = given_timing(one.points_m, HDL_64E, ring=ring, offset_s=None, period_s=0.1)
+    assert timing.source == FILE_ORDER and "not believed" in timing.evidence
+
+
+def test_points_without_order_and_ring_are_refused_with_what_to_do(scans):
+    shuffled = np.random.default_rng(0).permutation(scans[0].points_m)
+    with pytest.raises(DataError, match=r"expected 90%; name the sensor \(`lidar` of the scene\)"):
+        find_table([(shuffled, None)])
+
+
+def test_an_evenly_spaced_sensor_without_lever_arms_is_told_apart_by_elevation():
+    rng = np.random.default_rng(0)
+    elevation = np.radians(np.arange(15.0, -16.0, -2.0))
+    azimuth, rise = np.meshgrid(np.arange(900) * 2.0 * np.pi / 900, elevation)
+    range_m = rng.uniform(12.0, 60.0, azimuth.shape)
+    flat = range_m * np.cos(rise)
+    points_m = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(rise)], axis=-1)
+    shuffled = rng.permutation(points_m.reshape(-1, 3).astype(np.float32))
+    made = find_table([(shuffled, None)])
+    assert np.abs(made.table.elevation_rad - elevation).max() < 1e-4
+    assert made.table.lattice_steps == 900 and made.table.firings_per_turn == 900
+    assert np.abs(made.table.horizontal_offset_m).max() < 0.003
+    assert "gaps between their elevations" in made.evidence
+
+
+def test_a_found_table_is_stored_and_read_back(found):
+    read = recorded_table({"sensor": found.table.name, ATTRIBUTE: table_facts(found.table)})
+    assert read.name == "found-32" and read.firing_shift_steps.dtype == np.int64
+    assert np.array_equal(read.phase_steps, found.table.phase_steps)
+    assert recorded_table({"sensor": "HDL-64E"}) is HDL_64E
