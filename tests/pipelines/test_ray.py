@@ -36,9 +36,12 @@ def cluster() -> Iterator[str]:
         "--num-cpus=1",
         "--disable-usage-stats",
     ]
-    # A node's environment has nothing of this project: the executor must send it.
+    # A node's environment has nothing of this project: the executor must send it. Only the command `dagster`
+    # of this interpreter's packages must be found.
+    environment = clean_environment()
+    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
     started = [
-        subprocess.Popen([*ray, *more], env=clean_environment(), start_new_session=True)
+        subprocess.Popen([*ray, *more], env=environment, start_new_session=True)
         for more in (
             ("--head", f"--port={port}", f"--dashboard-port={jobs}", "--include-dashboard=true"),
             (f"--address=127.0.0.1:{port}",),
@@ -72,7 +75,7 @@ def test_every_step_runs_on_ray_and_the_data_sets_are_there(
     dagster_home.mkdir(parents=True)
     shutil.copy(repo / "pipelines" / "dagster.yaml", dagster_home)
     done = run_process(
-        sys.executable, "-m", "dagster", "job", "execute", "-j", "train_all_scenes", timeout_s=900.0,
+        "dagster", "job", "execute", "-j", "train_all_scenes", timeout_s=900.0,
         DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_EXECUTOR="ray", RAY_ADDRESS=cluster,
         NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(tmp_path / "home"), DAGSTER_HOME=str(dagster_home),
         PYTHONPATH=str(repo),
