@@ -13,7 +13,7 @@ from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti
-from nvsf_core.stages.exports.mcap import write_mcap
+from nvsf_core.stages.exports.ros import write_mcap
 from nvsf_core.stages.imports.convert import import_drive, span_of
 from tests.drives.copies import assert_same_drive, data_set, scene_at, tiny_scene
 from tests.drives.kitti.raw_writer import write_raw
