@@ -1,8 +1,8 @@
 """Peak memory of long drives: ``python -m benchmarks.drives.memory [FRAMES ...]`` (default 32 400).
 
 Writes a demo drive of so many frames, then, each in a process of its own, reads it into the stages up to
-`evidence` in parts of 32 frames that share 8, converts it by `nvsf import`, and prints the highest resident
-memory of each. What grows with the drive would show.
+`undistorted` in parts of 32 frames that share 8, converts it by `nvsf import`, and prints the highest
+resident memory of each. What grows with the drive would show.
 """
 
 import resource
@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 PART, OVERLAP = 32, 8
-STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence")
+STAGES = ("frames", "sweeps", "pano", "undistorted")
 
 
 def _ingest(root: Path, frames: int) -> None:

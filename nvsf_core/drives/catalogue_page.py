@@ -35,7 +35,10 @@ _FORMATS = {
     "laz": "LAZ 1.4 with `ring`, `time`, `support` as further dimensions (extra `exports`)",
     "kitti": "a sequence of KITTI's odometry benchmark: `poses`, `calib.txt`, `times.txt`",
     "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes; this project ingests it again",
-    "mcap": "a ROS 2 bag in an MCAP file: points, images, camera info, transforms (extra `exports`)",
+    "mcap": "a ROS 2 bag in an MCAP file: points, images, depth, objects, camera info, transforms (extra"
+    " `exports`)",
+    "rosbag2": "the same bag in an SQLite file, `.db3` (extra `exports`)",
+    "nuscenes": "nuScenes' tables and files, version `v1.0-nvsf`: LIDAR_TOP, pinhole cameras, annotations",
 }
 
 
@@ -67,10 +70,12 @@ def as_markdown() -> str:
     )
     formats = [(f"`{name}`", _FORMATS[name]) for name in EXPORTS]
     parts.append(
-        "## Formats of `exports`\n\nImages always come as PNG. Where a format's points have no ring, time "
-        "and support of their own, these lie beside them: `velodyne_points/ring` (uint16), `time` (float32 "
-        "seconds after the stamp), `support` (uint8: 0 guessed, 1 extrapolated, 2 seen).\n\n"
-        + _table(("format", "what"), formats)
+        "## Formats of `exports`\n\nImages always come as PNG, beside them depth (uint16, 1/256 m along the "
+        "optical axis, of a fisheye along the ray, 0 = not known) and, where the drive has labelled boxes, "
+        "instances (uint16; the manifest's `instances` says which object each value is). Where a format's "
+        "points have no ring, time and support of their own, these lie beside them: `velodyne_points/ring` "
+        "(uint16), `time` (float32 seconds after the stamp), `support` (uint8: 0 guessed, 1 extrapolated, "
+        "2 seen).\n\n" + _table(("format", "what"), formats)
     )
     return "\n".join(parts)
 

@@ -17,7 +17,7 @@ _SLACK_S = 1e-6
 """Times may lie outside the drive by this rounding error."""
 
 
-_EXTRAS = {"laz": ("laspy", "lazrs"), "mcap": ("rosbags",)}
+_EXTRAS = {"laz": ("laspy", "lazrs"), "mcap": ("rosbags",), "rosbag2": ("rosbags",)}
 """Formats that packages write which may not be installed."""
 
 

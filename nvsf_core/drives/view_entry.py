@@ -31,7 +31,7 @@ from nvsf_core.drives.view_parts import (
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.tables import SENSOR_TABLES
 
-EXPORTS = ("bin", "ply", "pcd", "laz", "kitti", "kitti360", "mcap")
+EXPORTS = ("bin", "ply", "pcd", "laz", "kitti", "kitti360", "mcap", "rosbag2", "nuscenes")
 """File formats that the stage `dataset` can write."""
 NO_SENSOR = "none"
 """`sensor` of a view without a LiDAR."""

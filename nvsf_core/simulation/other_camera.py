@@ -44,7 +44,7 @@ class OtherCamera:
         Raises:
             DataError: They would be too many: the recorded camera's field of view is too small for this.
         """
-        rays, seen = _rays(model)
+        rays, seen = camera_rays(model)
         pixel = np.zeros((*rays.shape[:2], 2))
         source, best = np.full(rays.shape[:2], -1), np.full(rays.shape[:2], -np.inf)
         rotations: list[np.ndarray] = []
@@ -89,7 +89,7 @@ class OtherCamera:
         return RenderedImage(rgb, range_m, support)
 
 
-def _rays(model: Pinhole | MeiFisheye) -> tuple[np.ndarray, np.ndarray]:
+def camera_rays(model: Pinhole | MeiFisheye) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions (H, W, 3) of the pixels in the camera's axes, and whether (H, W) the lens sees them."""
     if isinstance(model, Pinhole):
         return model.rays(model.pixels()), np.ones((model.height, model.width), np.bool_)

@@ -9,7 +9,7 @@ import importlib.metadata
 import json
 import math
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,13 @@ from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
 from nvsf_core.stages.dataset_size import dataset_bytes
-from nvsf_core.stages.exports.boxes import boxes_at
+from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     damaged_data_set,
     is_sealed,
 )
 from nvsf_core.stages.exports.of_view import RenderedView
-from nvsf_core.stages.exports.records import BoxRecord
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
@@ -42,7 +41,7 @@ from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
-_VERSION = "5"
+_VERSION = "6"
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
@@ -111,7 +110,7 @@ def _run(task: Task) -> StageOutput:
                     "drawn": rendered_view.what_was_sampled(),
                     "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
                     "source_checksums": sources,
-                    **write_data_set(folder, rendered_view, boxes_of(task, arrays["time_s"])),
+                    **write_data_set(folder, rendered_view, boxes_of(task.store, arrays["time_s"])),
                     "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
                 }
                 finish_data_set(folder, manifest)
@@ -175,15 +174,6 @@ def _read_view(path: Path) -> dict[str, np.ndarray]:
     if present and len(present) != len(GRID_ARRAYS):
         raise StoreError(f"{path}: expected all of {GRID_ARRAYS}, found {present}; make novel_views anew")
     return arrays
-
-
-def boxes_of(task: Task, time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
-    """Gives the drive's labelled boxes at one of the instants (n,) of a view; none if it has none."""
-    folder = task.store.require("frames")
-    if not (folder / "boxes.parquet").is_file():
-        return lambda index: []
-    frames = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
-    return boxes_at(read_rows(folder / "boxes.parquet"), frames, time_s)
 
 
 def source_checksums(task: Task) -> dict[str, str]:

@@ -36,5 +36,7 @@ def _view_bytes(path: Path, exports: tuple[str, ...]) -> int:
 
 
 def _image_bytes(arrays: Mapping[str, np.ndarray]) -> int:
-    """Of all images as they are in memory: a PNG takes less."""
-    return sum(math.prod(one.shape) * one.itemsize for name, one in arrays.items() if name.endswith("_rgb"))
+    """Of all images, depths and instances as they are in memory: a PNG takes less."""
+    kinds = ("_rgb", "_range_m", "_instance")
+    own = [one for name, one in arrays.items() if name.startswith("image_") and name.endswith(kinds)]
+    return sum(math.prod(one.shape) * one.itemsize for one in own)

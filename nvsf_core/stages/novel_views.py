@@ -19,6 +19,7 @@ from nvsf_core.stages.checks.own_vehicle import GHOSTS, check_ghosts
 from nvsf_core.stages.checks.support import GUESSED, check_support
 from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
 from nvsf_core.stages.checks.views import check_views
+from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
@@ -32,6 +33,7 @@ from nvsf_core.stages.views.files import (
     write_method,
     write_scans,
 )
+from nvsf_core.stages.views.instances import camera_models, instance_arrays
 from nvsf_core.stages.views.lidar import along_recorded_rays, copied_scans, copied_sweeps, warm_up
 from nvsf_core.stages.views.plan import View, asked_view, held_out_view
 from nvsf_core.stages.views.render import (
@@ -138,19 +140,20 @@ def _publish(
     by_images: bool = False,
 ) -> None:  # fmt: skip
     """Write the model's arrays, scan and image files of a view, and describe them in `output`."""
-    _write(task, recording, view, arrays, MODEL, by_images=by_images)
+    attrs = view_attrs(recording, view, by_images=by_images)
+    arrays = arrays | placed(recording, view)
+    instances, table = instance_arrays(arrays, camera_models(attrs), boxes_of(task.store, arrays["time_s"]))
+    arrays, attrs = arrays | instances, attrs | {"instances": table}
+    write_method(task, view.name, MODEL, arrays, attrs, recording.scene_origin_m)
     folder = task.folder / view.name
     if "points_m" in arrays:
         write_scans(folder, view.plan.number.tolist(), scans_of(arrays))
-    write_images(folder, arrays | {"number": view.plan.number})
+    write_images(folder, arrays)
     describe_view(output, view.name, folder, arrays)
 
 
-def _write(
-    task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], method: str, *,
-    by_images: bool = False,
-) -> None:  # fmt: skip
-    attrs = view_attrs(recording, view, by_images=by_images)
+def _write(task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], method: str) -> None:
+    attrs = view_attrs(recording, view)
     write_method(task, view.name, method, arrays | placed(recording, view), attrs, recording.scene_origin_m)
 
 
@@ -164,7 +167,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="17",
+    version="18",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -11,7 +11,8 @@ from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import Recipe
-from nvsf_core.stages.dataset import boxes_of, dataset_version, identity_of, is_there, source_checksums
+from nvsf_core.stages.dataset import dataset_version, identity_of, is_there, source_checksums
+from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
@@ -27,6 +28,7 @@ from nvsf_core.stages.runner.run import (
     write_demo_where_absent,
 )
 from nvsf_core.stages.runner.stage import Progress, Task
+from nvsf_core.stages.views.instances import camera_models, instance_arrays
 from nvsf_core.stages.views.plan import View, asked_view
 from nvsf_core.stages.views.render import asks_images, placed, render_view_arrays, view_attrs, with_images
 
@@ -127,6 +129,9 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
     model = models[_MODEL]
     arrays = render_view_arrays(task, recording, view, model, _MODEL) | placed(recording, view)
     attrs = view_attrs(recording, view, by_images=asks_images(recording, view, model))
+    boxes = boxes_of(run.store, arrays["time_s"])
+    instances, attrs["instances"] = instance_arrays(arrays, camera_models(attrs), boxes)
+    arrays |= instances
     rendered = RenderedView(
         scene=run.scene.name, sequence=run.scene.sequence, entry=asked, config=run.config, arrays=arrays,
         attrs=attrs,
@@ -136,7 +141,7 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
         **identity_of(task, asked, dataset_version(task, asked, sources)),
         "drawn": rendered.what_was_sampled(),
         "source_checksums": sources,
-        **write_data_set(folder, rendered, boxes_of(task, arrays["time_s"])),
+        **write_data_set(folder, rendered, boxes),
     }
     finish_data_set(folder, manifest)
 

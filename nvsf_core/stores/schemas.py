@@ -212,6 +212,7 @@ CONTRACT: tuple[FileSpec, ...] = (
                 "length of each pixel's ray; inf or 0 = no answer", optional=True,
             ),
             Entry(f"{CAMERA}_support", "u1", ("images", "height", "width"), "1", _SUPPORT, optional=True),
+            Entry(f"{CAMERA}_instance", "u2", ("images", "height", "width"), "1", "0 = none", optional=True),
             Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
             Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
             Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),
@@ -221,7 +222,7 @@ CONTRACT: tuple[FileSpec, ...] = (
         "and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or null), "
         "sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m (of "
         "the drive's scans), cameras_like (cameras of other intrinsics: whose place they have), "
-        "camera_models, camera_in_lidar",
+        "camera_models, camera_in_lidar, instances (labelled objects that `<camera>_instance` has as values)",
     ),
     FileSpec(
         "scene_metrics", "scene_metrics/<recipe>/<seed>/<view>/truth.zarr", "zarr",

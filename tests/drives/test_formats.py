@@ -13,8 +13,8 @@ from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti
-from nvsf_core.stages.exports.mcap import write_mcap
-from nvsf_core.stages.imports.convert import import_drive
+from nvsf_core.stages.exports.ros import write_mcap
+from nvsf_core.stages.imports.convert import import_drive, span_of
 from tests.drives.copies import assert_same_drive, data_set, scene_at, tiny_scene
 from tests.drives.kitti.raw_writer import write_raw
 
@@ -61,6 +61,20 @@ def test_an_imported_drive_of_kitti360s_layout_is_the_recorded_one(root, recorde
     found = drive_of(scene)
     assert_same_drive(found, recorded, "image_00", 1e-5)
     assert found.facts().disagreement.translation_m < 1e-5
+
+
+@pytest.mark.parametrize("layout", ["plain", "kitti360"])
+def test_a_part_of_a_drive_is_imported_under_its_own_numbers(root, recorded, tmp_path, layout):
+    part = span_of(tiny_scene(root / "demo"), 1, 2)
+    done = import_drive(part, tmp_path / "part", layout=layout, progress=_silent)
+    assert (done.scans, done.images, done.frames) == (2, 2, 2)
+    scene = whole_drive(tmp_path / "part", layout)
+    assert (scene.first_frame, scene.last_frame) == (1, 2)
+    found = drive_of(scene)
+    assert sorted(found.facts().poses) == [1, 2]
+    assert np.array_equal(found.read_scan(2).points, recorded.read_scan(2).points)
+    with pytest.raises(DataError, match="expected frames within 0 to 3, found 1 to 9"):
+        span_of(tiny_scene(root / "demo"), 1, 9)
 
 
 def test_kittis_odometry_tree_is_read_back(root, recorded):
@@ -129,8 +143,10 @@ def test_a_bag_is_imported_with_its_rings_and_times(bag, root, recorded):
 def test_a_cut_bag_is_refused_with_what_mends_it(bag, tmp_path):
     (file,) = bag.glob("*.mcap")
     (tmp_path / "cut.mcap").write_bytes(file.read_bytes()[:20_000])
+    drive = drive_of(scene_at(tmp_path / "cut.mcap", "bag"))
+    assert drive.has_data(), "one damaged bag does not keep a catalogue's other scenes from being trained"
     with pytest.raises(DataError, match=r"cannot be read as a bag|ends after"):
-        drive_of(scene_at(tmp_path / "cut.mcap", "bag")).facts()
+        drive.facts()
 
 
 def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tmp_path):

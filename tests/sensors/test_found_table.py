@@ -5,12 +5,15 @@ import pytest
 
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.world import DemoWorld
+from nvsf_core.drives.catalogue import load_catalogue
+from nvsf_core.drives.formats import drive_of
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
 from nvsf_core.sensors.stored_table import ATTRIBUTE, recorded_table, table_facts
 from nvsf_core.sensors.tables import HDL_64E
+from tests.conftest import SHARED
 
 LASERS = np.arange(0, 64, 2)
 FIRINGS = 700
@@ -81,9 +84,24 @@ def test_an_evenly_spaced_sensor_without_lever_arms_is_told_apart_by_elevation()
     shuffled = rng.permutation(points_m.reshape(-1, 3).astype(np.float32))
     made = find_table([(shuffled, None)])
     assert np.abs(made.table.elevation_rad - elevation).max() < 1e-4
+    assert not made.table.firing_shift_steps.any()
     assert made.table.lattice_steps == 900 and made.table.firings_per_turn == 900
     assert np.abs(made.table.horizontal_offset_m).max() < 0.003
     assert "gaps between their elevations" in made.evidence
+
+
+@pytest.mark.parametrize("name", ["k360_street", "kitti0005_van_cyclist"])
+def test_the_lasers_of_real_scans_are_the_measured_table(name):
+    if not (SHARED / "data/scenes.toml").is_file():
+        pytest.skip("no real drives beside the checkout")
+    (entry,) = (one for one in load_catalogue([SHARED / "data/scenes.toml"], None) if one.name == name)
+    drive = drive_of(entry)
+    table = find_table([(drive.read_scan(frame).points[:, :3], None) for frame in drive.frames[::7]]).table
+    assert table.laser_count == 64 and table.lattice_steps == HDL_64E.lattice_steps
+    assert np.degrees(np.abs(table.elevation_rad - HDL_64E.elevation_rad)).max() < 0.1
+    assert np.abs(table.vertical_offset_m - HDL_64E.vertical_offset_m).max() < 0.01
+    assert np.abs(table.horizontal_offset_m - HDL_64E.horizontal_offset_m).max() < 0.003
+    assert len(np.unique(table.firing_shift_steps - HDL_64E.firing_shift_steps)) == 1
 
 
 def test_a_found_table_is_stored_and_read_back(found):

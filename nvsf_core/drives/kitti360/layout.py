@@ -81,6 +81,11 @@ class DriveLayout:
         """Times of a camera's exposures."""
         return self.camera_dir(camera).parent / "timestamps.txt"
 
+    def instance_path(self, camera: str, frame: int) -> Path:
+        """Labelled object of each pixel of an image: semanticId * 1000 + instanceId."""
+        kind = self.root / "data_2d_semantics" / "train" / self.sequence / camera / "instance"
+        return kind / f"{frame:010d}.png"
+
     @property
     def boxes_dir(self) -> Path:
         """Folder of the annotated boxes of all sequences."""

@@ -123,6 +123,30 @@ def write_classes(path: Path, classes: np.ndarray) -> None:
     _write_png(path, classes)
 
 
+def write_numbers(path: Path, numbers: np.ndarray) -> None:
+    """Write a number (H, W) uint16 of each pixel of an image as a grey PNG of 16 bits.
+
+    Raises:
+        ShapeError: The array has another shape or type.
+        DataError: The file cannot be written.
+    """
+    if numbers.dtype != np.uint16 or numbers.ndim != 2:
+        raise ShapeError(f"expected numbers (H, W) uint16, found {numbers.shape} {numbers.dtype} for {path}")
+    _write_png(path, numbers)
+
+
+def read_numbers(path: Path) -> np.ndarray:
+    """Read what `write_numbers` wrote: (H, W) uint16.
+
+    Raises:
+        DataError: The file is none of that kind.
+    """
+    found = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if found is None or found.dtype != np.uint16 or found.ndim != 2:
+        raise DataError(f"{path}: expected a grey PNG of 16 bits, found something else; make it anew")
+    return np.asarray(found)
+
+
 def _write_png(path: Path, pixels: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Level 1: images are written once and read often, and higher levels hardly compress smooth ones more.

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.stages.exports.records import BoxRecord
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import read_rows
 
 _SAME_S = 1e-6
 
@@ -40,6 +42,15 @@ def boxes_at(
         ]
 
     return at
+
+
+def boxes_of(store: SceneStore, time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
+    """Gives the drive's labelled boxes at one of the instants (n,) of a view; none if it has none."""
+    folder = store.require("frames")
+    if not (folder / "boxes.parquet").is_file():
+        return lambda index: []
+    frames = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
+    return boxes_at(read_rows(folder / "boxes.parquet"), frames, time_s)
 
 
 def _between(track: Sequence[tuple[float, Mapping[str, Any]]], time_s: float) -> BoxRecord | None:

@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
-from nvsf_core.stages.exports.write import finish_data_set
+from nvsf_core.stages.exports.write import WHOLE, finish_data_set
 
 _OF_A_PART = ("scene", "value", "n_frames", "n_defined")
 """Columns of a mean error that differ between parts."""
@@ -23,7 +26,7 @@ def join_data_sets(
 ) -> Path:
     """Write one data set of the frames that are each part's own.
 
-    Scans, images and the files beside them are joined; whole trees in one (`kitti`, `kitti360`, `mcap`) are
+    Scans, images and the files beside them are joined; whole trees in one (`kitti`, `mcap` ...) are
     not, and are named in the manifest.
 
     Args:
@@ -78,6 +81,7 @@ def _joined(
     rows: dict[str, list[dict[str, Any]]] = {"scans": [], "images": [], "boxes": [], "field_metrics": []}
     left_out: set[str] = set()
     known: set[tuple[int, int | None]] = set()
+    objects = _objects(manifests)
     for (part, own), manifest, folder in zip(parts, manifests, folders, strict=True):
         for row in manifest["scans"] + manifest["images"]:
             if row["number"] != row["nearest_frame"]:
@@ -86,19 +90,23 @@ def _joined(
             for row in manifest[kind]:
                 if row["number"] in own:
                     rows[kind].append(row)
-                    for file in [*row.get("files", {}).values()] or [row["file"]]:
+                    for file in _files(row):
                         (out / file).parent.mkdir(parents=True, exist_ok=True)
                         shutil.copyfile(folder / file, out / file)
+                    if "instance" in row:
+                        values = read_numbers(folder / row["instance"])
+                        write_numbers(out / row["instance"], _renumbered(manifest, objects)[values])
         for box in manifest["boxes"]:
             key = (box["object_id"], box["number"])
             if key not in known and (box["number"] is None or box["number"] in own):
                 known.add(key)
                 rows["boxes"].append(box)
         rows["field_metrics"] += manifest["field_metrics"]
-        left_out |= {path.name for path in folder.iterdir() if path.name in ("kitti", "kitti360", "mcap")}
+        left_out |= {path.name for path in folder.iterdir() if path.name in WHOLE}
     version = "joined-" + "-".join(one["version"].rpartition("-")[2] for one in manifests)[:60]
     return {
         **manifests[0], **rows, "scene": name, "version": version,
+        "instances": [{**row, "value": value} for value, row in enumerate(objects, start=1)],
         "field_metrics": _means(name, rows["field_metrics"]),
         "parts": [
             {"scene": part.name, "version": one["version"], "frames": [own[0], own[-1]],
@@ -107,6 +115,28 @@ def _joined(
         ],
         "not_joined": sorted(left_out),
     }  # fmt: skip
+
+
+def _files(row: dict[str, Any]) -> list[str]:
+    """The files of a scan's or an image's row that are copied as they are."""
+    if "files" in row:
+        return [*row["files"].values()]
+    return [row[kind] for kind in ("file", "depth", "support") if kind in row]
+
+
+def _objects(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The labelled objects of all parts' instance images, each once, by number."""
+    found = {row["object_id"]: row for one in manifests for row in one.get("instances", [])}
+    return [found[number] for number in sorted(found)]
+
+
+def _renumbered(manifest: dict[str, Any], objects: Sequence[dict[str, Any]]) -> np.ndarray:
+    """What each value of a part's instance images becomes, as uint16; 0 stays 0."""
+    value_of = {row["object_id"]: value for value, row in enumerate(objects, start=1)}
+    table = np.zeros(len(manifest["instances"]) + 1, np.uint16)
+    for row in manifest["instances"]:
+        table[row["value"]] = value_of[row["object_id"]]
+    return table
 
 
 def _means(name: str, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

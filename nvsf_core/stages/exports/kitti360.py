@@ -21,6 +21,7 @@ from nvsf_core.drives.kitti360.writer import (
     write_fisheye,
     write_frame_poses,
     write_image,
+    write_numbers,
     write_perspective,
     write_pose,
     write_scan,
@@ -34,6 +35,7 @@ from nvsf_core.stages.exports.records import CameraRecord, DataSet
 FOLDER = "kitti360"
 START = datetime(2013, 5, 28, 8, 0, 0)
 """Date of a data set's second 0: the layout needs one, the drives' own is not kept."""
+_MOST_ID = 65_535
 _LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 """The pose frame (x forward, y right, z down) lies in the LiDAR."""
 
@@ -66,7 +68,12 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
                     place.parent.mkdir(parents=True, exist_ok=True)
                     place.write_bytes(values.tobytes())
         for name in cameras:
-            write_image(layout.image_path(name, number), data.image(name, index).rgb)
+            image = data.image(name, index)
+            write_image(layout.image_path(name, number), image.rgb)
+            if image.object_id is not None:
+                # An object's number is semanticId * 1000 + instanceId, as the layout has it.
+                labels = np.where(image.object_id <= _MOST_ID, image.object_id, 0).astype(np.uint16)
+                write_numbers(layout.instance_path(name, number), labels)
 
 
 def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:
@@ -112,6 +119,6 @@ def _boxes(data: DataSet) -> list[WrittenBox]:
         for one in data.boxes(index):
             frame = number if one.is_dynamic else -1
             found[one.object_id, frame] = WrittenBox(
-                one.object_id, one.label, one.is_dynamic, frame, first, last, one.box_to_world
+                one.object_id % 1000, one.label, one.is_dynamic, frame, first, last, one.box_to_world
             )
     return list(found.values())

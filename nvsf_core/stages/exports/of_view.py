@@ -16,6 +16,7 @@ from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stages.views.files import cameras_of, file_numbers
+from nvsf_core.stages.views.instances import camera_models, depth_m, object_ids
 
 _BY_THRESHOLD = "as rendered (probability of one half and more)"
 
@@ -118,14 +119,18 @@ class RenderedView:
         numbers = self.numbers
         order = np.argsort(numbers)
         whole = [name for name in cameras_of(a) if len(a[f"{name}_rgb"]) == len(numbers)]
-        models, mounts = self.attrs.get("camera_models", {}), self.attrs.get("camera_in_lidar", {})
+        models, mounts = camera_models(self.attrs), self.attrs.get("camera_in_lidar", {})
+        table = self.attrs.get("instances", [])
 
         def image(camera: str, index: int) -> ImageRecord:
             at = int(order[index])
+            ranges, instances = (a.get(f"{camera}_{name}") for name in ("range_m", "instance"))
             return ImageRecord(
                 camera=camera, number=numbers[at], rgb=a[f"{camera}_rgb"][at],
                 stamp_s=float(self.stamp_s[at]), time_s=float(a["time_s"][at]),
                 camera_to_world=a[f"{camera}_camera_to_world"][at],
+                depth_m=None if ranges is None else depth_m(models[camera], ranges[at]),
+                object_id=None if instances is None else object_ids(instances[at], table),
             )  # fmt: skip
 
         return DataSet(
@@ -145,7 +150,5 @@ class RenderedView:
         return words
 
 
-def _camera(facts: Mapping[str, Any], in_lidar: list[float]) -> CameraRecord:
-    values = {name: value for name, value in facts.items() if name != "kind"}
-    model = Pinhole(**values) if facts["kind"] == "pinhole" else MeiFisheye(**values)
+def _camera(model: Pinhole | MeiFisheye, in_lidar: list[float]) -> CameraRecord:
     return CameraRecord(model=model, in_lidar=np.array(in_lidar, np.float64).reshape(4, 4))

@@ -43,6 +43,10 @@ class ImageRecord:
     time_s: float
     camera_to_world: np.ndarray
     """(4, 4) metres."""
+    depth_m: np.ndarray | None = None
+    """(H, W) float32 along the optical axis, of a fisheye along the ray, metres; 0 = not known."""
+    object_id: np.ndarray | None = None
+    """(H, W) int32: labelled object that each pixel shows; 0 = none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

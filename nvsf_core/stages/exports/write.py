@@ -7,22 +7,29 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.clouds.laz import write_laz
+from nvsf_core.drives.kitti360.writer import write_numbers
 from nvsf_core.rendering.support import Support
 from nvsf_core.stages.exports.card import write_card
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
 from nvsf_core.stages.exports.manifest import write_manifest
-from nvsf_core.stages.exports.mcap import write_mcap
+from nvsf_core.stages.exports.nuscenes import write_nuscenes
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
+from nvsf_core.stages.exports.ros import write_mcap, write_rosbag2
 from nvsf_core.stages.views.files import write_images, write_scans
+from nvsf_core.stages.views.instances import camera_models, depth_m
 from nvsf_core.stores.checksums import file_checksums
 
 SCHEMA_VERSION = 3
 """Of the manifest and the files that it names."""
+DEPTH_UNIT_M = 1.0 / 256.0
+"""Of depth images, as KITTI has it; 0 = not known, or beyond 256 m."""
+_MOST_STEPS = 65_535
 _CLOUDS = ("bin", "ply", "pcd")
-_WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
+WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
     "kitti": write_kitti, "kitti360": write_kitti360, "mcap": write_mcap,
+    "nuscenes": write_nuscenes, "rosbag2": write_rosbag2,
 }  # fmt: skip
 """Formats that hold a whole data set in a folder of their own."""
 
@@ -41,8 +48,8 @@ def write_data_set(
     scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
     images = _images(folder, view)
     for name in view.entry.exports:
-        if name in _WHOLE:
-            _WHOLE[name](folder, view.data_set(boxes))
+        if name in WHOLE:
+            WHOLE[name](folder, view.data_set(boxes))
     return {
         "schema_version": SCHEMA_VERSION,
         "sensor": view.attrs.get("sensor", ""),
@@ -50,6 +57,7 @@ def write_data_set(
         "images": images,
         "cameras": _cameras(view),
         "boxes": _boxes(view, boxes),
+        "instances": view.attrs.get("instances", []),
     }
 
 
@@ -112,7 +120,9 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
             "camera": camera, "number": number, "file": file, "pixels": height * width,
             "nearest_frame": int(a[f"{camera}_frame"][index]),
         }  # fmt: skip
+        row |= _pixels(folder, view, camera, index, number)
         if f"{camera}_support" in a:
+            row["support"] = f"{camera}/support/{number:010d}.png"
             row |= _support_counts(a[f"{camera}_support"][index])
         if len(a[f"{camera}_frame"]) == len(a["time_s"]):
             row |= {"time_s": float(a["time_s"][index]), "stamp_s": float(view.stamp_s[index])}
@@ -122,11 +132,29 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
     return rows
 
 
+def _pixels(folder: Path, view: RenderedView, camera: str, index: int, number: int) -> dict[str, str]:
+    """Write depth and instances of an image's pixels as PNG of 16 bits; files by kind."""
+    files, model = {}, camera_models(view.attrs).get(camera)
+    if f"{camera}_range_m" in view.arrays and model is not None:
+        files["depth"] = f"{camera}/depth/{number:010d}.png"
+        steps = np.rint(depth_m(model, view.arrays[f"{camera}_range_m"][index]) / DEPTH_UNIT_M)
+        write_numbers(folder / files["depth"], np.where(steps > _MOST_STEPS, 0, steps).astype(np.uint16))
+    if f"{camera}_instance" in view.arrays:
+        files["instance"] = f"{camera}/instance/{number:010d}.png"
+        write_numbers(folder / files["instance"], view.arrays[f"{camera}_instance"][index])
+    return files
+
+
 def _cameras(view: RenderedView) -> dict[str, Any]:
     """Model and mounting of each camera."""
     mounts = view.attrs.get("camera_in_lidar", {})
     return {
-        name: {**facts, "camera_in_lidar": mounts[name]}
+        name: {
+            **facts,
+            "camera_in_lidar": mounts[name],
+            "depth_unit_m": DEPTH_UNIT_M,
+            "depth_along": "optical axis" if facts["kind"] == "pinhole" else "ray",
+        }
         for name, facts in view.attrs.get("camera_models", {}).items()
     }
 

@@ -85,6 +85,9 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
         source.given_path, words = found_path(source, progress)
         notes.append(words)
     facts = source.facts()
+    # A file of poses may be of the whole drive.
+    own = {frame: pose for frame, pose in facts.poses.items() if frame in source.frames}
+    facts = replace(facts, poses=own)
     target = TARGETS[layout](folder, scene, facts)
     left_out: list[str] = []
     scans, images = 0, 0

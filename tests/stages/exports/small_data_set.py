@@ -34,11 +34,22 @@ def scan(index: int) -> ScanRecord:
     )  # fmt: skip
 
 
+OBJECT_IDS = np.zeros((PINHOLE.height, PINHOLE.width), np.int32)
+OBJECT_IDS[5:9, 20:30] = 26_007
+
+
+def depth(index: int) -> np.ndarray:
+    """Metres of each pixel; 0 = not known."""
+    values = np.random.default_rng(index).uniform(2.0, 300.0, (PINHOLE.height, PINHOLE.width))
+    return np.where(values > 280.0, 0.0, values).astype(np.float32)
+
+
 def image(camera: str, index: int) -> ImageRecord:
     rgb = np.random.default_rng(index).integers(0, 255, (PINHOLE.height, PINHOLE.width, 3)).astype(np.uint8)
     return ImageRecord(
         camera=camera, number=NUMBERS[index], rgb=rgb, stamp_s=float(STAMPS[index]),
-        time_s=float(STAMPS[index]), camera_to_world=POSES[index] @ IN_LIDAR,
+        time_s=float(STAMPS[index]), camera_to_world=POSES[index] @ IN_LIDAR, depth_m=depth(index),
+        object_id=OBJECT_IDS,
     )  # fmt: skip
 
 
@@ -46,8 +57,8 @@ def boxes(index: int) -> list[BoxRecord]:
     size = np.diag([4.0, 1.8, 1.5, 1.0])
     ahead = pose_of_angles((10.0 + index, 2.0, -1.0), 10.0, 0.0, 0.0)
     return [
-        BoxRecord(object_id=7, label="car", is_dynamic=True, box_to_world=POSES[index] @ ahead @ size),
-        BoxRecord(object_id=9, label="car", is_dynamic=False, box_to_world=POSES[0] @ ahead @ size),
+        BoxRecord(object_id=26_007, label="car", is_dynamic=True, box_to_world=POSES[index] @ ahead @ size),
+        BoxRecord(object_id=26_009, label="car", is_dynamic=False, box_to_world=POSES[0] @ ahead @ size),
     ]
 
 

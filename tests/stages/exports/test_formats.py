@@ -16,7 +16,7 @@ from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.boxes import boxes_at
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
-from nvsf_core.stages.exports.mcap import EPOCH_S, write_mcap
+from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
 from tests.stages.exports import small_data_set as small
 
 MCAP_READER = "written by rosbags and read by mcap-ros2-support, of which one is not installed"
@@ -68,6 +68,9 @@ def test_kitti360_is_read_with_calibration_poses_times_and_boxes(tmp_path: Path)
     boxes, left_out = read_boxes(layout.boxes_path("train"), 4, 7)
     assert left_out == []
     moving = {row.frame: row for row in boxes if row.dynamic}
+    assert {row.object_id for row in boxes} == {26_007, 26_009}, "objects keep their numbers"
+    labels = cv2.imread(str(layout.instance_path("image_00", 5)), cv2.IMREAD_UNCHANGED)
+    assert labels.dtype == np.uint16 and (labels == small.OBJECT_IDS).all()
     assert np.allclose(moving[5].box_to_world, small.boxes(1)[0].box_to_world, atol=1e-4)
 
 
@@ -84,7 +87,7 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
             found.setdefault(channel.topic, []).append((message.log_time, decoded))
     assert {topic: len(messages) for topic, messages in found.items()} == {
         "/tf_static": 1, "/tf": 3, "/lidar/points": 3, "/image_00/camera_info": 3,
-        "/image_00/image/compressed": 3,
+        "/image_00/image/compressed": 3, "/image_00/depth/image": 3, "/image_00/instance/image": 3,
     }  # fmt: skip
     time_ns, cloud = found["/lidar/points"][2]
     assert time_ns == EPOCH_S * 10**9 + 700_000_000 and cloud.header.frame_id == "lidar"
@@ -100,9 +103,33 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
     _, picture = found["/image_00/image/compressed"][1]
     rgb = cv2.imdecode(np.frombuffer(bytes(picture.data), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
     assert (rgb == small.image("image_00", 1).rgb).all()
+    for topic, kind, expected in (
+        ("depth", "<f4", small.depth(2)), ("instance", "<i4", small.OBJECT_IDS),
+    ):  # fmt: skip
+        _, numbers = found[f"/image_00/{topic}/image"][2]
+        shown = np.frombuffer(bytes(numbers.data), kind).reshape(numbers.height, numbers.width)
+        assert numbers.encoding == {"<f4": "32FC1", "<i4": "32SC1"}[kind] and (shown == expected).all()
     assert np.allclose(np.array(found["/image_00/camera_info"][0][1].k).reshape(3, 3), small.PINHOLE.matrix)
     moved = found["/tf"][1][1].transforms[0].transform.translation
     assert np.allclose([moved.x, moved.y, moved.z], small.POSES[1][:3, 3])
+
+
+def test_a_rosbag2_is_read_by_any_reader_of_rosbags(tmp_path: Path) -> None:
+    reading = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    write_rosbag2(tmp_path, small.data_set())
+    assert list((tmp_path / "rosbag2").glob("*.db3"))
+    stamps: dict[str, list[int]] = {}
+    with reading.AnyReader([tmp_path / "rosbag2"]) as bag:
+        for connection, time_ns, raw in bag.messages():
+            message = bag.deserialize(raw, connection.msgtype)
+            stamps.setdefault(connection.topic, []).append(time_ns)
+            if connection.topic == "/lidar/points":
+                scan = small.scan(len(stamps["/lidar/points"]) - 1)
+                points = np.frombuffer(message.data.tobytes(), POINT)
+                assert np.array_equal(np.column_stack([points[name] for name in "xyz"]), scan.rows[:, :3])
+                assert (points["ring"] == scan.ring).all() and (points["support"] == scan.support).all()
+    assert len(stamps) == 7
+    assert stamps["/tf"] == [EPOCH_S * 10**9 + round(one * 1e9) for one in small.STAMPS]
 
 
 def test_laz_holds_ring_time_and_support(tmp_path: Path) -> None:

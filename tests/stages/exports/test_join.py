@@ -9,6 +9,7 @@ import pytest
 
 from nvsf_core.drives.cuts import cut_scene, parts_of
 from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.join import join_data_sets, newest_data_set
 from nvsf_core.stages.exports.write import finish_data_set
@@ -37,7 +38,10 @@ def _made(home: Path, part: SceneEntry, number: int, **other: object) -> Path:
             "ring": f"velodyne_points/ring/{frame:010d}.bin",
         }
         scans.append(row | {"files": files, "returns": 1})
-        images.append(row | {"camera": "image_00", "file": f"image_00/data_rect/{frame:010d}.png"})
+        instance = f"image_00/instance/{frame:010d}.png"
+        write_numbers(folder / instance, np.array([[0, 1]], np.uint16))
+        shown = {"file": f"image_00/data_rect/{frame:010d}.png", "instance": instance}
+        images.append(row | {"camera": "image_00", **shown})
     boxes = [{"object_id": 7, "number": None}, *({"object_id": 8, "number": frame} for frame in frames)]
     (folder / "kitti360").mkdir()
     metrics = [{**row, "n_defined": number + 1} for row in _manifest()["field_metrics"][:1]]
@@ -47,6 +51,7 @@ def _made(home: Path, part: SceneEntry, number: int, **other: object) -> Path:
         "images": images,
         "boxes": boxes,
         "cameras": {},
+        "instances": [{"value": 1, "object_id": 26_005 - number, "label": "car", "dynamic": True}],
         "field_metrics": metrics,
         **other,
     }
@@ -68,6 +73,10 @@ def test_each_frame_is_of_the_part_in_whose_middle_it_lies(tmp_path):
         assert [int(np.fromfile(file, np.uint8)[0]) for file in files] == [0] * 6 + [1] * 6
     assert [row["number"] for row in manifest["boxes"]].count(None) == 1 and len(manifest["boxes"]) == 13
     assert damaged_file(out, manifest["checksums"]) is None
+    # Each part's first object is another one: in the joined data set each has a value of its own.
+    assert [(row["value"], row["object_id"]) for row in manifest["instances"]] == [(1, 26_004), (2, 26_005)]
+    values = [read_numbers(out / row["instance"]).tolist() for row in manifest["images"]]
+    assert values == [[[0, 2]]] * 6 + [[[0, 1]]] * 6
     assert manifest["not_joined"] == ["kitti360"] and (out / "card.md").is_file()
     # 0 in one frame and 1 in two: frames count alike, not parts.
     assert manifest["field_metrics"][0]["value"] == pytest.approx(2 / 3)

@@ -1,7 +1,11 @@
-"""Format `mcap`: a ROS 2 bag in an MCAP file, for Foxglove, Lichtblick, and `ros2 bag play`.
+"""Formats `mcap` and `rosbag2`: a ROS 2 bag in an MCAP file or, as older tools want it, in an SQLite one.
+
+For `ros2 bag play`, Foxglove and Lichtblick.
 
 Topics: `/lidar/points` (PointCloud2 with x, y, z, intensity, ring, time, support),
-`/<camera>/image/compressed` (PNG) and `/<camera>/camera_info`, `/tf` (`world` to `lidar`, at each stamp) and
+`/<camera>/image/compressed` (PNG), `/<camera>/depth/image` (32FC1, metres along the optical axis, of a
+fisheye along the ray, 0 = not known), `/<camera>/instance/image` (32SC1, object, 0 = none) and
+`/<camera>/camera_info`, `/tf` (`world` to `lidar`, at each stamp) and
 `/tf_static` (`lidar` to the cameras). Written by `rosbags`, an extra.
 """
 
@@ -17,7 +21,7 @@ from nvsf_core.errors import MissingLibraryError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.stages.exports.records import CameraRecord, DataSet, ScanRecord
 
-FOLDER = "mcap"
+MCAP_FOLDER, ROSBAG2_FOLDER = "mcap", "rosbag2"
 EPOCH_S = 1_369_728_000
 """2013-05-28 08:00 UTC, as of the format `kitti360`: a bag needs a date."""
 POINT = np.dtype([
@@ -40,18 +44,32 @@ def require_rosbags() -> Any:
         return importlib.import_module("rosbags.rosbag2")
     except ImportError as error:
         raise MissingLibraryError(
-            "exports: the format mcap needs the package rosbags: pip install 'nvsf[exports]'"
+            "exports: the formats mcap and rosbag2 need the package rosbags: pip install 'nvsf[exports]'"
         ) from error
 
 
 def write_mcap(folder: Path, data: DataSet) -> None:
-    """Write a data set as a bag, a frame at a time.
+    """Write a data set as a bag in an MCAP file.
 
     Raises:
         MissingLibraryError: `rosbags` is not installed.
     """
+    _write(folder / MCAP_FOLDER, "MCAP", data)
+
+
+def write_rosbag2(folder: Path, data: DataSet) -> None:
+    """Write a data set as a bag in an SQLite file (`.db3`).
+
+    Raises:
+        MissingLibraryError: `rosbags` is not installed.
+    """
+    _write(folder / ROSBAG2_FOLDER, "SQLITE3", data)
+
+
+def _write(folder: Path, storage: str, data: DataSet) -> None:
+    """Write a bag, a frame at a time."""
     rosbag2 = require_rosbags()
-    bag = rosbag2.Writer(folder / FOLDER, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    bag = rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
     with bag:
         out = _Bag(bag)
         first_s = float(data.stamp_s[0])
@@ -66,8 +84,14 @@ def write_mcap(folder: Path, data: DataSet) -> None:
                 out.write("/lidar/points", out.cloud(data.scan(index)), stamp_s)
             for name, camera in data.cameras.items():
                 out.write(f"/{name}/camera_info", out.camera_info(name, camera, stamp_s), stamp_s)
-                rgb = data.image(name, index).rgb
-                out.write(f"/{name}/image/compressed", out.image(name, rgb, stamp_s), stamp_s)
+                image = data.image(name, index)
+                out.write(f"/{name}/image/compressed", out.image(name, image.rgb, stamp_s), stamp_s)
+                if image.depth_m is not None:
+                    depth = out.numbers(name, image.depth_m, "32FC1", stamp_s)
+                    out.write(f"/{name}/depth/image", depth, stamp_s)
+                if image.object_id is not None:
+                    objects = out.numbers(name, image.object_id, "32SC1", stamp_s)
+                    out.write(f"/{name}/instance/image", objects, stamp_s)
 
 
 class _Bag:
@@ -133,6 +157,15 @@ class _Bag:
         data = np.frombuffer(png_bytes(rgb), np.uint8)
         header = self._header(stamp_s, camera)
         return self._new("sensor_msgs/msg/CompressedImage", header=header, format="png", data=data)
+
+    def numbers(self, camera: str, values: np.ndarray, encoding: str, stamp_s: float) -> Any:
+        """An image of numbers (H, W), four bytes each."""
+        height, width = values.shape
+        return self._new(
+            "sensor_msgs/msg/Image", header=self._header(stamp_s, camera), height=height, width=width,
+            encoding=encoding, is_bigendian=0, step=4 * width,
+            data=np.frombuffer(values.astype(f"<{values.dtype.kind}4").tobytes(), np.uint8),
+        )  # fmt: skip
 
     def camera_info(self, name: str, camera: CameraRecord, stamp_s: float) -> Any:
         model = camera.model

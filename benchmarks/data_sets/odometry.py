@@ -1,0 +1,109 @@
+"""Whether scans of a data set carry an odometry as recorded ones do: KISS-ICP against the commanded poses.
+
+``NVSF_SCENES=... SCENES=k360_street RECIPE=quick python -m benchmarks.data_sets.odometry`` (with the extra
+`odometry`) writes all frames of a trained scene on the recorded path and a metre to its left, runs KISS-ICP
+over both and over the recorded scans, and writes the errors of the steps into docs/data_sets.md. The target
+is no more than a tenth worse than the recorded scans.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.common.commit import commit
+from benchmarks.common.markdown import markdown_table
+from benchmarks.common.markers import write_between
+from benchmarks.common.places import DOCS
+from nvsf_core.clouds.odometry import odometry_path
+from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
+from nvsf_core.metrics.trust.path_error import step_error_m
+from nvsf_core.sensors.sweep import sweep_fraction
+from nvsf_core.stages.render_view import render_view
+from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.run import find_scene
+from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.documents import read_document
+from nvsf_core.stores.scene_store import SceneStore
+
+PAGE = DOCS / "data_sets.md"
+TARGET = 1.1
+_PLACES = (("on the path", (0.0, 0.0, 0.0)), ("1 m to the left", (0.0, 1.0, 0.0)))
+
+
+class Drive(NamedTuple):
+    """Consecutive scans and the poses that they were recorded or rendered at."""
+
+    scans: list[tuple[np.ndarray, np.ndarray]]
+    """Of each its points (m, 3), metres, in the sensor's frame, and their times (m,) in sweeps."""
+    poses: np.ndarray
+    """(n, 4, 4)."""
+
+
+def main() -> None:
+    """Measure every scene, print the table, and write it into the page."""
+    home, recipe = home_from_environment(os.environ), os.environ.get("RECIPE") or "quick"
+    rows = []
+    for name in (os.environ.get("SCENES") or "k360_street").split():
+        scene = find_scene(name)
+        drives = [("synthetic, " + words, synthetic(scene, home, recipe, shift)) for words, shift in _PLACES]
+        # Rendering has ingested the drive, if nobody had.
+        rows += step_rows(name, recorded(SceneStore(home=home, scene=name)), drives)
+    head = ["scene", "scans", "number", "error of a step mm", "over the recorded", "target"]
+    text = f"{machine()}; recipe `{recipe}`, seed 0, commit {commit()}.\n\n" + markdown_table(head, rows)
+    print(text)
+    write_between(PAGE, "odometry", text)
+
+
+def step_rows(scene: str, drive: Drive, others: list[tuple[str, Drive]]) -> Iterator[list[str]]:
+    """A row for the recorded scans, and one for each of the others beside them."""
+    own_m = error_m(drive)
+    yield [f"`{scene}`", "recorded", str(len(drive.scans)), f"{1e3 * own_m:.1f}", "", ""]
+    for words, other in others:
+        mine_m = error_m(other)
+        met = "✓" if mine_m <= TARGET * own_m else "✗"
+        yield [
+            f"`{scene}`", words, str(len(other.scans)), f"{1e3 * mine_m:.1f}", f"{mine_m / own_m:.2f}",
+            f"{met} at most {TARGET:g}",
+        ]  # fmt: skip
+
+
+def error_m(drive: Drive) -> float:
+    """Median over all steps of the distance between KISS-ICP's step and the commanded one, metres."""
+    return step_error_m(odometry_path(drive.scans), drive.poses)
+
+
+def recorded(store: SceneStore) -> Drive:
+    """The recorded scans of an ingested scene."""
+    a = read_arrays(
+        store.require("sweeps") / "returns.zarr", "offsets", "points_m", "sweep_fraction", "lidar_to_world"
+    )
+    parts = [slice(first, last) for first, last in zip(a["offsets"], a["offsets"][1:], strict=False)]
+    scans = [(a["points_m"][part].astype(np.float64), a["sweep_fraction"][part]) for part in parts]
+    return Drive(scans, a["lidar_to_world"])
+
+
+def synthetic(scene: SceneEntry, home: Path, recipe: str, shift_m: tuple[float, float, float]) -> Drive:
+    """All frames of a scene as a data set, its scans sampled and noisy, from a shifted path."""
+    keys = {"name": "odometry", "shift_m": list(shift_m), "cameras": [], "exports": ["bin"]}
+    with tempfile.TemporaryDirectory(dir=home) as folder:
+        render_view(replace(scene, views=()), keys, home, out=folder, recipe=recipe)
+        return read_scans(Path(folder))
+
+
+def read_scans(folder: Path) -> Drive:
+    """The scans of a data set with the format `bin`."""
+    rows = read_document(folder / "manifest.json")["scans"]
+    scans = []
+    for row in rows:
+        points = np.fromfile(folder / row["files"]["bin"], "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+        scans.append((points, sweep_fraction(np.arctan2(points[:, 1], points[:, 0]))))
+    return Drive(scans, np.array([row["lidar_to_world"] for row in rows]).reshape(-1, 4, 4))
+
+
+if __name__ == "__main__":
+    main()

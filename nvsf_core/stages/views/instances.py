@@ -1,0 +1,150 @@
+"""Instance images of a view: which labelled object each pixel shows."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.errors import DataError
+from nvsf_core.geometry.boxes import box_corners, inside_any
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.simulation.other_camera import camera_rays
+from nvsf_core.stages.exports.records import BoxRecord
+from nvsf_core.stages.views.files import cameras_of
+
+_GROWN_M = 0.1
+"""Surfaces lie on their boxes' faces, and a pixel's range is off by centimetres."""
+_MOST_OBJECTS = 65_535
+
+
+def camera_models(attrs: Mapping[str, Any]) -> dict[str, Pinhole | MeiFisheye]:
+    """Models of a stored view's cameras, of its attributes."""
+    return {name: _model(facts) for name, facts in attrs.get("camera_models", {}).items()}
+
+
+def _model(facts: Mapping[str, Any]) -> Pinhole | MeiFisheye:
+    values = {name: value for name, value in facts.items() if name != "kind"}
+    return Pinhole(**values) if facts["kind"] == "pinhole" else MeiFisheye(**values)
+
+
+def instance_arrays(
+    arrays: Mapping[str, np.ndarray],
+    models: Mapping[str, Pinhole | MeiFisheye],
+    boxes: Callable[[int], Sequence[BoxRecord]],
+) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
+    """Instance images of all cameras of a view, and what their values mean.
+
+    A pixel is of an object if the surface that it shows lies in the object's box, grown by 10 cm; of several
+    boxes the smallest counts.
+
+    Args:
+        arrays: Of the view, with the length of each pixel's ray.
+        models: Of its cameras.
+        boxes: Gives the labelled objects at one of the view's instants.
+
+    Returns:
+        `<camera>_instance` (n, H, W) uint16, 0 = none, and a row a value: `value`, `object_id`, `label`,
+        `dynamic`. Both are empty if there is no labelled object.
+
+    Raises:
+        DataError: There are more objects than values.
+    """
+    at = [list(boxes(index)) for index in range(len(arrays["time_s"]))]
+    known = {box.object_id: box for there in at for box in there}
+    if not known:
+        return {}, []
+    if len(known) > _MOST_OBJECTS:
+        raise DataError(f"instance images: expected at most {_MOST_OBJECTS:,} objects, found {len(known):,}")
+    value_of = {one: number for number, one in enumerate(sorted(known), start=1)}
+    table = [
+        {"value": value, "object_id": one, "label": known[one].label, "dynamic": known[one].is_dynamic}
+        for one, value in value_of.items()
+    ]
+    found = {}
+    for camera in cameras_of(arrays):
+        if camera not in models or f"{camera}_range_m" not in arrays:
+            continue
+        rays, _ = camera_rays(models[camera])
+        shown = []
+        for index, instant in enumerate(_instants(arrays, camera)):
+            pose = arrays[f"{camera}_camera_to_world"][index]
+            range_m = arrays[f"{camera}_range_m"][index].astype(np.float64)
+            shown.append(_image(models[camera], rays, range_m, pose, at[instant], value_of))
+        found[f"{camera}_instance"] = np.stack(shown)
+    return found, table
+
+
+def _instants(arrays: Mapping[str, np.ndarray], camera: str) -> list[int]:
+    """Instant of the view of each of a camera's images; a held-out frame may lack an image."""
+    own, all_frames = arrays[f"{camera}_frame"], arrays["frame"]
+    if len(own) == len(all_frames):
+        return list(range(len(own)))
+    row_of = {int(frame): row for row, frame in enumerate(all_frames)}
+    return [row_of.get(int(frame), 0) for frame in own]
+
+
+def _image(
+    model: Pinhole | MeiFisheye, rays: np.ndarray, range_m: np.ndarray, pose: np.ndarray,
+    boxes: Sequence[BoxRecord], value_of: Mapping[int, int],
+) -> np.ndarray:  # fmt: skip
+    """One instance image (H, W) uint16; the largest boxes first, so that smaller ones lie above them."""
+    shown = np.zeros(range_m.shape, np.uint16)
+    is_known = np.isfinite(range_m) & (range_m > 0.0)
+    points_m = np.where(is_known[..., None], rays * np.where(is_known, range_m, 0.0)[..., None], np.inf)
+    for box in sorted(boxes, key=lambda one: -abs(np.linalg.det(one.box_to_world[:3, :3]))):
+        in_camera = invert_pose(pose) @ box.box_to_world
+        part = _window(model, in_camera)
+        if part is None:
+            continue
+        # Half of the grown box's diagonal: farther pixels are not looked at twice.
+        reach_m = 0.5 * float(np.linalg.norm(in_camera[:3, :3])) + 2.0 * _GROWN_M
+        near = (np.abs(points_m[part] - in_camera[:3, 3]) <= reach_m).all(axis=-1)
+        rows, columns = np.nonzero(near)
+        inside = inside_any(points_m[part][near], in_camera[None], _GROWN_M)
+        shown[part][rows[inside], columns[inside]] = value_of[box.object_id]
+    return shown
+
+
+def _window(model: Pinhole | MeiFisheye, in_camera: np.ndarray) -> tuple[slice, slice] | None:
+    """Rows and columns that a box (4, 4) can be seen in; None if it cannot be seen."""
+    everything = slice(0, model.height), slice(0, model.width)
+    if not isinstance(model, Pinhole):
+        return everything
+    grown = in_camera.copy()
+    edges_m = np.linalg.norm(grown[:3, :3], axis=0)
+    grown[:3, :3] *= 1.0 + 2.0 * _GROWN_M / edges_m
+    corners_m = box_corners(grown[None])[0]
+    if (corners_m[:, 2] <= 0.0).all():
+        return None
+    if (corners_m[:, 2] <= 0.05).any():
+        return everything
+    pixels, _ = model.project(corners_m)
+    size = np.array([model.width, model.height])
+    low = np.clip(np.floor(pixels.min(axis=0)), 0, size).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, size).astype(int)
+    if (high <= low).any():
+        return None
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def object_ids(instance: np.ndarray, table: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Object of each pixel of an instance image (H, W) as int32; 0 = none."""
+    known = np.zeros(len(table) + 1, np.int32)
+    for row in table:
+        known[row["value"]] = row["object_id"]
+    return np.asarray(known[instance])
+
+
+def depth_m(model: Pinhole | MeiFisheye, range_m: np.ndarray) -> np.ndarray:
+    """Depth (H, W) float32 along the optical axis, of a fisheye along the ray, metres; 0 = not known.
+
+    Args:
+        model: The camera.
+        range_m: (H, W) length of each pixel's ray, metres; infinite or 0 = not known.
+    """
+    known = np.where(np.isfinite(range_m) & (range_m > 0.0), range_m, 0.0).astype(np.float64)
+    if isinstance(model, Pinhole):
+        known *= camera_rays(model)[0][..., 2]
+    return known.astype(np.float32)

@@ -1,0 +1,78 @@
+"""Instance images show which labelled box each pixel's surface lies in; depth is along the axis."""
+
+import numpy as np
+import pytest
+
+from nvsf_core.geometry.angles import pose_of_angles
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.simulation.other_camera import camera_rays
+from nvsf_core.stages.exports.records import BoxRecord
+from nvsf_core.stages.views.instances import depth_m, instance_arrays, object_ids
+
+_PINHOLE = Pinhole(fx=60.0, fy=60.0, cx=40.0, cy=30.0, width=80, height=60)
+_FISHEYE = MeiFisheye(
+    xi=2.2, k1=0.02, k2=1.5, p1=0.0, p2=0.0, gamma1=133.0, gamma2=133.0, u0=70.0, v0=70.0, width=140,
+    height=140,
+)  # fmt: skip
+_POSE = pose_of_angles((1000.0, 3700.0, 115.0), 30.0, 2.0, 0.0) @ np.array(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+
+
+def _box(object_id: int, ahead_m: float, right_m: float, side_m: float) -> BoxRecord:
+    """A cube in front of the camera."""
+    pose = np.eye(4)
+    pose[:3, 3] = right_m, 0.0, ahead_m
+    size = np.diag([side_m, side_m, side_m, 1.0])
+    return BoxRecord(object_id=object_id, label="car", is_dynamic=True, box_to_world=_POSE @ pose @ size)
+
+
+def _wall(model: Pinhole | MeiFisheye, ahead_m: float) -> np.ndarray:
+    """Lengths (H, W) of the pixels' rays to a wall across the axis."""
+    z = camera_rays(model)[0][..., 2]
+    return np.where(z > 0.05, ahead_m / np.where(z > 0.05, z, 1.0), np.inf)
+
+
+def _arrays(model: Pinhole | MeiFisheye, range_m: np.ndarray) -> dict[str, np.ndarray]:
+    return {
+        "frame": np.array([3]), "time_s": np.array([0.3]), "image_00_frame": np.array([3]),
+        "image_00_rgb": np.zeros((1, model.height, model.width, 3), np.uint8),
+        "image_00_range_m": range_m[None].astype(np.float16), "image_00_camera_to_world": _POSE[None],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("model", [_PINHOLE, _FISHEYE])
+def test_a_pixel_is_of_the_smallest_box_that_its_surface_lies_in(model: Pinhole | MeiFisheye) -> None:
+    range_m = _wall(model, 10.0)
+    boxes = [_box(26_001, 10.0, 0.0, 2.0), _box(26_002, 10.0, 0.0, 6.0), _box(26_003, 14.0, 3.0, 2.0)]
+    found, table = instance_arrays(_arrays(model, range_m), {"image_00": model}, lambda index: boxes)
+    shown = object_ids(found["image_00_instance"][0], table)
+    points_m = camera_rays(model)[0] * np.where(np.isfinite(range_m), range_m, 1e6)[..., None]
+    off_m = np.abs(points_m[..., :2]).max(axis=-1)
+    assert (shown[off_m < 0.9] == 26_001).all() and (off_m < 0.9).sum() > 20
+    assert (shown[(off_m > 1.2) & (off_m < 2.9)] == 26_002).all()
+    assert (shown[~(off_m < 3.2)] == 0).all(), "the third box lies behind the wall"
+    assert [row["object_id"] for row in table] == [26_001, 26_002, 26_003]
+
+
+def test_pixels_without_a_range_and_views_without_boxes_have_no_object() -> None:
+    arrays = _arrays(_PINHOLE, np.full((60, 80), np.inf))
+    found, _ = instance_arrays(arrays, {"image_00": _PINHOLE}, lambda index: [_box(26_001, 10.0, 0.0, 50.0)])
+    assert found["image_00_instance"].dtype == np.uint16 and not found["image_00_instance"].any()
+    assert instance_arrays(arrays, {"image_00": _PINHOLE}, lambda index: []) == ({}, [])
+
+
+def test_a_box_beside_and_around_the_camera_is_found_by_its_points() -> None:
+    arrays = _arrays(_PINHOLE, _wall(_PINHOLE, 4.0))
+    around, behind = _box(26_001, 0.0, 0.0, 9.0), _box(26_002, -5.0, 0.0, 2.0)
+    found, table = instance_arrays(arrays, {"image_00": _PINHOLE}, lambda index: [around, behind])
+    assert (object_ids(found["image_00_instance"][0], table) == 26_001).all()
+
+
+def test_depth_of_a_wall_is_the_same_in_all_pixels_of_a_pinhole_and_the_range_of_a_fisheye() -> None:
+    assert np.allclose(depth_m(_PINHOLE, _wall(_PINHOLE, 7.5)), 7.5, atol=1e-5)
+    range_m = _wall(_FISHEYE, 7.5)
+    known = np.isfinite(range_m)
+    depth = depth_m(_FISHEYE, range_m)
+    assert np.allclose(depth[known], range_m[known]) and (depth[~known] == 0.0).all()
