@@ -70,8 +70,8 @@ class BagDrive(AbstractPosedDrive):
         return found
 
     def has_data(self) -> bool:
-        """Whether the bag is there and has one of the section's frames."""
-        return self.scene.root.exists() and any(frame in self._seconds for frame in self.frames)
+        """Whether the bag is there; what is wrong with it, the stage `frames` says."""
+        return self.scene.root.exists()
 
     def section(self) -> Section:
         """The bag's files."""
