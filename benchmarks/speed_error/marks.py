@@ -1,4 +1,4 @@
-"""Saves the weights at fixed seconds of a training; the clock stands still meanwhile."""
+"""Saves the weights at fixed seconds of a training; the clock is stopped meanwhile."""
 
 import time
 from bisect import bisect_right

@@ -1,4 +1,4 @@
-"""Drives on which nothing was tuned: other demo streets, with dense traffic or a standing sensor.
+"""Drives on which nothing was tuned: other demo streets, with dense traffic or a sensor at rest.
 
 ``python -m benchmarks.tables.other_drives`` writes those of SCENES (default: all) that are not there yet,
 measures them by Dagster's job ``benchmark`` with RECIPE (default: quick) and SEED (default: 0), and brings

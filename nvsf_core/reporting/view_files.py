@@ -20,7 +20,10 @@ _ASKED = (
     "the nearest synthetic point; where one sensor sees what the other cannot, it is large and nothing is "
     "wrong."
 )
-_STEERING = " Drag: turn. Shift and drag: move. Wheel: nearer or farther. Points as a driver gives them."
+_STEERING = (
+    " Drag: turn. Shift and drag: move. Wheel: nearer or farther. Points are in the sensor's frame, as a driver "
+    "publishes them."
+)
 
 
 def with_view_files(folder: Path, home: Path, scene: SceneOutputs) -> SceneOutputs:

@@ -120,7 +120,7 @@ def test_a_drive_that_lacks_something_waits(
     shutil.copytree(watched.recorded, watched.folder / "drive")
     lacks(watched.layout).unlink()
     # Unchanged for long enough to be whole, were nothing missing.
-    monkeypatch.setattr("nvsf_core.drives.kitti360.section._newest_s", lambda section: time.time() - 60.0)
+    monkeypatch.setattr("nvsf_core.drives.section._newest_s", lambda section: time.time() - 60.0)
     monkeypatch.setenv("NVSF_QUIET_S", "30")
     watched.tick()
     assert words in watched.said[-1] and not watched.instance.get_dynamic_partitions(SCENES.name)
