@@ -21,8 +21,8 @@ _ASKED = (
     "wrong."
 )
 _STEERING = (
-    " Drag: turn. Shift and drag: move. Wheel: nearer or farther. Points are in the sensor's frame, as a driver "
-    "publishes them."
+    " Drag: turn. Shift and drag: move. Wheel: nearer or farther. Points are in the sensor's frame, as a "
+    "driver publishes them."
 )
 
 
