@@ -8,6 +8,7 @@ of a car that stands, yet no surface lies where they are recorded.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -37,14 +38,30 @@ _EXPLAINED_M, _LEAST_EXPLAINED = 0.5, 0.5
 """At least this share of the returns must lie this near to what their scan saw, or it is not a bonnet."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class ScanReturns:
-    """One scan's N returns."""
+    """One scan's N returns; which lie below the road is found once."""
 
     points_m: np.ndarray
     """(N, 3) metres as recorded, sensor's frame."""
     laser: np.ndarray
     """(N,) int from the top; -1 = unknown."""
+
+    @cached_property
+    def is_below_road(self) -> np.ndarray:
+        """(N,) bool, see `below_road`."""
+        return below_road(self.points_m)
+
+    @cached_property
+    def below(self) -> "ScanReturns":
+        """The returns below the road alone."""
+        return ScanReturns(self.points_m[self.is_below_road], self.laser[self.is_below_road])
+
+    @cached_property
+    def others(self) -> cKDTree:
+        """Search tree of all others, without the own vehicle's."""
+        is_far = np.linalg.norm(self.points_m, axis=1) > NEAR_M
+        return cKDTree(self.points_m[~self.is_below_road & is_far])
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +109,21 @@ class Bonnet:
 
     def is_mirrored(self, table: LaserTable, scan: ScanReturns) -> np.ndarray:
         """Whether (N,) bool returns of a scan lie below the road and, mirrored, on another of its returns."""
-        mirrored = below_road(scan.points_m)
+        mirrored = scan.is_below_road.copy()
         if mirrored.any():
-            mirrored[mirrored] = _BelowRoad.of(scan, mirrored).apart_m(table, self) < _EXPLAINED_M
+            mirrored[mirrored] = self.apart_m(table, scan) < _EXPLAINED_M
         return mirrored
+
+    def apart_m(self, table: LaserTable, scan: ScanReturns) -> np.ndarray:
+        """Metres (n,), at most 3, from a scan's mirrored returns to the nearest of its others.
+
+        These are its n returns below the road, taken to where they really lie.
+        """
+        images_m = self.images(table, scan.below)
+        apart = np.full(len(images_m), _MOST_APART_M)
+        met = np.flatnonzero(np.isfinite(images_m).all(axis=1))
+        apart[met] = np.minimum(scan.others.query(images_m[met])[0], _MOST_APART_M)
+        return apart
 
     def _height_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         up, ahead, left, bent_ahead, bent_left = self.shape
@@ -139,14 +167,13 @@ def fit_bonnet(table: LaserTable, scans: Sequence[ScanReturns]) -> Bonnet | None
     Returns:
         The surface, or None where too few returns lie below the road or no bonnet explains half of them.
     """
-    low = [below_road(scan.points_m) for scan in scans]
-    asked = [_BelowRoad.of(scan, is_low) for scan, is_low in zip(scans, low, strict=True) if is_low.any()]
-    if sum(len(one.returns.laser) for one in asked) < _LEAST_RETURNS:
+    asked = [scan for scan in scans if scan.is_below_road.any()]
+    if sum(len(scan.below.laser) for scan in asked) < _LEAST_RETURNS:
         return None
     start, spread = np.array(_START), np.array(_SPREAD)
 
     def apart_m(shape: np.ndarray) -> np.ndarray:
-        return np.concatenate([one.apart_m(table, Bonnet(shape)) for one in asked])
+        return np.concatenate([Bonnet(shape).apart_m(table, scan) for scan in asked])
 
     def cost(shape: np.ndarray) -> np.ndarray:
         return np.concatenate([apart_m(shape) / _SCALE_M, (shape - start) / spread])
@@ -155,26 +182,3 @@ def fit_bonnet(table: LaserTable, scans: Sequence[ScanReturns]) -> Bonnet | None
     is_bonnet = (np.abs(found - start) < _MOST_SPREADS * spread).all()
     is_explained = apart_m(found) < _EXPLAINED_M
     return Bonnet(found) if is_bonnet and is_explained.mean() >= _LEAST_EXPLAINED else None
-
-
-@dataclass(frozen=True, slots=True)
-class _BelowRoad:
-    """One scan's returns below the road, and a search tree of its others."""
-
-    returns: ScanReturns
-    others: cKDTree
-
-    @staticmethod
-    def of(scan: ScanReturns, is_low: np.ndarray) -> "_BelowRoad":
-        is_other = ~is_low & (np.linalg.norm(scan.points_m, axis=1) > NEAR_M)
-        return _BelowRoad(
-            ScanReturns(scan.points_m[is_low], scan.laser[is_low]), cKDTree(scan.points_m[is_other])
-        )
-
-    def apart_m(self, table: LaserTable, bonnet: Bonnet) -> np.ndarray:
-        """(N,) metres from where the returns really lie to the scan's nearest other return, at most 3."""
-        images_m = bonnet.images(table, self.returns)
-        apart = np.full(len(images_m), _MOST_APART_M)
-        met = np.flatnonzero(np.isfinite(images_m).all(axis=1))
-        apart[met] = np.minimum(self.others.query(images_m[met])[0], _MOST_APART_M)
-        return apart

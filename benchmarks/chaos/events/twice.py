@@ -3,6 +3,7 @@
 import sys
 
 from benchmarks.chaos.event import Event, Harm, Random
+from benchmarks.chaos.processes import Running
 from benchmarks.chaos.world import LONGEST_RUN_S, SCENE, World
 
 _LIBRARY = "from nvsf_core.stages import run_scene; run_scene('{scene}', seed={seed})"
@@ -16,9 +17,7 @@ def two_runs(world: World, random: Random) -> Harm:
     apart_s = random.uniform(0.0, 0.5 if world.bare else 12.0)
     first.sleep(apart_s)
     second = world.start()
-    codes = first.wait(LONGEST_RUN_S), second.wait(LONGEST_RUN_S)
-    expected = _DONE if codes == (0, 0) else "both must succeed"
-    return Harm(f"{apart_s:.0f} s apart; exits {codes}", first.said + second.said, expected)
+    return _both(first, second, f"{apart_s:.0f} s apart; ")
 
 
 def two_seeds(world: World, random: Random) -> Harm:
@@ -27,9 +26,7 @@ def two_seeds(world: World, random: Random) -> Harm:
     first = world.start()
     world.provoke()
     second = world.start()
-    codes = first.wait(LONGEST_RUN_S), second.wait(LONGEST_RUN_S)
-    expected = _DONE if codes == (0, 0) else "both must succeed"
-    return Harm(f"exits {codes}", first.said + second.said, expected)
+    return _both(first, second)
 
 
 def with_library(world: World, random: Random) -> Harm:
@@ -39,9 +36,14 @@ def with_library(world: World, random: Random) -> Harm:
     first.sleep(random.uniform(0.0, 10.0))
     code = _LIBRARY.format(scene=SCENE, seed=world.seed)
     second = world.launch([sys.executable, "-c", code], "library")
+    return _both(first, second)
+
+
+def _both(first: Running, second: Running, how: str = "") -> Harm:
+    """What came of two runs at once: both must succeed."""
     codes = first.wait(LONGEST_RUN_S), second.wait(LONGEST_RUN_S)
     expected = _DONE if codes == (0, 0) else "both must succeed"
-    return Harm(f"exits {codes}", first.said + second.said, expected)
+    return Harm(f"{how}exits {codes}", first.said + second.said, expected)
 
 
 EVENTS = [

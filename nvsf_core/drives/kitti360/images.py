@@ -64,6 +64,19 @@ def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray
     fault = _png_fault(data) or _header_fault(data, width, height)
     if fault:
         raise DataError(f"{path}: {fault}")
+    rgb = decode_pixels(path, data)
+    require_picture(path, rgb)
+    if rgb.shape != (height, width, 3):
+        raise DataError(f"{path}: unreadable image, no decoder accepts it; copy it again")
+    return rgb
+
+
+def decode_pixels(path: Path, data: bytes) -> np.ndarray:
+    """Decode an image of any format and size that the decoder knows: (H, W, 3) uint8 RGB.
+
+    Raises:
+        DataError: The decoder does not accept it.
+    """
     try:
         # Pixels in the stored orientation, which is the calibrated camera's.
         decoded = cv2.imdecode(
@@ -71,11 +84,19 @@ def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray
         )
     except cv2.error as error:
         raise DataError(f"{path}: unreadable image, its decoder says {error}; copy it again") from error
-    if decoded is not None and decoded.min() == decoded.max():
-        raise DataError(f"{path}: expected a picture, found one value in all pixels; the camera sent nothing")
-    if decoded is None or decoded.shape != (height, width, 3):
+    if decoded is None:
         raise DataError(f"{path}: unreadable image, no decoder accepts it; copy it again")
     return np.ascontiguousarray(decoded[:, :, ::-1])
+
+
+def require_picture(path: Path, rgb: np.ndarray) -> None:
+    """Check that the pixels of an image are not all alike.
+
+    Raises:
+        DataError: They are.
+    """
+    if rgb.min() == rgb.max():
+        raise DataError(f"{path}: expected a picture, found one value in all pixels; the camera sent nothing")
 
 
 def _png_fault(data: bytes) -> str | None:

@@ -4,12 +4,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
 
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
 
 _CUBE = (
     "0.5 0.5 0.5 0.5 0.5 -0.5 0.5 -0.5 0.5 0.5 -0.5 -0.5 "
@@ -40,6 +42,14 @@ class RectifiedCamera:
     """R_rect (3, 3): unrectified to rectified camera."""
     focal_y_px: float | None = None
     """Vertical focal length, if it is another one."""
+
+    @classmethod
+    def of(cls, pinhole: Pinhole) -> Self:
+        """A camera whose images are rectified already: no baseline, no rotation."""
+        return cls(
+            pinhole.width, pinhole.height, pinhole.fx, pinhole.cx, pinhole.cy, 0.0, np.eye(3),
+            focal_y_px=pinhole.fy,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

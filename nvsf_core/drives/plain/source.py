@@ -9,11 +9,12 @@ import numpy as np
 from nvsf_core.drives.drive import Boxes, Recorded
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.images import read_image_bytes
 from nvsf_core.drives.kitti360.scans import MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S
 from nvsf_core.drives.lenses import Lens
-from nvsf_core.drives.pictures import decode_picture, read_picture_bytes
+from nvsf_core.drives.pictures import decode_picture
 from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
 from nvsf_core.drives.plain.description import Description, read_cameras, read_description
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
@@ -181,7 +182,7 @@ class PlainDrive(AbstractPosedDrive):
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The bytes of a PNG or JPEG."""
         path = self._images.get(camera, {}).get(frame)
-        return None if path is None else Recorded(path, read_picture_bytes(path, width, height))
+        return None if path is None else Recorded(path, read_image_bytes(path, width, height))
 
     def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
         """Decode an image and take out the distortion that the flow has no model of."""

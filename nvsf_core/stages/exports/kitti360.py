@@ -82,9 +82,7 @@ def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) ->
         model = camera.model
         assert isinstance(model, Pinhole), "images of recorded cameras are undistorted"
         if name in PERSPECTIVE_CAMERAS:
-            perspective[name] = RectifiedCamera(
-                model.width, model.height, model.fx, model.cx, model.cy, 0.0, np.eye(3), focal_y_px=model.fy
-            )
+            perspective[name] = RectifiedCamera.of(model)
         else:
             # Without xi and distortion the model is a pinhole.
             flat = MeiFisheye(

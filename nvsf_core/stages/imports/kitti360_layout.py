@@ -111,10 +111,7 @@ class Kitti360Target(AbstractTarget):
             if isinstance(model, MeiFisheye):
                 write_fisheye(layout.fisheye_path(name), name, model)
             else:
-                perspective[name] = RectifiedCamera(
-                    model.width, model.height, model.fx, model.cx, model.cy, 0.0, np.eye(3),
-                    focal_y_px=model.fy,
-                )  # fmt: skip
+                perspective[name] = RectifiedCamera.of(model)
         if perspective:
             write_perspective(layout.perspective_path, perspective)
         lidar_to_pose = self.facts.calibration.lidar_to_pose
