@@ -224,7 +224,20 @@ def _descend(model: nn.Module, parts: Sequence[Part]) -> tuple[float, dict[str, 
         loss += part_loss
         for name, value in part_terms.items():
             terms[name] = terms.get(name, 0.0) + value
+    for weight in weights:
+        weight.grad = _laid_out_like(weight, weight.grad)
     return loss, terms
+
+
+def _laid_out_like(weight: Tensor, gradient: Tensor | None) -> Tensor | None:
+    """A gradient with its weight's strides, as `backward()` would leave it.
+
+    Adam's fused step reads both memories side by side, whatever their strides say. A convolution of
+    channels-last images has channels-last gradients, and the gradient of a sum is one number for all.
+    """
+    if gradient is None or gradient.stride() == weight.stride():
+        return gradient
+    return torch.empty_like(weight).copy_(gradient)
 
 
 def _gradients(

@@ -108,6 +108,35 @@ def test_weights_that_are_not_finite_are_never_saved() -> None:
         train(state, SPEC, step, ignore, ignore)
 
 
+def test_gradients_of_any_memory_layout_move_the_weights_they_belong_to() -> None:
+    """Channels-last convolutions and sums give gradients with other strides than their weights'."""
+
+    class Blurred(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            torch.manual_seed(5)
+            self.layer, self.gain = nn.Conv2d(3, 4, 3), nn.Parameter(torch.full((6,), 0.5))
+
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            return (
+                self.layer(x.contiguous(memory_format=torch.channels_last)).square().mean() * self.gain.sum()
+            )
+
+    x = torch.randn(2, 3, 9, 9, generator=torch.Generator().manual_seed(1))
+    model, expected, spec = Blurred(), Blurred(), TrainingSpec(steps=1, rays=8, checkpoint_s=1e9)
+    state = TrainingState(model, make_optimiser(model, spec), torch.Generator())
+    train(
+        state, spec, lambda *_: [lambda: [total_loss({"fit": model(x)[None]}, {"fit": 1.0})]], ignore, ignore
+    )
+    expected(x).backward()
+    for group in make_optimiser(expected, spec).param_groups:
+        for weight in group["params"]:
+            # Adam's first step moves every weight by the rate, against its gradient.
+            weight.data -= group["lr"] * weight.grad.sign()
+    for name, weight in expected.named_parameters():
+        assert torch.allclose(model.get_parameter(name), weight, atol=1e-6), name
+
+
 def test_the_parts_of_a_step_add_up_to_the_whole() -> None:
     whole, parted = fresh_state(), fresh_state()
 
