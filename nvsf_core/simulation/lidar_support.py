@@ -54,7 +54,7 @@ def support_of_sweep(
         )
     is_known = np.where(has_end, _is_recorded(lidar.evidence, rays, ends_m), looked)
     ended = np.flatnonzero(has_end & ~is_known)
-    is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended])
+    is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended], rays.origin_m[ended])
     support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
     support[(agreed >= min(_AGREEING_SCANS, len(near))) & (others == 0)] = Support.SEEN
     if is_own_unit:
@@ -74,12 +74,14 @@ def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -
     return found
 
 
-def _is_on_object(lidar: LidarRecording, ends_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+def _is_on_object(
+    lidar: LidarRecording, ends_m: np.ndarray, time_s: np.ndarray, origin_m: np.ndarray
+) -> np.ndarray:
     """Whether (n,) bool places (n, 3), scene-local, lie within a voxel of a moving object's surface then."""
     found, moving = np.zeros(len(ends_m), bool), lidar.moving()
     if moving is None or len(ends_m) == 0:
         return found
-    for one in moving.at(time_s):
+    for one in moving.at(time_s, origin_m):
         place_m = one.path.to_object(ends_m.astype(np.float64), time_s)
         for step in _STEPS:
             found |= _holds(one.surfels, place_m + step * one.surfels.index.voxel_m)

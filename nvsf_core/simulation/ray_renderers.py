@@ -38,7 +38,7 @@ def field_renderer(
     ) -> RenderedRays:
         objects = None
         if moving is not None and places is not None:
-            there = moving.at(time_s)
+            there = moving.at(time_s, origin_m)
             objects = object_surfaces(there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m)
         parts = []
         for part in _parts(len(hit_prior), _FIELD_RAYS):
@@ -63,7 +63,7 @@ def evidence_renderer(
     def render(
         origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
     ) -> RenderedRays:
-        objects = () if moving is None else moving.at(time_s)
+        objects = () if moving is None else moving.at(time_s, origin_m)
         return reproject_rays(
             surfels, origin_m, direction, hit_prior, most=most, far_m=far_m, objects=objects, time_s=time_s
         )

@@ -18,6 +18,8 @@ OBJECT_VOXEL_M = 0.1
 """Voxel edge for 64 lasers; with fewer lasers, larger ones hold about as many returns each."""
 NEAREST_SCANS = 4
 """Scans that an object's surfels are built from: more add nothing, and blur what bends, such as legs."""
+_SEEN_WITHIN_DEG = 15.0
+"""From directions farther than this from those of its nearest scans an object shows sides unknown to them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +86,32 @@ class ObjectEvidence:
         scans = self.path.scan[np.argsort(np.abs(self.path.time_s - time_s), kind="stable")]
         return (scans if leave_out is None else scans[scans != leave_out])[:NEAREST_SCANS]
 
+    def scans_towards(self, time_s: float, from_m: np.ndarray, scans: np.ndarray) -> np.ndarray:
+        """Scans (k,) and, if it is seen from elsewhere than by them, the at most 4 that saw it from there.
+
+        An instant that is seen from a place where the sensor came later shows sides that were recorded then.
+
+        Args:
+            time_s: Of the rays.
+            from_m: (3,) their mean origin, scene-local, metres.
+            scans: (k,) its scans that are used in any case; none of the others are left out.
+        """
+        if len(scans) == 0:
+            return scans
+        middle_m = 0.5 * (self.path.low_m + self.path.high_m)
+        first = np.searchsorted(self.rays.scan, self.path.scan)
+        met = first < len(self.rays.scan)
+        met[met] = self.rays.scan[first[met]] == self.path.scan[met]
+        seen_from = _unit(self.rays.origin_m[first[met]] - middle_m)
+        wanted = _unit(self.path.to_object(from_m[None].astype(np.float64), np.array([time_s])) - middle_m)[0]
+        cosine = seen_from @ wanted
+        scan = self.path.scan[met]
+        known = cosine[np.isin(scan, scans)].max(initial=-1.0)
+        if known >= np.cos(np.deg2rad(_SEEN_WITHIN_DEG)):
+            return scans
+        nearest = np.argsort(-cosine, kind="stable")[:NEAREST_SCANS]
+        return np.union1d(scans, scan[nearest[cosine[nearest] > known]])
+
     def rays_at(self, scans: np.ndarray, time_s: float) -> ObjectRays:
         """The m rays of the scans (k,); its returns are moved by the flow to where they are at an instant."""
         used = self._rows_of(scans)
@@ -126,6 +154,11 @@ class ObjectEvidence:
         ends = np.searchsorted(self.rays.scan, ordered, side="right")
         rows = [np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         return np.concatenate([np.zeros(0, np.int64), *rows])
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) of length 1."""
+    return vector / np.linalg.norm(vector, axis=1, keepdims=True)
 
 
 _FORGOTTEN_FRAMES = 1.5

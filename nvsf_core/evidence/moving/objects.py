@@ -104,10 +104,19 @@ def objects_at(
     hit_priors: ObjectHitPriors,
     *,
     leave_out: int | None = None,
+    from_m: np.ndarray | None = None,
 ) -> tuple[ObjectSurfels, ...]:
     """The objects that are there about an instant, each built from its nearest scans.
 
     Neither their surfels nor their paths use the training scan `leave_out`, as if it were held out.
+
+    Args:
+        evidence: Of all objects.
+        time_s: The instant.
+        hit_priors: Of all training scans.
+        leave_out: Number of a training scan.
+        from_m: (3,) where they are seen from, scene-local, metres; where no near scan saw an object from
+            there, others that did are added. None = from the recorded path.
     """
     there, looked_up = [], []
     for number, one in enumerate(evidence):
@@ -116,7 +125,10 @@ def objects_at(
         if not path.is_there(spare).any():
             continue
         scans = one.scans_near(time_s, leave_out=leave_out)
-        surfels = one.surfels_from(scans, time_s + _lag_s(one.path, scans, hit_priors))
+        lag_s = _lag_s(one.path, scans, hit_priors)
+        if from_m is not None and leave_out is None:
+            scans = one.scans_towards(time_s, from_m, scans)
+        surfels = one.surfels_from(scans, time_s + lag_s)
         if surfels is not None:
             there.append((number, path, surfels))
             looked_up.append((path, scans))
@@ -140,21 +152,29 @@ class NearObjects:
         self.evidence = evidence
         self._hit_priors = hit_priors
         self._leave_out = leave_out
-        self._instant: int | None = None
+        self._about: tuple[float, ...] | None = None
         self._objects: tuple[ObjectSurfels, ...] = ()
 
-    def at(self, time_s: np.ndarray) -> tuple[ObjectSurfels, ...]:
-        """The objects about the median of times (r,), rounded to eighths of a frame; none without rays."""
+    def at(self, time_s: np.ndarray, origin_m: np.ndarray) -> tuple[ObjectSurfels, ...]:
+        """The objects about the median of the rays' times, rounded to eighths of a frame; none without rays.
+
+        Args:
+            time_s: (r,) instants of the rays.
+            origin_m: (r, 3) scene-local, metres; objects are seen from their mean, rounded to metres.
+        """
         if len(time_s) == 0 or not self.evidence:
             return ()
         frame_s = self.evidence[0].path.frame_s
-        # The median times of a sweep's parts are near each other.
+        # The median times and mean origins of a sweep's parts are near each other.
         instant = round(_STEPS_A_FRAME * float(np.median(time_s)) / frame_s)
-        if instant != self._instant:
+        from_m = np.round(_some(origin_m).mean(axis=0, dtype=np.float64))
+        about = (instant, *from_m.tolist())
+        if about != self._about:
             self._objects = objects_at(
-                self.evidence, instant * frame_s / _STEPS_A_FRAME, self._hit_priors, leave_out=self._leave_out
-            )
-            self._instant = instant
+                self.evidence, instant * frame_s / _STEPS_A_FRAME, self._hit_priors,
+                leave_out=self._leave_out, from_m=from_m,
+            )  # fmt: skip
+            self._about = about
         return self._objects
 
 

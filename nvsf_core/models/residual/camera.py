@@ -187,7 +187,8 @@ def camera_renderer(
         if camera not in maps:
             return warp(camera, pinhole, pose, time_s, near_s)
         one, place_s = world.recording.cameras[camera], time_s if near_s is None else near_s
-        at, moving = drive.pose_at(camera, pose, place_s), world.moving(time_s, one.training_time_s)
+        at = drive.pose_at(camera, pose, place_s)
+        moving = world.moving(time_s, one.training_time_s, from_m=pose[:3, 3])
         lidar = lidar_view(at, pinhole, world.static_points(place_s), moving)
         view = camera_view(at, pinhole, lidar, shown[camera], one.training.pose, spec, moving=moving)
         return render_view(networks, view.to(device), spec)

@@ -43,7 +43,12 @@ class MovingWorld:
         return np.concatenate([self._static_of(sweeps, scan) for scan in scans])
 
     def moving(
-        self, instant_s: float, image_time_s: np.ndarray, *, leave_out: bool = False
+        self,
+        instant_s: float,
+        image_time_s: np.ndarray,
+        *,
+        leave_out: bool = False,
+        from_m: np.ndarray | None = None,
     ) -> list[MovingPoints]:
         """The moving objects that are present at an instant; none in a static scene.
 
@@ -51,6 +56,7 @@ class MovingWorld:
             instant_s: Seconds since the first frame.
             image_time_s: (j,) times of the images that a view is rendered from.
             leave_out: Do as if the scan of that instant were held out.
+            from_m: As in `objects_at`; not together with `leave_out`.
         """
         found = []
         own = self._scan_at(instant_s) if leave_out else None
@@ -58,7 +64,7 @@ class MovingWorld:
             path = one.path.without(own)
             if not path.is_there(np.array([instant_s]))[0]:
                 continue
-            points = _own_points(one, instant_s, own)
+            points = _own_points(one, instant_s, own, from_m)
             if points is None:
                 continue
             now = path.matrix_at(np.array([instant_s]))[0]
@@ -100,9 +106,14 @@ class MovingWorld:
         return self._static[scan]
 
 
-def _own_points(one: ObjectEvidence, instant_s: float, leave_out: int | None) -> np.ndarray | None:
-    """Returns (m, 3) of an object in its own frame, from its scans nearest to an instant; None if none."""
-    rays = one.rays_at(one.scans_near(instant_s, leave_out=leave_out), instant_s)
+def _own_points(
+    one: ObjectEvidence, instant_s: float, leave_out: int | None, from_m: np.ndarray | None
+) -> np.ndarray | None:
+    """Returns (m, 3) of an object in its own frame, from its scans near to an instant; None if none."""
+    scans = one.scans_near(instant_s, leave_out=leave_out)
+    if from_m is not None:
+        scans = one.scans_towards(instant_s, from_m, scans)
+    rays = one.rays_at(scans, instant_s)
     return rays.point_m(rays.is_hit) if rays.is_hit.any() else None
 
 

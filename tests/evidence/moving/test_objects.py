@@ -19,6 +19,7 @@ from nvsf_core.sensors.tables import HDL_64E
 WALL_M, PLATE_M = 12.03, 8.02
 SCANS, FRAME_S = 6, 0.1
 SPEED_M_S = 10.0
+HERE = np.zeros((3, 3), np.float32)
 
 
 def ray_towards(y_m: np.ndarray, z_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,12 +178,26 @@ def test_scans_that_did_not_see_an_object_prove_nothing_of_it(passing) -> None:
 
 def test_parts_of_a_sweep_share_what_was_built(passing) -> None:
     near = NearObjects(passing[0].objects, ALWAYS)
-    first = near.at(np.array([0.19, 0.21]))
-    assert near.at(np.array([0.18, 0.21])) is first
-    assert near.at(np.array([0.31])) is not first
-    half_way = near.at(np.array([0.21, 0.248, 0.28]))
-    assert near.at(np.array([0.22, 0.252, 0.28])) is half_way and half_way is not first
-    assert near.at(np.zeros(0)) == ()
+    first = near.at(np.array([0.19, 0.21]), HERE)
+    assert near.at(np.array([0.18, 0.21]), HERE) is first
+    assert near.at(np.array([0.31]), HERE) is not first
+    half_way = near.at(np.array([0.21, 0.248, 0.28]), HERE)
+    assert near.at(np.array([0.22, 0.252, 0.28]), HERE) is half_way and half_way is not first
+    assert near.at(np.zeros(0), HERE) == ()
+    elsewhere = near.at(np.array([0.22, 0.252, 0.28]), HERE + 9.0)
+    assert elsewhere is not half_way
+
+
+def test_an_object_seen_from_elsewhere_is_built_from_scans_that_saw_it_from_there(passing) -> None:
+    one = passing[0].objects[0]
+    near = one.scans_near(0.0)
+    assert sorted(near) == [0, 1, 2, 3]
+    # The sensor rests, the plate slides to its left: later scans see it from farther to its right.
+    assert np.array_equal(one.scans_towards(0.0, np.zeros(3), near), near)
+    assert one.scans_towards(0.0, np.array([0.0, -9.0, 0.0]), near).tolist() == [0, 1, 2, 3, 4, 5]
+    # From beyond the first scan's place no other scan is nearer than the first.
+    assert np.array_equal(one.scans_towards(0.0, np.array([0.0, 9.0, 0.0]), near), near)
+    assert one.scans_towards(0.0, np.zeros(3), near[:0]).size == 0
 
 
 def test_objects_without_times_are_refused(passing) -> None:
