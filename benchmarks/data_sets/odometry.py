@@ -59,7 +59,7 @@ def main() -> None:
         drives = [("synthetic, " + words, synthetic(scene, home, recipe, shift)) for words, shift in _PLACES]
         # Rendering has ingested the drive, if nobody had.
         rows += step_rows(name, recorded(SceneStore(home=home, scene=name)), drives)
-    head = ["scene", "scans", "number", "error of a step mm", "of single runs mm", "over the recorded", "target"]
+    head = ["scene", "scans", "number", "error of a step mm", "single runs mm", "over the recorded", "target"]
     text = f"{machine()}; recipe `{recipe}`, seed 0, commit {commit()}.\n\n" + markdown_table(head, rows)
     print(text)
     write_between(PAGE, "odometry", text)
@@ -95,7 +95,7 @@ def errors_m(drive: Drive) -> np.ndarray:
 
 
 def turned(drive: Drive, angle_rad: float) -> Drive:
-    """The same drive by a sensor whose axes are turned about z: same places, same times, other coordinates."""
+    """The same drive by a sensor whose axes are turned about z: other coordinates, same times."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.eye(4)
     turn[:2, :2] = [[cos, -sin], [sin, cos]]
