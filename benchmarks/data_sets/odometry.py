@@ -4,6 +4,10 @@
 `odometry`) writes all frames of a trained scene on the recorded path and a metre to its left, runs KISS-ICP
 over both and over the recorded scans, and writes the errors of the steps into docs/data_sets.md. The target
 is no more than a tenth worse than the recorded scans.
+
+KISS-ICP keeps one point of each voxel, of a grid along the sensor's axes. Which ones is chance, and decides
+over several millimetres of a step, so that one run a drive cannot tell two drives apart. Each drive is
+therefore run with the sensor's axes turned by twelve angles, which changes the voxels and nothing else.
 """
 
 import os
@@ -32,6 +36,8 @@ from nvsf_core.stores.scene_store import SceneStore
 
 PAGE = DOCS / "data_sets.md"
 TARGET = 1.1
+_TURNS_RAD = np.radians(np.arange(12) * 7.5)
+"""Even over a quarter turn, after which the voxels' grid repeats; the first is the scans as they are."""
 _PLACES = (("on the path", (0.0, 0.0, 0.0)), ("1 m to the left", (0.0, 1.0, 0.0)))
 
 
@@ -53,7 +59,7 @@ def main() -> None:
         drives = [("synthetic, " + words, synthetic(scene, home, recipe, shift)) for words, shift in _PLACES]
         # Rendering has ingested the drive, if nobody had.
         rows += step_rows(name, recorded(SceneStore(home=home, scene=name)), drives)
-    head = ["scene", "scans", "number", "error of a step mm", "over the recorded", "target"]
+    head = ["scene", "scans", "number", "error of a step mm", "single runs mm", "over the recorded", "target"]
     text = f"{machine()}; recipe `{recipe}`, seed 0, commit {commit()}.\n\n" + markdown_table(head, rows)
     print(text)
     write_between(PAGE, "odometry", text)
@@ -61,20 +67,40 @@ def main() -> None:
 
 def step_rows(scene: str, drive: Drive, others: list[tuple[str, Drive]]) -> Iterator[list[str]]:
     """A row for the recorded scans, and one for each of the others beside them."""
-    own_m = error_m(drive)
-    yield [f"`{scene}`", "recorded", str(len(drive.scans)), f"{1e3 * own_m:.1f}", "", ""]
+    own_m = errors_m(drive)
+    yield [f"`{scene}`", "recorded", str(len(drive.scans)), *_spread(own_m), "", ""]
     for words, other in others:
-        mine_m = error_m(other)
-        met = "✓" if mine_m <= TARGET * own_m else "✗"
+        mine_m = errors_m(other)
+        ratio = mine_m.mean() / own_m.mean()
+        met = "✓" if ratio <= TARGET else "✗"
         yield [
-            f"`{scene}`", words, str(len(other.scans)), f"{1e3 * mine_m:.1f}", f"{mine_m / own_m:.2f}",
+            f"`{scene}`", words, str(len(other.scans)), *_spread(mine_m), f"{ratio:.2f}",
             f"{met} at most {TARGET:g}",
         ]  # fmt: skip
 
 
-def error_m(drive: Drive) -> float:
-    """Median over all steps of the distance between KISS-ICP's step and the commanded one, metres."""
-    return step_error_m(odometry_path(drive.scans), drive.poses)
+def _spread(errors_m: np.ndarray) -> tuple[str, str]:
+    """Mean, and least to largest, in millimetres."""
+    low, high = 1e3 * errors_m.min(), 1e3 * errors_m.max()
+    return f"{1e3 * errors_m.mean():.1f}", f"{low:.1f} to {high:.1f}"
+
+
+def errors_m(drive: Drive) -> np.ndarray:
+    """The odometry's error with the sensor's axes turned by each of the angles: (angles,), metres.
+
+    Each is the median over all steps of the distance between KISS-ICP's step and the commanded one.
+    """
+    drives = (turned(drive, float(angle_rad)) for angle_rad in _TURNS_RAD)
+    return np.array([step_error_m(odometry_path(one.scans), one.poses) for one in drives])
+
+
+def turned(drive: Drive, angle_rad: float) -> Drive:
+    """The same drive by a sensor whose axes are turned about z: other coordinates, same times."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.eye(4)
+    turn[:2, :2] = [[cos, -sin], [sin, cos]]
+    scans = [(points_m @ turn[:3, :3].T, fraction) for points_m, fraction in drive.scans]
+    return Drive(scans, drive.poses @ turn.T)
 
 
 def recorded(store: SceneStore) -> Drive:
