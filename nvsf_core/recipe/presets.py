@@ -32,7 +32,7 @@ _LEAN = replace(
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, sources=6, refinements=5, aligned=True, varied=True, members=3),
     depth_training=replace(_QUICK.depth_training, steps=120),
-    camera_training=replace(_QUICK.camera_training, steps=800, network_rate=2e-3),
+    camera_training=replace(_QUICK.camera_training, steps=800),
     losses=replace(_QUICK.losses, colour_distance=0.1, structure=0.1),
 )
 # The demo's: on its small images and few scans what is learned wins after so many steps.

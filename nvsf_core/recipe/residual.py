@@ -169,7 +169,7 @@ class ResidualRecipe(Recipe):
     camera: CameraSpec = CameraSpec()
     lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
     depth_training: TrainingSpec = TrainingSpec(steps=60, rays=8064, network_rate=5e-3)
-    camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=4e-3)
+    camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
     """None = the pano is projected from the simulated scan."""

@@ -88,5 +88,7 @@ def test_steps_of_synthetic_scans_stand_beside_those_of_recorded_ones() -> None:
         return odometry.Drive([(scan, np.zeros(len(scan))) for scan in scans], poses)
 
     rows = list(odometry.step_rows("a", drive(0.01), [("on the path", drive(0.01)), ("worse", drive(0.3))]))
-    assert [row[1] for row in rows] == ["recorded", "on the path", "worse"]
-    assert float(rows[2][4]) > odometry.TARGET and rows[2][5].startswith("✗")
+    assert [row[1] for row in rows] == 2 * ["recorded", "on the path", "worse"]
+    assert [row[3] for row in rows] == 3 * ["axes turned"] + 3 * ["points reordered"]
+    for worse in (rows[2], rows[5]):
+        assert float(worse[6].split(" ±")[0]) > odometry.TARGET and worse[7].startswith("✗")

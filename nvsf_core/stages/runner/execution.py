@@ -192,9 +192,11 @@ def outcome_of(stage: Stage, path: Path, record: dict[str, Any], *, skipped: boo
 def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task]) -> dict[str, Any]:
     """Make the output and publish it; returns its record."""
     # Here, because it loads torch and numba: asking what is there must not wait for them.
+    from nvsf_core.kernels.kept_memory import keep_freed_memory
     from nvsf_core.kernels.threads import use_threads
 
     use_threads()
+    keep_freed_memory()
     stage, store = place.stage, place.store
     started, meter = time.perf_counter(), Meter()
     with store.publish(place.location) as folder:
