@@ -39,7 +39,7 @@ PAGE = DOCS / "data_sets.md"
 TARGET = 1.1
 _RUNS = 12
 _QUARTER_RAD = np.pi / 2.0
-"""After a turn by so much the voxels' grid repeats."""
+"""Turned by so much, the grid of voxels is the same again."""
 _PLACES = (("on the path", (0.0, 0.0, 0.0)), ("1 m to the left", (0.0, 1.0, 0.0)))
 
 

@@ -11,7 +11,7 @@ _MORE_BYTES = 64 * 2**20
 
 
 def keep_freed_memory() -> bool:
-    """Let the C library give no freed memory back to the system; whether it could be told so.
+    """Let the C library give no freed memory back to the system; whether it accepted that.
 
     Cost volumes of a training step take some 100 MB. By default glibc maps such an array anew each time,
     and the system has to clear all its pages: an eighth of a training's time, and far more on virtual
