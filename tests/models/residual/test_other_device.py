@@ -77,7 +77,9 @@ def test_camera_networks_train_and_render_elsewhere_as_on_the_cpu() -> None:
         losses, shown = learned(recipe, example(recipe.camera), torch.device("cpu"))
         with other_device() as device:
             found, image = learned(recipe, example(recipe.camera), device)
-        assert np.allclose(found, losses, rtol=5e-3)
+        # Adam's first steps are as large as the rate, however small a gradient: of one that is nearly 0
+        # rounding decides the sign. That moves losses of a thousandth by some 1e-5.
+        assert np.allclose(found, losses, rtol=5e-3, atol=2e-5)
         assert np.abs(image.astype(float) - shown).max() <= 2.0
 
 
