@@ -32,6 +32,9 @@ from tests.models.residual.test_camera_step import RECIPE, STEPS, example
 from tests.other_device import other_device
 from tests.stages.lidar_drive import FRAMES, LASERS
 
+# One colour in twenty of the example is right to 1e-6. There the absolute error has a kink: rounding chooses
+# between two gradients that differ by a quarter; `LEAN`, whose colours are varied, has that term.
+SMOOTH = replace(RECIPE, losses=replace(RECIPE.losses, colour_distance=0.0))
 # With everything that `lean` has and `quick` has not.
 LEAN = replace(
     RECIPE,
@@ -73,13 +76,11 @@ def learned(
 
 
 def test_camera_networks_train_and_render_elsewhere_as_on_the_cpu() -> None:
-    for recipe in (RECIPE, LEAN):
+    for recipe in (SMOOTH, LEAN):
         losses, shown = learned(recipe, example(recipe.camera), torch.device("cpu"))
         with other_device() as device:
             found, image = learned(recipe, example(recipe.camera), device)
-        # Adam's first steps are as large as the rate, however small a gradient: of one that is nearly 0
-        # rounding decides the sign. That moves losses of a thousandth by some 1e-5.
-        assert np.allclose(found, losses, rtol=5e-3, atol=2e-5)
+        assert np.allclose(found, losses, rtol=5e-3)
         assert np.abs(image.astype(float) - shown).max() <= 2.0
 
 
