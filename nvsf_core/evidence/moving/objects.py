@@ -116,7 +116,7 @@ def objects_at(
         hit_priors: Of all training scans.
         leave_out: Number of a training scan.
         from_m: (3,) where they are seen from, scene-local, metres; where no near scan saw an object from
-            there, others that did are added. None = from the recorded path.
+            there, others that did are added. None = from the recorded path, as always with `leave_out`.
     """
     there, looked_up = [], []
     for number, one in enumerate(evidence):
