@@ -19,12 +19,12 @@ from nvsf_core.stages.checks.own_vehicle import GHOSTS, check_ghosts
 from nvsf_core.stages.checks.support import GUESSED, check_support
 from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
 from nvsf_core.stages.checks.views import check_views
-from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.views.boxes import boxes_of
 from nvsf_core.stages.views.camera import copied_images
 from nvsf_core.stages.views.files import (
     describe_view,
