@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.reporting.previews import scan_top_view

@@ -6,7 +6,7 @@ import pytest
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import load_catalogue
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
