@@ -1,4 +1,4 @@
-"""Reading and validation of LiDAR scans: `.bin` files of float32 x, y, z in metres and reflectance 0..1."""
+"""LiDAR scans as `.bin` files of float32 x, y, z in metres and reflectance 0..1: read, validated, written."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.drives.kitti360.text import read_bytes, require_unchanged
-from nvsf_core.errors import DataError
+from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.sensors.tables import HDL_64E
 
 MAX_RANGE_M = 200.0
@@ -114,3 +114,27 @@ def usable_scan(
         ring=None if ring is None else ring[usable].astype(np.int64),
         offset_s=None if offset_s is None else offset_s[usable].astype(np.float64),
     )
+
+
+def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
+    """Write a LiDAR scan as float32 x, y, z, reflectance, in the given order.
+
+    Args:
+        path: File to write; its folder is made.
+        points_m: (N, 3) in the sensor's frame, each at its own time.
+        intensity: (N,) in 0..1.
+
+    Raises:
+        ShapeError: The arrays have other shapes.
+        DataError: A value is not finite.
+    """
+    if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != (len(points_m),):
+        raise ShapeError(
+            "expected points (N, 3) and intensity (N,), found "
+            f"{points_m.shape} and {intensity.shape} for {path}; pass one row a return"
+        )
+    rows = np.column_stack([points_m, intensity]).astype("<f4")
+    if not np.isfinite(rows).all():
+        raise DataError(f"expected finite returns for {path}, found others; leave those returns out")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows.tofile(path)
