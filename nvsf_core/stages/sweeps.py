@@ -15,9 +15,8 @@ from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
-from nvsf_core.sensors.stored_table import ATTRIBUTE, table_facts
 from nvsf_core.sensors.sweep import compensate, trajectory_of
-from nvsf_core.sensors.tables import HDL_64E, SENSOR_TABLES, LaserTable, sensor_table
+from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, SENSOR_TABLES, LaserTable, sensor_table, table_facts
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task

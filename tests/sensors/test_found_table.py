@@ -11,8 +11,7 @@ from nvsf_core.errors import DataError
 from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
-from nvsf_core.sensors.stored_table import ATTRIBUTE, recorded_table, table_facts
-from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, recorded_table, table_facts
 from tests.conftest import SHARED
 
 LASERS = np.arange(0, 64, 2)
