@@ -1,4 +1,4 @@
-"""The scans of a drive in memory: each return as a ray; the training scans by laser and firing, to look into."""
+"""The scans of a drive in memory: each return as a ray; by laser and firing, to look points up in them."""
 
 from dataclasses import dataclass
 
