@@ -24,7 +24,7 @@ from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import write_data_set
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, plan_run
-from nvsf_core.stages.views.boxes import boxes_of
+from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 PAGE = DOCS / "data_sets.md"

@@ -35,7 +35,7 @@ from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.views.boxes import boxes_of
+from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows

@@ -24,7 +24,6 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.views.boxes import boxes_of
 from nvsf_core.stages.views.camera import copied_images
 from nvsf_core.stages.views.files import (
     describe_view,
@@ -33,7 +32,7 @@ from nvsf_core.stages.views.files import (
     write_method,
     write_scans,
 )
-from nvsf_core.stages.views.instances import camera_models, instance_arrays
+from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
 from nvsf_core.stages.views.lidar import along_recorded_rays, copied_scans, copied_sweeps, warm_up
 from nvsf_core.stages.views.plan import View, asked_view, held_out_view
 from nvsf_core.stages.views.render import (

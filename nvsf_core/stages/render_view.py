@@ -27,8 +27,7 @@ from nvsf_core.stages.runner.run import (
     write_demo_where_absent,
 )
 from nvsf_core.stages.runner.stage import Progress, Task
-from nvsf_core.stages.views.boxes import boxes_of
-from nvsf_core.stages.views.instances import camera_models, instance_arrays
+from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
 from nvsf_core.stages.views.plan import View, asked_view
 from nvsf_core.stages.views.render import asks_images, placed, render_view_arrays, view_attrs, with_images
 
