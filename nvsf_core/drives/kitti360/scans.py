@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.text import read_bytes, require_unchanged
+from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -32,21 +32,6 @@ class Scan:
     """(N,) int64, number of the laser as the recording has it, in no known order; None = not recorded."""
     offset_s: np.ndarray | None = None
     """(N,) float64, time of each return after the frame's, seconds; None = not recorded."""
-
-
-def read_scan(path: Path, checksum: str = "") -> np.ndarray:
-    """Read a scan's usable returns, (N, 4) float32, in file order.
-
-    Args:
-        path: The scan's file.
-        checksum: The file's `checksum_of` when it was validated; empty = not compared.
-
-    Raises:
-        DataError: See `parse_scan`; or the file is absent, too large, or has changed since.
-    """
-    data = read_scan_bytes(path)
-    require_unchanged(path, data, checksum)
-    return parse_scan(path, data).points
 
 
 def read_scan_bytes(path: Path) -> bytes:
