@@ -29,7 +29,7 @@ from nvsf_core.stores.tables import read_rows
 TITLE = "Drives elsewhere in the world, through the stages"
 _SHIFTS_M = {"3.8 km": (1_000.0, 3_700.0, 115.0), "5e6 m along each axis": (5e6, -5e6, 5e6)}
 """Where the first sweep of both real drives lies, in KITTI-360's coordinates; as in UTM."""
-_MOVES, _SEEDS = 10, 10
+_MOVES, _SEEDS = 10, 6
 _SIZE = replace(DemoSize.tiny(), frames=5, lasers=tuple(range(64)), firings=1050, width=176, height=47)
 """Whole turns: with thinned ones a range image is mostly empty, and its PSNR says little."""
 _HELD_OUT = 2
