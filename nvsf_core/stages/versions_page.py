@@ -1,7 +1,8 @@
 """Collects the versions of all data sets of a home for the page that compares them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from nvsf_core.errors import StoreError
 from nvsf_core.reporting.versions import VersionFacts, versions_html
@@ -13,6 +14,12 @@ from nvsf_core.stores.scene_store import SceneStore
 
 VERSIONS_PAGE = "versions.html"
 _NOTED = f"{VERSIONS}/*/*"
+_KINDS: Mapping[str, type] = dict.fromkeys(
+    ("recipe", "view", "source_checksums", "software", "rendered_from"), dict
+)
+"""Kinds of a manifest's entries: what is of another one is left out, for a page must not fail by one file."""
+_LARGEST = 1e11
+"""Of seconds and of megabytes; beyond it a note is damaged."""
 
 
 def write_versions_page(folder: Path, home: Path, scenes: Sequence[str]) -> Path:
@@ -58,18 +65,33 @@ def _facts(scene: str, version: Version) -> VersionFacts:
     return VersionFacts(
         scene=scene, view=version.view, name=version.name, made_s=made_s(version),
         megabytes=sum(path.stat().st_size for path in files) / 1e6, scans=count_of(manifest, "scans"),
-        images=count_of(manifest, "images"), manifest=manifest,
+        images=count_of(manifest, "images"), manifest=_readable(manifest),
     )  # fmt: skip
 
 
 def _removed_facts(scene: str, removal: Removal) -> VersionFacts:
     _, view, name = removal.place.split("/")
-    facts = removal.facts
     made, megabytes, scans, images = (
-        facts[key] if isinstance(facts.get(key), int | float) else 0
-        for key in ("made_s", "megabytes", "scans", "images")
+        _number(removal.facts.get(key)) for key in ("made_s", "megabytes", "scans", "images")
     )
     return VersionFacts(
-        scene=scene, view=view, name=name, made_s=made, megabytes=megabytes, scans=scans, images=images,
-        manifest=facts, removed=removal.words,
+        scene=scene, view=view, name=name, made_s=made, megabytes=megabytes, scans=int(scans),
+        images=int(images), manifest=_readable(removal.facts), removed=removal.words,
     )  # fmt: skip
+
+
+def _number(value: object) -> float:
+    """A number that a page can show; 0 for what is none."""
+    return value if isinstance(value, int | float) and 0 <= value < _LARGEST else 0.0
+
+
+def _readable(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of a manifest whose kind is right."""
+    rows = manifest.get("field_metrics")
+    metrics = [row for row in rows if _is_metric(row)] if isinstance(rows, list) else []
+    found = {key: value for key, value in manifest.items() if isinstance(value, _KINDS.get(key, object))}
+    return found | ({"field_metrics": metrics} if found else {})
+
+
+def _is_metric(row: object) -> bool:
+    return isinstance(row, dict) and isinstance(row.get("value"), int | float | None)

@@ -1,5 +1,6 @@
 """A stated number of versions of each data set is kept; a removed one is noted, and never half there."""
 
+import json
 import multiprocessing
 import os
 import shutil
@@ -261,6 +262,30 @@ def test_the_page_tells_of_removed_versions(home: Path, monkeypatch: pytest.Monk
     assert note.words in page and Path(note.place).name in page
     assert "draw seed 0 → 1" in page, "the newer one is still compared with it"
     assert removal_of(_plan(home, 0).store, f"dataset/test/{_folder(home, 'W1').name}") is None
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        {"recipe": 3, "view": [], "software": "x", "field_metrics": [1, {"value": "x"}]},
+        {"made_s": 1e300, "scans": -1, "megabytes": "x", "images": None, "field_metrics": {}},
+    ],
+)
+def test_a_note_or_a_manifest_that_is_damaged_hides_no_other_version(
+    home: Path, monkeypatch: pytest.MonkeyPatch, harm: dict[str, object]
+) -> None:
+    monkeypatch.setenv(KEEP_VARIABLE, "1")
+    for draw in range(3):
+        _make(home, draw)
+    note, _ = removals(_plan(home, 0).store, "dataset/test/*")
+    write_document(note.note, json.loads(note.note.read_text()) | {"facts": dict(note.facts) | harm})
+    manifest = _folder(home, "W2") / "manifest.json"
+    write_document(manifest, json.loads(manifest.read_text()) | harm)
+    page = write_versions_page(home, home, ["tiny"]).read_text()
+    assert page.count(note.rule) == 4 and manifest.parent.name in page
+    note.note.write_text('{"removed": 1}')
+    assert write_versions_page(home, home, ["tiny"]).read_text().count(note.rule) == 3
+    assert not _make(home, 0).skipped, "without a readable note it is lost"
 
 
 def test_no_link_leads_to_a_removed_version(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
