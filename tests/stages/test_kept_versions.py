@@ -190,6 +190,7 @@ def test_a_run_waits_for_who_removes_versions(home: Path) -> None:
         run.start()
         while not any("waiting for dataset" in line for line in said):
             run.join(0.02)
+            assert run.is_alive(), "it waits for nobody"
         assert _labels(home) == []
     run.join()
     assert _labels(home) == ["W0"]
