@@ -9,7 +9,7 @@ from assets.automation import follows_all_scenes
 from assets.factory import FRESH
 from assets.scenes import OWNERS, key_of
 from assets.workspace import Workspace, catalogue
-from nvsf_core.drives.catalogue import has_data
+from nvsf_core.drives.drive import has_data
 from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 

@@ -117,7 +117,8 @@ def _checked(
     scene: str | None, asked: ViewEntry | None, described: Callable[[SceneEntry], list[str]]
 ) -> Iterator[str]:
     """A line for each view of a scene, or of all that have data; a mistake is raised."""
-    from nvsf_core.drives.catalogue import catalogue_from_environment, has_data
+    from nvsf_core.drives.catalogue import catalogue_from_environment
+    from nvsf_core.drives.drive import has_data
     from nvsf_core.stages import find_scene
 
     entries = (
@@ -214,7 +215,8 @@ def report() -> None:
 @main.command()
 def scenes() -> None:
     """List the catalogue: which scenes have data here, and what was trained of them."""
-    from nvsf_core.drives.catalogue import catalogue_from_environment, has_data, home_from_environment
+    from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
+    from nvsf_core.drives.drive import has_data
     from nvsf_core.stages.runner.run import is_embedded
     from nvsf_core.stores.scene_store import published
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nvsf_core.clouds.open3d_room import load_open3d
-from nvsf_core.drives.catalogue import catalogue_from_environment, has_data, home_from_environment
+from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
+from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError
 from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept

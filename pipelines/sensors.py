@@ -13,7 +13,8 @@ from assets.offers import OFFERS, offer_evaluation
 from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.drives.section import section_of, why_wait
+from nvsf_core.drives.drive import drive_of
+from nvsf_core.drives.section import why_wait
 from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
 from pipelines.reaper import host_tags
@@ -58,7 +59,7 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.Skip
         return dg.SkipReason(f"the catalogue or {QUIET_VARIABLE} cannot be read: {error}")
     for entry in entries:
         try:
-            section = section_of(entry)
+            section = drive_of(entry).section()
             if not section.folders:
                 continue
             waits = why_wait(section, quiet_s)

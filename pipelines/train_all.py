@@ -22,7 +22,7 @@ from assets.report import CURVES, METRICS_STAGE, REPORT
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
-from nvsf_core.drives.catalogue import has_data
+from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.metrics.headline import headline
 from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage

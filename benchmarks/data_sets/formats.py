@@ -20,11 +20,11 @@ from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.metrics.table import HELD_OUT
-from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import write_data_set
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, plan_run
+from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 PAGE = DOCS / "data_sets.md"

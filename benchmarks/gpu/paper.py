@@ -12,7 +12,8 @@ from benchmarks.paper.step import iterations
 from benchmarks.speed_error.plan import FULL, read_result, split_of
 from benchmarks.speed_error.run import Setting, run
 from benchmarks.speed_error.sizes import probe, timed
-from nvsf_core.drives.catalogue import SceneEntry, has_data
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.drives.drive import has_data
 from nvsf_core.models.paper.scene import training_frames
 from nvsf_core.recipe import PaperRecipe, Recipe
 from nvsf_core.recording.drive import Recording

@@ -19,7 +19,8 @@ from benchmarks.speed_error.document import write_document
 from benchmarks.speed_error.plan import FULL, MARKS_S, RESULTS, VAL, OneRun, read_result
 from benchmarks.speed_error.sizes import NAME as PAPER_CPU
 from benchmarks.speed_error.sizes import SIZE_SECONDS, SIZES, chosen_size
-from nvsf_core.drives.catalogue import catalogue_from_environment, has_data
+from nvsf_core.drives.catalogue import catalogue_from_environment
+from nvsf_core.drives.drive import has_data
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.stages.runner.run import DEMO_SCENE, say_on_stderr

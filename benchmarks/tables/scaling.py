@@ -19,7 +19,7 @@ from benchmarks.common.markdown import markdown_table
 from benchmarks.common.markers import write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment, load_catalogue
-from nvsf_core.drives.kitti360.section import section_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
@@ -111,7 +111,7 @@ def _watching(count: int) -> Row:
         entries = load_catalogue(paths, None)
         read_s = time.perf_counter() - started_s
         for entry in entries:
-            section_of(entry)
+            drive_of(entry).section()
         look_s = time.perf_counter() - started_s - read_s
         return {"scenes": count, "files": len(paths), "read_seconds": read_s, "look_seconds": look_s}
 

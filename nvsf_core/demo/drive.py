@@ -17,6 +17,7 @@ from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.demo.street import CAR_SIZE_M
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
@@ -27,7 +28,6 @@ from nvsf_core.drives.kitti360.writer import (
     write_image,
     write_perspective,
     write_pose,
-    write_scan,
     write_timestamps,
 )
 from nvsf_core.errors import DataError

@@ -11,7 +11,6 @@ from typing import Any
 from nvsf_core.drives.catalogue_views import expanded, path_of, read_sensor, read_view, require_keys
 from nvsf_core.drives.cuts import cut_scene
 from nvsf_core.drives.entries import OWN_ROOT_KINDS, SceneEntry, ViewEntry
-from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.errors import DataError
@@ -21,7 +20,6 @@ __all__ = [
     "SceneEntry",
     "ViewEntry",
     "catalogue_from_environment",
-    "has_data",
     "home_from_environment",
     "load_catalogue",
     "sensors_from_environment",
@@ -143,21 +141,6 @@ def _add_sensors(sensors: dict[str, SensorEntry], table: Mapping[str, Any], path
         if sensor.name in sensors:
             raise DataError(f"{path}: sensor {sensor.name!r} is given twice; rename one")
         sensors[sensor.name] = sensor
-
-
-def has_data(entry: SceneEntry) -> bool:
-    """Whether a scan or an image of the scene is on this machine.
-
-    Raises:
-        DataError: The folders cannot be read.
-    """
-    try:
-        return drive_of(entry).has_data()
-    except OSError as error:
-        raise DataError(
-            f"scene {entry.name}: cannot look into {error.filename or entry.root} ({error.strerror}); "
-            "correct its root, or its permissions"
-        ) from error
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.formats import drive_of
 from nvsf_core.errors import DataError
 
 _WHOLE = (0, 1)

@@ -1,9 +1,10 @@
-"""What the flow reads of a recorded drive, whatever its format; each format has one class in its folder.
+"""What the flow reads of a recorded drive, whatever its format, and which class reads a scene's.
 
 Frames: a pose is the pose frame's in the world. The LiDAR has x forward, y left, z up; a camera x right,
 y down, z forward. A frame's time is the instant of its pose.
 """
 
+import importlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,17 @@ from nvsf_core.drives.kitti360.timestamps import FrameTimes
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import DataError
 
-__all__ = ["AbstractDrive", "Boxes", "DriveFacts", "Recorded"]
+__all__ = ["AbstractDrive", "Boxes", "DriveFacts", "Recorded", "drive_of", "has_data"]
+
+_READERS = {
+    "kitti360": "nvsf_core.drives.kitti360.source:Kitti360Drive",
+    "plain": "nvsf_core.drives.plain.source:PlainDrive",
+    "kitti_odometry": "nvsf_core.drives.kitti.odometry:KittiOdometryDrive",
+    "kitti_raw": "nvsf_core.drives.kitti.raw:KittiRawDrive",
+    "bag": "nvsf_core.drives.bags.source:BagDrive",
+}
+"""The class of each `kind` of scene, one folder a format. Imported when a drive is read: images are decoded
+by a library that takes long to load."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +238,28 @@ class AbstractDrive(ABC):
             )
         _require_unchanged(found, checksum)
         return self.parse_image(camera, found, width, height)
+
+
+def drive_of(scene: SceneEntry) -> AbstractDrive:
+    """The reader of a scene's drive; nothing is opened yet."""
+    module, _, name = _READERS[scene.kind].partition(":")
+    reader: type[AbstractDrive] = getattr(importlib.import_module(module), name)
+    return reader(scene)
+
+
+def has_data(scene: SceneEntry) -> bool:
+    """Whether a scan or an image of the scene is on this machine.
+
+    Raises:
+        DataError: The folders cannot be read.
+    """
+    try:
+        return drive_of(scene).has_data()
+    except OSError as error:
+        raise DataError(
+            f"scene {scene.name}: cannot look into {error.filename or scene.root} ({error.strerror}); "
+            "correct its root, or its permissions"
+        ) from error
 
 
 def _require_unchanged(found: Recorded, validated: str) -> None:

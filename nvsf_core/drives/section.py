@@ -5,8 +5,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.drives.entries import SceneEntry
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
@@ -22,19 +20,6 @@ class Section:
     """Scans and images that lack, of sensors that have a folder, below the root."""
     recorded: tuple[int, int] | None
     """First and last frame that the whole drive has; timestamps are counted from there."""
-
-
-def section_of(scene: SceneEntry) -> Section:
-    """Look for the files of a scene; none of its scans is opened.
-
-    Raises:
-        OSError: A folder cannot be read.
-        DataError: What lies there is not of the scene's format.
-    """
-    # Imported here: the formats read sections themselves.
-    from nvsf_core.drives.formats import drive_of
-
-    return drive_of(scene).section()
 
 
 GAPS_WAIT = 30

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts
+from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts, drive_of
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.poses import PoseDisagreement

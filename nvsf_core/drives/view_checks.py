@@ -5,10 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nvsf_core.drives.catalogue import has_data
-from nvsf_core.drives.drive import AbstractDrive
+from nvsf_core.drives.drive import AbstractDrive, drive_of, has_data
 from nvsf_core.drives.entries import SceneEntry, ViewEntry
-from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError

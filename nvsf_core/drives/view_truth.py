@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, has_data
+from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
+from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.entries import KITTI360
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError

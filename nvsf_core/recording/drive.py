@@ -10,8 +10,7 @@ from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.images import CameraRecording
-from nvsf_core.recording.scan_grids import RecordedSweeps, recorded_sweeps
-from nvsf_core.recording.sweeps import LinearPanos, Sweeps
+from nvsf_core.recording.sweeps import LinearPanos, RecordedSweeps, Sweeps, recorded_sweeps
 from nvsf_core.sensors.sweep import Trajectory
 
 

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.sensors.stored_table import FOUND_PREFIX
 from nvsf_core.sensors.tables import LaserTable
 
 Scans = Sequence[tuple[np.ndarray, np.ndarray | None]]
@@ -104,7 +103,7 @@ def find_table(scans: Scans) -> FoundTable:
     shifts = _shifts(groups, steps, arms_m, phases) if is_lattice else np.zeros(len(groups), np.int64)
     farthest_m = max(float(np.linalg.norm(points_m[:, :3], axis=1).max()) for points_m in groups)
     table = LaserTable(
-        name=f"{FOUND_PREFIX}-{len(groups)}",
+        name=f"found-{len(groups)}",
         elevation_rad=np.array([line.elevation_rad for line in lines]),
         vertical_offset_m=np.array([line.arm_m for line in lines]),
         horizontal_offset_m=arms_m,

@@ -135,6 +135,17 @@ class SweepPlan(ViewPlan):
         return np.asarray(time_s + fraction * (self.sweep_s(recorded_s) * self.scene_rate))
 
 
+def recorded_sweep(table: LaserTable, time_s: float, mount: np.ndarray | None = None) -> SweepPlan:
+    """One sweep of the recording sensor on the recorded path.
+
+    Args:
+        table: The sensor.
+        time_s: Instant of the sweep's pose, seconds since the first frame.
+        mount: (4, 4) pose of the sensor in its recorded frame; None = in its own place.
+    """
+    return SweepPlan("recorded", np.zeros(1, np.int64), np.array([time_s]), mount, table, True)
+
+
 def mount_pose(view: ViewEntry) -> np.ndarray | None:
     """Pose (4, 4) of a view's LiDAR in the path's frame, by its shift and angles; None if all are 0."""
     if not any((*view.shift_m, view.yaw_deg, view.pitch_deg, view.roll_deg)):

@@ -22,7 +22,6 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
-from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     damaged_data_set,
@@ -37,6 +36,7 @@ from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.sizes import dataset_bytes
+from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.removal import carry_pin, removal_of

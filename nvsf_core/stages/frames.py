@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.drives.catalogue import has_data
+from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
 from nvsf_core.reporting.previews import path_preview

@@ -12,8 +12,8 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraImages, CameraRecording
 from nvsf_core.recording.sweeps import LinearPanos, Sweeps
-from nvsf_core.sensors.stored_table import recorded_table
 from nvsf_core.sensors.sweep import trajectory_of
+from nvsf_core.sensors.tables import recorded_table
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.scene_store import SceneStore

@@ -19,7 +19,6 @@ from nvsf_core.stages.checks.own_vehicle import GHOSTS, check_ghosts
 from nvsf_core.stages.checks.support import GUESSED, check_support
 from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
 from nvsf_core.stages.checks.views import check_views
-from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
@@ -34,7 +33,7 @@ from nvsf_core.stages.views.files import (
     write_method,
     write_scans,
 )
-from nvsf_core.stages.views.instances import camera_models, instance_arrays
+from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
 from nvsf_core.stages.views.lidar import along_recorded_rays, copied_scans, copied_sweeps, warm_up
 from nvsf_core.stages.views.plan import View, asked_view, held_out_view
 from nvsf_core.stages.views.render import (

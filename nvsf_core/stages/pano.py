@@ -9,8 +9,7 @@ from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.reporting.previews import range_preview
 from nvsf_core.sensors.beam_table import BeamPano
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.stored_table import recorded_table
-from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays

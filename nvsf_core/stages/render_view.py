@@ -12,7 +12,6 @@ from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import Recipe
 from nvsf_core.stages.dataset import dataset_version, identity_of, is_there, source_checksums
-from nvsf_core.stages.exports.boxes import boxes_of
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
@@ -30,7 +29,7 @@ from nvsf_core.stages.runner.run import (
 )
 from nvsf_core.stages.runner.stage import Progress, Task
 from nvsf_core.stages.versions import reading_versions
-from nvsf_core.stages.views.instances import camera_models, instance_arrays
+from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
 from nvsf_core.stages.views.plan import View, asked_view
 from nvsf_core.stages.views.render import asks_images, placed, render_view_arrays, view_attrs, with_images
 from nvsf_core.stores.removal import carry_pin

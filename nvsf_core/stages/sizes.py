@@ -4,7 +4,7 @@ Whatever is compressed counts as it is in memory: an estimate is rather too larg
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -12,14 +12,12 @@ from typing import Self
 import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import ViewEntry
-from nvsf_core.drives.section import section_of
 from nvsf_core.drives.view_checks import moments_s
 from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.errors import DataError
-from nvsf_core.metrics.table import HELD_OUT
-from nvsf_core.sensors.stored_table import recorded_table
-from nvsf_core.sensors.tables import LaserTable
+from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.arrays import array_layouts, read_arrays, read_attrs
@@ -53,7 +51,7 @@ _BASELINES = 3
 
 def sweeps_bytes(task: Task) -> int:
     """Estimated bytes of the returns of all scans that are files of four float32 a return; 0 of others."""
-    files = [path for path in section_of(task.scene).files if path.suffix == ".bin"]
+    files = [path for path in drive_of(task.scene).section().files if path.suffix == ".bin"]
     recorded = sum(path.stat().st_size for path in files if path.is_file())
     return recorded // BYTES_A_RETURN["bin"] * _SWEEP_RETURN_BYTES
 
@@ -61,9 +59,11 @@ def sweeps_bytes(task: Task) -> int:
 def novel_views_bytes(task: Task) -> int:
     """Estimated bytes of all views of a scene; one that cannot be rendered takes none."""
     drive = _Drive.of(task.store)
-    held_out = tuple(frame for frame in task.scene.test_frames if frame in drive.frame)
-    views = [ViewEntry(name=HELD_OUT, frames=held_out)] if held_out else []
-    return sum(_rendered_bytes(task, drive, view) for view in (*views, *task.scene.views))
+    held_out = sum(frame in drive.frame for frame in task.scene.test_frames)
+    methods = 1 + _BASELINES
+    one = _sweep_bytes(drive, drive.table, methods) + methods * drive.returns * _RECORDED_RAY_BYTES
+    one += _shown_bytes(drive.pixels, drive.pixels)
+    return held_out * one + sum(_asked_bytes(task, drive, view) for view in task.scene.views)
 
 
 def dataset_bytes(task: Task) -> int:
@@ -108,27 +108,39 @@ class _Drive:
         )
 
 
-def _rendered_bytes(task: Task, drive: _Drive, view: ViewEntry) -> int:
-    """Of a view by all methods that render it."""
+def _asked_bytes(task: Task, drive: _Drive, view: ViewEntry) -> int:
+    """Of a view of the catalogue, by all methods that render it."""
     try:
         count = len(moments_s(view, drive.frame, drive.time_s))
     except (DataError, IndexError):  # the stage says why
         return 0
-    has_truth = view.name == HELD_OUT or task.scene.sequence == DEMO_SEQUENCE
-    methods, sweep = 1 + has_truth * _BASELINES, 0
+    # Of the demo, whose world is known, there is a truth of everything.
+    is_known = task.scene.sequence == DEMO_SEQUENCE
+    table = None
     if drive.table is not None and view.sensor != NO_SENSOR:
         table = table_of(view.sensor, drive.table)
-        is_recorded = table.name == drive.table.name
-        rays = drive.rays if is_recorded else table.laser_count * table.firings_per_turn
-        returns = min(rays, int(_SAMPLED_MORE * drive.returns)) if is_recorded else rays
-        sweep = methods * (rays * _RAY_BYTES + returns * _RETURN_BYTES + _PANO_BYTES)
-        sweep += returns * BYTES_A_RETURN["bin"]
-        sweep += methods * drive.returns * _RECORDED_RAY_BYTES if view.name == HELD_OUT else 0
-    images = 0
-    for camera, pixels in _pixels(drive, view).items():
-        shown = 1 + _BASELINES if camera in dict(view.truth) else methods
-        images += pixels * (shown * _PIXEL_BYTES + _MODEL_PIXEL_BYTES)
-    return count * (sweep + images)
+    pixels = _pixels(drive, view)
+    sweep = _sweep_bytes(drive, table, 1 + is_known * _BASELINES)
+    return count * (sweep + _shown_bytes(pixels, pixels if is_known else dict(view.truth)))
+
+
+def _sweep_bytes(drive: _Drive, table: LaserTable | None, methods: int) -> int:
+    """Of one sweep of a sensor by some methods, with the model's file; 0 without a sensor."""
+    if table is None or drive.table is None:
+        return 0
+    rays = returns = table.laser_count * table.firings_per_turn
+    if table.name == drive.table.name:
+        rays, returns = drive.rays, min(drive.rays, int(_SAMPLED_MORE * drive.returns))
+    stored = rays * _RAY_BYTES + returns * _RETURN_BYTES + _PANO_BYTES
+    return methods * stored + returns * BYTES_A_RETURN["bin"]
+
+
+def _shown_bytes(pixels: Mapping[str, int], known: Container[str]) -> int:
+    """Of an image of each camera, by the model and, where its truth is known, by all methods."""
+    return sum(
+        count * ((1 + (camera in known) * _BASELINES) * _PIXEL_BYTES + _MODEL_PIXEL_BYTES)
+        for camera, count in pixels.items()
+    )
 
 
 def _pixels(drive: _Drive, view: ViewEntry) -> dict[str, int]:

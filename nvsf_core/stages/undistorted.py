@@ -7,7 +7,7 @@ import numpy as np
 
 from nvsf_core.cameras.masks import lens_circle
 from nvsf_core.cameras.undistort import Undistorter, make_undistorter, perspective_view
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole

@@ -5,7 +5,8 @@ import numpy as np
 from benchmarks.tables.other_drives import OTHER_DRIVES, main, write_drives
 from benchmarks.tables.targets import OTHER
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize
-from nvsf_core.drives.catalogue import has_data, load_catalogue
+from nvsf_core.drives.catalogue import load_catalogue
+from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.kitti360.layout import DriveLayout
 
 STANDING, STREET = f"{OTHER}standing", f"{OTHER}street"

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE
-from nvsf_core.drives.drive import AbstractDrive
+from nvsf_core.drives.drive import AbstractDrive, drive_of
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.formats import drive_of
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
 

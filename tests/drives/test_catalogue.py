@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from nvsf_core.drives.catalogue import UNSET_ROOT, catalogue_from_environment, has_data, load_catalogue
+from nvsf_core.drives.catalogue import UNSET_ROOT, catalogue_from_environment, load_catalogue
 from nvsf_core.drives.catalogue_page import as_markdown
+from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.view_parts import CameraEntry, SensorEntry, Waypoint

@@ -9,7 +9,7 @@ import pytest
 
 from nvsf_core.demo.drive import DemoSize, write_demo
 from nvsf_core.drives.detect import kind_of, whole_drive
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti

@@ -12,7 +12,7 @@ import pytest
 
 from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.drives.kitti360.scans import read_scan
+from nvsf_core.drives.kitti360.scans import parse_scan, read_scan_bytes
 from nvsf_core.geometry.boxes import box_rectangles
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_so3, invert_pose
@@ -163,7 +163,8 @@ def test_real_panos_of_a_van_and_a_cyclist() -> None:
     poses = np.loadtxt(layout.cam0_to_world_path)
     panos = []
     for frame in (20, 21):
-        scan = read_scan(layout.scan_path(frame))
+        path = layout.scan_path(frame)
+        scan = parse_scan(path, read_scan_bytes(path)).points
         range_m, intensity = pano.project(scan[:, :3], scan[:, 3])
         panos.append(PanoImage(range_m=range_m, intensity=intensity, hit=(range_m > 0).astype(np.float32)))
     boxes = [box for box in read_boxes(layout.boxes_path("train"), 20, 20)[0] if box.dynamic]

@@ -6,13 +6,12 @@ import pytest
 from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import load_catalogue
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
-from nvsf_core.sensors.stored_table import ATTRIBUTE, recorded_table, table_facts
-from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, recorded_table, table_facts
 from tests.conftest import SHARED
 
 LASERS = np.arange(0, 64, 2)

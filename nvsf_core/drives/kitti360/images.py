@@ -8,7 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from nvsf_core.drives.kitti360.text import read_bytes, require_unchanged
+from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.errors import DataError
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -22,21 +22,18 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 """Values a pixel by a PNG's colour type: grey, colour, palette, grey and opacity, colour and opacity."""
 
 
-def read_image(path: Path, width: int, height: int, checksum: str = "") -> np.ndarray:
+def read_image(path: Path, width: int, height: int) -> np.ndarray:
     """Read an image as (height, width, 3) uint8 RGB.
 
     Args:
         path: A PNG file with 8 bits a channel.
         width: Expected columns, pixels.
         height: Expected rows, pixels.
-        checksum: The file's `checksum_of` when it was validated; empty = not compared.
 
     Raises:
-        DataError: See `decode_image`; or the file is absent, too large, or has changed since.
+        DataError: See `decode_image`; or the file is absent or too large.
     """
-    data = read_image_bytes(path, width, height)
-    require_unchanged(path, data, checksum)
-    return decode_image(path, data, width, height)
+    return decode_image(path, read_image_bytes(path, width, height), width, height)
 
 
 def read_image_bytes(path: Path, width: int, height: int) -> bytes:

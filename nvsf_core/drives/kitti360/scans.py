@@ -1,12 +1,12 @@
-"""Reading and validation of LiDAR scans: `.bin` files of float32 x, y, z in metres and reflectance 0..1."""
+"""LiDAR scans as `.bin` files of float32 x, y, z in metres and reflectance 0..1: read, validated, written."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.text import read_bytes, require_unchanged
-from nvsf_core.errors import DataError
+from nvsf_core.drives.kitti360.text import read_bytes
+from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.sensors.tables import HDL_64E
 
 MAX_RANGE_M = 200.0
@@ -32,21 +32,6 @@ class Scan:
     """(N,) int64, number of the laser as the recording has it, in no known order; None = not recorded."""
     offset_s: np.ndarray | None = None
     """(N,) float64, time of each return after the frame's, seconds; None = not recorded."""
-
-
-def read_scan(path: Path, checksum: str = "") -> np.ndarray:
-    """Read a scan's usable returns, (N, 4) float32, in file order.
-
-    Args:
-        path: The scan's file.
-        checksum: The file's `checksum_of` when it was validated; empty = not compared.
-
-    Raises:
-        DataError: See `parse_scan`; or the file is absent, too large, or has changed since.
-    """
-    data = read_scan_bytes(path)
-    require_unchanged(path, data, checksum)
-    return parse_scan(path, data).points
 
 
 def read_scan_bytes(path: Path) -> bytes:
@@ -114,3 +99,27 @@ def usable_scan(
         ring=None if ring is None else ring[usable].astype(np.int64),
         offset_s=None if offset_s is None else offset_s[usable].astype(np.float64),
     )
+
+
+def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
+    """Write a LiDAR scan as float32 x, y, z, reflectance, in the given order.
+
+    Args:
+        path: File to write; its folder is made.
+        points_m: (N, 3) in the sensor's frame, each at its own time.
+        intensity: (N,) in 0..1.
+
+    Raises:
+        ShapeError: The arrays have other shapes.
+        DataError: A value is not finite.
+    """
+    if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != (len(points_m),):
+        raise ShapeError(
+            "expected points (N, 3) and intensity (N,), found "
+            f"{points_m.shape} and {intensity.shape} for {path}; pass one row a return"
+        )
+    rows = np.column_stack([points_m, intensity]).astype("<f4")
+    if not np.isfinite(rows).all():
+        raise DataError(f"expected finite returns for {path}, found others; leave those returns out")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows.tofile(path)

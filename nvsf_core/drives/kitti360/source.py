@@ -1,5 +1,6 @@
 """A section of a drive in KITTI-360's layout."""
 
+from collections.abc import Iterator
 from os.path import lexists
 from pathlib import Path
 
@@ -14,12 +15,11 @@ from nvsf_core.drives.kitti360.calibration import (
     read_rectified_camera0_to_pose,
 )
 from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
-from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
-from nvsf_core.drives.kitti360.section import kitti360_section
 from nvsf_core.drives.kitti360.text import require_folder
-from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times
+from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times, recorded_frames
 from nvsf_core.drives.section import Section
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -41,7 +41,20 @@ class Kitti360Drive(AbstractDrive):
 
     def section(self) -> Section:
         """The files that the section reads."""
-        return kitti360_section(self.scene)
+        scene, layout = self.scene, self._layout
+        used = scene.cameras if scene.cameras is not None else CAMERAS
+        places = [layout.scan_path(0).parent, *(layout.camera_dir(name) for name in CAMERAS)]
+        folders = tuple(place for place in places if place.is_dir())
+        wanted = [path for path in _frame_files(layout, scene, used) if path.parent in folders]
+        frames = recorded_frames(layout)
+        needed = [layout.poses_path, layout.calibration_dir]
+        return Section(
+            files=tuple(path for path in (*_common_files(layout), *wanted) if lexists(path)),
+            folders=folders,
+            missing=tuple(_below(path, layout) for path in needed if not lexists(path)),
+            gaps=tuple(_below(path, layout) for path in wanted if not lexists(path)),
+            recorded=(frames[0], frames[-1]) if frames else None,
+        )
 
     def times(self) -> FrameTimes:
         """Times of the frames, from the timestamp files or a nominal period."""
@@ -111,3 +124,23 @@ class Kitti360Drive(AbstractDrive):
             return None
         ours = {frame: poses[frame] @ camera0_to_pose for frame in self.frames if frame in poses}
         return compare_poses(ours, read_cam0_to_world(layout.cam0_to_world_path))
+
+
+def _common_files(layout: DriveLayout) -> Iterator[Path]:
+    """Files that are read whatever frames a scene has."""
+    yield from (layout.perspective_path, layout.cam_to_pose_path, layout.cam_to_velo_path)
+    yield from (layout.fisheye_path(camera) for camera in FISHEYE_CAMERAS)
+    yield from (layout.poses_path, layout.cam0_to_world_path)
+    yield from (layout.timestamps_path(kind) for kind in ("", "start", "end"))
+    yield from (layout.camera_timestamps_path(camera) for camera in CAMERAS)
+    yield from layout.boxes_paths
+
+
+def _frame_files(layout: DriveLayout, scene: SceneEntry, cameras: tuple[str, ...]) -> Iterator[Path]:
+    for frame in range(scene.first_frame, scene.last_frame + 1):
+        yield layout.scan_path(frame)
+        yield from (layout.image_path(camera, frame) for camera in cameras)
+
+
+def _below(path: Path, layout: DriveLayout) -> str:
+    return path.relative_to(layout.root).as_posix()

@@ -249,22 +249,3 @@ def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
 def checksum_of(data: bytes) -> str:
     """First 16 hex digits of the SHA-256 of a file's bytes."""
     return hashlib.sha256(data).hexdigest()[:16]
-
-
-def require_unchanged(path: Path, data: bytes, validated: str) -> None:
-    """Refuse a file that was changed after its validation.
-
-    Args:
-        path: The file, for the message.
-        data: Its bytes now.
-        validated: Its checksum when it was validated; empty = not compared.
-
-    Raises:
-        DataError: The checksums differ.
-    """
-    if validated and checksum_of(data) != validated:
-        raise DataError(
-            f"{path}: changed since the stage `frames` validated it (expected SHA-256 {validated}..., found "
-            f"{checksum_of(data)}...); run again, and where that does not help delete the scene's output "
-            "`frames` first"
-        )

@@ -72,30 +72,6 @@ class WrittenBox:
     """(4, 4), unit cube [-0.5, 0.5]^3 to world; the 3x3 part includes the size as scale."""
 
 
-def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
-    """Write a LiDAR scan as float32 x, y, z, reflectance, in the given order.
-
-    Args:
-        path: File to write; its folder is made.
-        points_m: (N, 3) in the sensor's frame, each at its own time.
-        intensity: (N,) in 0..1.
-
-    Raises:
-        ShapeError: The arrays have other shapes.
-        DataError: A value is not finite.
-    """
-    if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != (len(points_m),):
-        raise ShapeError(
-            "expected points (N, 3) and intensity (N,), found "
-            f"{points_m.shape} and {intensity.shape} for {path}; pass one row a return"
-        )
-    rows = np.column_stack([points_m, intensity]).astype("<f4")
-    if not np.isfinite(rows).all():
-        raise DataError(f"expected finite returns for {path}, found others; leave those returns out")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    rows.tofile(path)
-
-
 def write_image(path: Path, rgb: np.ndarray) -> None:
     """Write an image (H, W, 3) uint8, red first, as PNG.
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nvsf_core.drives.kitti360.boxes import Box
-from nvsf_core.drives.kitti360.scans import Scan
-from nvsf_core.drives.kitti360.writer import write_image, write_scan
+from nvsf_core.drives.kitti360.scans import Scan, write_scan
+from nvsf_core.drives.kitti360.writer import write_image
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole

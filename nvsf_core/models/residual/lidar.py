@@ -29,7 +29,7 @@ from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scan import RenderedSweep, SweepRays
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
-from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.simulation.view_plan import recorded_sweep
 from nvsf_core.training.loop import fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit, training_device
 
@@ -150,7 +150,7 @@ def fire_left_out(
         correct: Corrects the rendered sweep, if any.
     """
     time_s = float(lidar.evidence.prior.time_s[number])
-    plan = SweepPlan("left_out", np.zeros(1, np.int64), np.array([time_s]), None, lidar.sweeps.table, True)
+    plan = recorded_sweep(lidar.sweeps.table, time_s)
     model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes, correct=correct)
     return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
 

@@ -38,7 +38,7 @@ from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
-from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.simulation.view_plan import recorded_sweep
 from nvsf_core.training.loop import fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit, training_device
 
@@ -206,7 +206,7 @@ def expected_pano(
         mount: (4, 4) pose of the sensor in its recorded frame; None = in its own place.
         leave_out_s: Time of a training scan that is treated as if it were held out.
     """
-    plan = SweepPlan("pano", np.zeros(1, np.int64), np.array([time_s]), mount, lidar.sweeps.table, True)
+    plan = recorded_sweep(lidar.sweeps.table, time_s, mount)
     return estimate_pano(
         lambda phase: fire_sweep(model, lidar, plan, time_s, phase=phase, leave_out_s=leave_out_s),
         LinearPano(reference_quirks=True), spec.phases, parts=spec.parts,

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.sweeps import Sweeps
@@ -16,7 +15,7 @@ from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
-from nvsf_core.simulation.view_plan import plan_sweeps, plan_view
+from nvsf_core.simulation.view_plan import recorded_sweep
 from nvsf_core.stages.checks.norms import (
     LEVER,
     NO_NORMS,
@@ -112,23 +111,18 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         return [named.not_run(NO_NORMS) for named in _OF_RENDERING]
     middle = len(norms.time_s) // 2
     time_s = float(norms.time_s[middle])
-    plan = plan_sweeps(
-        plan_view(
-            ViewEntry(name="training", frames=(), times_s=(time_s,)), recording.posed_frame,
-            recording.posed_time_s, recording.trajectory,
-        ),
-        sweeps.table, None,
-    )  # fmt: skip
+    scan = int(np.abs(sweeps.arrays["time_s"] - time_s).argmin())
     # A few lasers represent the whole scan, in a tenth of the time.
     lasers = evidence.lasers[np.unique(np.linspace(0, len(evidence.lasers) - 1, _MOST_LASERS).astype(int))]
     _, rendered = fire_sweep(
         replace(model, correct=None, unobserved=None),
         replace(recording.lidar, evidence=replace(evidence, lasers=lasers)),
-        plan, time_s, leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
+        recorded_sweep(sweeps.table, time_s), time_s,
+        leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
     )  # fmt: skip
     returned = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
-    place = f"training frame {int(plan.frame[0])}"
-    recorded = _recorded_intensity(sweeps, time_s, lasers)
+    place = f"training frame {int(sweeps.arrays['frame'][scan])}"
+    recorded = _recorded_intensity(sweeps, scan, lasers)
     rate = float(returned.mean()) - len(recorded) / (len(lasers) * float(norms.firings[middle]))
     spreads = []
     intensity = np.clip(rendered.intensity[returned], 0.0, 1.0)
@@ -141,9 +135,9 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     ]
 
 
-def _recorded_intensity(sweeps: Sweeps, time_s: float, lasers: np.ndarray) -> np.ndarray:
-    """(m,) intensities, 0..1, of the returns of `lasers` in the scan recorded at `time_s`."""
-    part = sweeps.returns_of(int(np.abs(sweeps.arrays["time_s"] - time_s).argmin()))
+def _recorded_intensity(sweeps: Sweeps, scan: int, lasers: np.ndarray) -> np.ndarray:
+    """(m,) intensities, 0..1, of the returns of `lasers` in a scan."""
+    part = sweeps.returns_of(scan)
     found: np.ndarray = sweeps.arrays["intensity"][part][np.isin(sweeps.arrays["laser"][part], lasers)]
     return found
 

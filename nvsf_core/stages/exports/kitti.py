@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.writer import write_image, write_scan
+from nvsf_core.drives.kitti360.scans import write_scan
+from nvsf_core.drives.kitti360.writer import write_image
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.records import DataSet

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
@@ -24,7 +25,6 @@ from nvsf_core.drives.kitti360.writer import (
     write_numbers,
     write_perspective,
     write_pose,
-    write_scan,
     write_timestamps,
 )
 from nvsf_core.geometry.fisheye import MeiFisheye

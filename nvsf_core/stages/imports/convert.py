@@ -11,9 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from nvsf_core.drives.drive import AbstractDrive, DriveFacts
+from nvsf_core.drives.drive import AbstractDrive, DriveFacts, drive_of
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.formats import drive_of
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.posed import AbstractPosedDrive
 from nvsf_core.errors import DataError

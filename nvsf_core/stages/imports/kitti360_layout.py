@@ -11,7 +11,7 @@ import numpy as np
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import CameraCalibration
 from nvsf_core.drives.kitti360.layout import FISHEYE_CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
-from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.kitti360.scans import Scan, write_scan
 from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
@@ -22,7 +22,6 @@ from nvsf_core.drives.kitti360.writer import (
     write_image,
     write_perspective,
     write_pose,
-    write_scan,
     write_timestamps,
 )
 from nvsf_core.geometry.fisheye import MeiFisheye

@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.drives.section import section_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.errors import DataError
 from nvsf_core.stores.file_hashes import FileHashes
@@ -33,7 +33,7 @@ def drive_digest(scene: SceneEntry, hashes: FileHashes) -> str:
         TimeIsUpError: The time of `hashes` is up.
     """
     try:
-        section = section_of(scene)
+        section = drive_of(scene).section()
         named = {
             path.relative_to(scene.root).as_posix(): hashes.hash_of(path)
             for path in section.files

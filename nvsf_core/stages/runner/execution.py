@@ -12,6 +12,7 @@ from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
+from nvsf_core.stages.runner.kept_memory import keep_freed_memory
 from nvsf_core.stages.runner.record import (
     RECORD_NAME,
     content_of,
@@ -201,7 +202,6 @@ def outcome_of(stage: Stage, path: Path, record: dict[str, Any], *, skipped: boo
 def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task]) -> dict[str, Any]:
     """Make the output and publish it; returns its record."""
     # Here, because it loads torch and numba: asking what is there must not wait for them.
-    from nvsf_core.kernels.kept_memory import keep_freed_memory
     from nvsf_core.kernels.threads import use_threads
 
     use_threads()

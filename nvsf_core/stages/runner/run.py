@@ -8,12 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nvsf_core.drives.catalogue import (
-    SceneEntry,
-    catalogue_from_environment,
-    has_data,
-    home_from_environment,
-)
+from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
+from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError

@@ -9,7 +9,8 @@ import numpy as np
 
 from nvsf_core.clouds.open3d_room import write_pcd
 from nvsf_core.clouds.ply import write_ply
-from nvsf_core.drives.kitti360.writer import write_classes, write_image, write_scan
+from nvsf_core.drives.kitti360.scans import write_scan
+from nvsf_core.drives.kitti360.writer import write_classes, write_image
 from nvsf_core.errors import DataError
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.previews import image_preview, range_preview, support_preview

@@ -42,8 +42,10 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
     """The view of the held-out frames, for each sensor those that it recorded; None if there are none."""
 
     def plan_of(recorded: np.ndarray) -> ViewPlan | None:
-        wanted = tuple(frame for frame in test_frames if frame in recorded)
-        return _plan(recording, ViewEntry(name=HELD_OUT, frames=wanted)) if wanted else None
+        wanted = np.searchsorted(recording.posed_frame, [one for one in test_frames if one in recorded])
+        if len(wanted) == 0:
+            return None
+        return ViewPlan(HELD_OUT, recording.posed_frame[wanted], recording.posed_time_s[wanted], None)
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {name: plan_of(camera.recorded_frame) for name, camera in recording.cameras.items()}
@@ -66,7 +68,8 @@ def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
         MissingFrameError: It asks for a frame without a pose.
         DataError: It asks for a camera that the drive has no images of.
     """
-    plan, lidar = _plan(recording, entry), recording.lidar
+    plan = plan_view(entry, recording.posed_frame, recording.posed_time_s, recording.trajectory)
+    lidar = recording.lidar
     sweeps = None
     if lidar is not None and entry.sensor != NO_SENSOR:
         sweeps = plan_sweeps(plan, lidar.sweeps.table, entry.sensor, has_footprint=entry.footprint)
@@ -98,10 +101,6 @@ def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
     moved = poses.copy()
     moved[:, :3, 3] += recording.scene_origin_m
     return moved
-
-
-def _plan(recording: Recording, entry: ViewEntry) -> ViewPlan:
-    return plan_view(entry, recording.posed_frame, recording.posed_time_s, recording.trajectory)
 
 
 def plan_arrays(plan: ViewPlan) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.drives.detect import kind_of, whole_drive
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.validation import read_drive
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the extra `rosbags` is not installed")

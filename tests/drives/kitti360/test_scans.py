@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan
+from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.errors import DataError
 
 
@@ -13,7 +13,7 @@ def written(path: Path, points: np.ndarray) -> Path:
 
 
 def load_scan(path: Path) -> Scan:
-    return parse_scan(path, path.read_bytes())
+    return parse_scan(path, read_scan_bytes(path))
 
 
 def plausible(n: int = 1000) -> np.ndarray:
@@ -23,7 +23,7 @@ def plausible(n: int = 1000) -> np.ndarray:
 
 def test_a_good_scan_comes_back_bit_for_bit_in_file_order(tmp_path: Path) -> None:
     points = plausible()
-    found = read_scan(written(tmp_path / "a.bin", points))
+    found = load_scan(written(tmp_path / "a.bin", points)).points
     assert found.dtype == np.float32 and np.array_equal(found, points)
 
 
@@ -45,7 +45,7 @@ def test_more_than_one_percent_of_absurd_returns_spoil_the_scan(tmp_path: Path) 
     assert load_scan(written(tmp_path / "ten.bin", points)).n_absurd == 10
     points[10, 0] = np.nan
     with pytest.raises(DataError, match=r"11 of 1000 returns are absurd \(1 not finite, 10 beyond 200 m"):
-        read_scan(written(tmp_path / "eleven.bin", points))
+        load_scan(written(tmp_path / "eleven.bin", points))
 
 
 def test_rays_written_without_an_answer_do_not_spoil_the_scan(tmp_path: Path) -> None:
@@ -59,12 +59,12 @@ def test_a_truncated_scan_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "a.bin", plausible())
     path.write_bytes(path.read_bytes()[:-5])
     with pytest.raises(DataError, match=r"a\.bin: truncated scan, 15995 bytes"):
-        read_scan(path)
+        load_scan(path)
 
 
 def test_an_empty_or_absent_scan_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.bin").touch()
     with pytest.raises(DataError, match="no returns"):
-        read_scan(tmp_path / "a.bin")
+        load_scan(tmp_path / "a.bin")
     with pytest.raises(DataError, match="no scan file"):
-        read_scan(tmp_path / "b.bin")
+        load_scan(tmp_path / "b.bin")

@@ -6,6 +6,7 @@ import pytest
 
 from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.drives.kitti360.calibration import read_mei, read_pinhole
+from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.text import KeyedText
 from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
@@ -15,7 +16,6 @@ from nvsf_core.drives.kitti360.writer import (
     write_fisheye,
     write_image,
     write_perspective,
-    write_scan,
 )
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye

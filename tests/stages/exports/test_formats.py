@@ -13,10 +13,10 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.poses import read_poses
 from nvsf_core.drives.kitti360.timestamps import frame_times
 from nvsf_core.geometry.se3 import invert_pose, transform_points
-from nvsf_core.stages.exports.boxes import boxes_at
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
 from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
+from nvsf_core.stages.views.instances import boxes_at
 from tests.stages.exports import small_data_set as small
 
 MCAP_READER = "written by rosbags and read by mcap-ros2-support, of which one is not installed"

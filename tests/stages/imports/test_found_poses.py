@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.drives.detect import whole_drive
-from nvsf_core.drives.formats import drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.writer import write_plain_scan
