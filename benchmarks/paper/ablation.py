@@ -28,7 +28,7 @@ from benchmarks.paper.ablation_scoring import (
 )
 from benchmarks.paper.ablation_table import RESULTS, write_table
 from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
-from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.geometry.se3 import pose_from_parts, poses_in
 from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.paper.family import train_on_frames
@@ -151,8 +151,7 @@ def _shown_images(scene: Scene, render: ImageRenderer, camera: str) -> Iterator[
     small = shrunk(recording.cameras[camera].training.pinhole, IMAGE_STEP)
     for frame, camera_to_world in zip(*(stored[key] for key in keys), strict=True):
         if frame in scene.run.scene.test_frames:
-            pose = camera_to_world.copy()
-            pose[:3, 3] -= recording.scene_origin_m
+            pose = poses_in(recording.trajectory.scene_to_world, camera_to_world)
             yield int(frame), render(camera, small, pose, time_of[int(frame)]).rgb
 
 

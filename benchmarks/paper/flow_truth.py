@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.geometry.se3 import pose_from_parts, transform_points
 from nvsf_core.models.paper.flow_training import flow_cloud
 from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.stages.scoring.demo_truth import DemoTruth
@@ -67,8 +67,10 @@ def _motion(
     times_s = (
         a["time_s"][scan] + truth.shift_s + truth.period_s * a["sweep_fraction"][part].astype(np.float64)
     )
-    origin_m = a["origin_m"][part].astype(np.float64) + sweeps.scene_origin_m
-    exact = world.cast(origin_m, a["direction"][part].astype(np.float64), times_s)
+    scene_to_world = sweeps.trajectory.scene_to_world
+    origin_m = transform_points(scene_to_world, a["origin_m"][part])
+    direction = a["direction"][part].astype(np.float64) @ scene_to_world[:3, :3].T
+    exact = world.cast(origin_m, direction, times_s)
     known = np.abs(exact.range_m - a["range_m"][part]) < _SAME_SURFACE_M
     known &= ~a["is_own_vehicle"][part]
     ground = np.flatnonzero(known & (exact.instance == 0))[::_GROUND_STEP]
@@ -79,8 +81,9 @@ def _motion(
     surface[instance == 0] = SURFACES.index("ground")
     for number, name in _MOVERS.items():
         surface[instance == number] = SURFACES.index(name)
+    in_world_m = transform_points(scene_to_world, points_m[chosen])
     moved = [
-        displacements_m(world, points_m[chosen] + sweeps.scene_origin_m, times_s[chosen], instance, after_s)
+        displacements_m(world, in_world_m, times_s[chosen], instance, after_s) @ scene_to_world[:3, :3]
         for after_s in (FRAME_PERIOD_S, -FRAME_PERIOD_S)
     ]
     return TrueMotion(

@@ -16,6 +16,7 @@ from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S, FrameTimes, spaced_times
 from nvsf_core.errors import DataError
+from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.sensors.sweep import Trajectory
 
 _LONGEST_GAP_S = 1.0
@@ -49,12 +50,9 @@ class PosePath:
         spare_s = end_s - start_s
         if spare_s > _LONGEST_GAP_S or not start_s - spare_s <= time_s <= end_s + spare_s:
             return None
-        origin_m = self.poses[first, :3, 3]
-        path = Trajectory(self.time_s[first : first + 2], self.poses[first : first + 2], origin_m)
-        rotation, place_m = path.at(np.array([time_s]))
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = rotation[0], place_m[0] + origin_m
-        return pose
+        place = pose_from_parts(np.eye(3), self.poses[first, :3, 3])
+        path = Trajectory(self.time_s[first : first + 2], self.poses[first : first + 2], place)
+        return np.asarray(place @ pose_from_parts(*path.at(np.array([time_s])))[0])
 
 
 class AbstractPosedDrive(AbstractDrive):

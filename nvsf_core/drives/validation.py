@@ -12,6 +12,7 @@ from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.poses import PoseDisagreement
 from nvsf_core.drives.kitti360.timestamps import FrameTimes
 from nvsf_core.errors import DataError
+from nvsf_core.geometry.se3 import exp_so3, pose_from_parts
 
 _FARTHEST_BOX_M = 20_000.0
 """Largest distance of a box from the section's middle. All static boxes of a sequence are read: some km."""
@@ -70,8 +71,8 @@ class Drive:
     boxes: tuple[Box, ...]
     calibration: Calibration
     times: FrameTimes
-    scene_origin_m: np.ndarray
-    """(3,) float64, world: the LiDAR's position in the middle frame, rounded to 1 m."""
+    scene_to_world: np.ndarray
+    """(4, 4) float64: the LiDAR's position and heading in the middle frame, z up as in the world."""
     boxes_left_out: tuple[str, ...]
     """Boxes that were left out, and why."""
     has_scans: bool
@@ -106,8 +107,8 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         frames.append(_frame_row(source, facts, frame, float(times.time_s[index])))
         images += [_camera_row(source, facts, name, frame) for name in calibration.cameras]
     _require_something(source, facts, frames, images)
-    origin_m = _scene_origin_m(frames)
-    boxes, far = _near_boxes(source.boxes(), origin_m)
+    scene_to_world = _scene_to_world(frames)
+    boxes, far = _near_boxes(source.boxes(), scene_to_world[:3, 3])
     notes = [*calibration.notes, *boxes.notes, *facts.notes]
     if calibration.lidar_is_assumed:
         notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")
@@ -120,7 +121,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         sensor=facts.sensor,
         calibration=calibration,
         times=times,
-        scene_origin_m=origin_m,
+        scene_to_world=scene_to_world,
         disagreement=facts.disagreement,
         notes=tuple(notes),
     )
@@ -202,9 +203,11 @@ def _require_something(
     )
 
 
-def _scene_origin_m(frames: list[FrameRow]) -> np.ndarray:
+def _scene_to_world(frames: list[FrameRow]) -> np.ndarray:
     placed = [row.lidar_to_world for row in frames if row.lidar_to_world is not None]
-    return np.round(placed[len(placed) // 2][:3, 3])
+    middle = placed[len(placed) // 2]
+    heading_rad = np.arctan2(middle[1, 0], middle[0, 0])
+    return pose_from_parts(exp_so3(np.array([0.0, 0.0, heading_rad])), middle[:3, 3])
 
 
 def _near_boxes(found: Boxes, origin_m: np.ndarray) -> tuple[Boxes, list[str]]:

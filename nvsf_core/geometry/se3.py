@@ -76,6 +76,16 @@ def invert_pose(pose: np.ndarray) -> np.ndarray:
     return pose_from_parts(turned, -(turned @ pose[..., :3, 3:])[..., 0])
 
 
+def poses_in(frame: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Poses (..., 4, 4) as seen from a frame, itself a pose (4, 4) beside them: inv(frame) @ poses.
+
+    Positions are subtracted before they are turned: far from the origin nothing is lost.
+    """
+    frame, poses = _checked(frame), _checked(poses)
+    apart = poses[..., :3, 3] - frame[:3, 3]
+    return pose_from_parts(frame[:3, :3].T @ poses[..., :3, :3], apart @ frame[:3, :3])
+
+
 def pose_from_parts(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     """4x4 float64 poses from rotations (..., 3, 3) and positions (..., 3) in metres."""
     pose = np.zeros((*position.shape[:-1], 4, 4))

@@ -53,30 +53,33 @@ def splat_depth_map(
 
 
 def agreed_depths(
-    inverse: np.ndarray, label: np.ndarray, weight: np.ndarray, least_share: float
+    inverse: np.ndarray, label: np.ndarray, weight: np.ndarray, least_share: float, expected: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The nearest surface on which enough of n depth maps of a view agree, and the best supported other one.
 
     A single map's errors lie at other places than another's: a depth that only one of several gives is passed
     over for the next one behind it. Where no surface has enough support, the best supported one is taken.
+    Where a moving object is expected and some map shows it, the others say nothing: they show what was there
+    at another time.
 
     Args:
         inverse: (n, H, W) float32, 1/m, each in the view's own pixels.
         label: (n, H, W) uint8: what each pixel of each map shows; unlike ones never agree.
-        weight: (n,) float32, of the maps.
+        weight: (m, n) float32, of the maps, for each of the m labels.
         least_share: Enough weight, as a share of the weight of all maps that know the pixel.
+        expected: (H, W) uint8: the moving object at a pixel, as a label; 0 = none is known to be there.
 
     Returns:
         (2, H, W) float32, 1/m, of both surfaces: the weighted mean of those that agree, 0 where none is;
-        (2, H, W) float32, the weight of those that agree as a share of that of all n maps; and the labels
-        (2, H, W) uint8.
+        (2, H, W) float32, the weight of those that agree as a share of that of all n maps for that label; and
+        the labels (2, H, W) uint8.
     """
     shape = (2, *inverse.shape[1:])
     depth, support = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     labels = np.zeros(shape, np.uint8)
     _agree(
         np.ascontiguousarray(inverse, np.float32), label, np.ascontiguousarray(weight, np.float32),
-        np.float32(least_share), depth, support, labels,
+        np.float32(least_share), expected, depth, support, labels,
     )  # fmt: skip
     return depth, support, labels
 
@@ -109,29 +112,43 @@ def _splat(inverse, label, motions, fx, fy, cx, cy, view, labels):  # type: igno
 
 
 @njit(cache=True, nogil=True)
-def _agree(inverse, label, weight, least_share, depth, support, labels):  # type: ignore[no-untyped-def]
+def _agree(inverse, label, weight, least_share, expected, depth, support, labels):  # type: ignore[no-untyped-def]
     maps, rows, columns = inverse.shape
-    whole = weight.sum()
+    whole = weight.sum(axis=1)
     mass, mean = np.empty(maps, np.float32), np.empty(maps, np.float32)
+    q, what = np.empty(maps, np.float32), np.empty(maps, np.uint8)
     for row in range(rows):
         for column in range(columns):
+            q[:], what[:] = inverse[:, row, column], label[:, row, column]
+            _leave_expected(q, what, expected[row, column])
             total = np.float32(0.0)
             for i in range(maps):
-                mass[i], mean[i] = _agreeing(inverse, label, weight, i, row, column)
-                if inverse[i, row, column] > 0.0:
-                    total += weight[i]
-            first = _front(inverse[:, row, column], mass, least_share * total)
+                mass[i], mean[i] = _agreeing(q, what, weight, i)
+                if q[i] > 0.0:
+                    total += weight[what[i], i]
+            first = _front(q, mass, least_share * total)
             if first < 0:
                 continue
             second = -1
             for i in range(maps):
-                if mass[i] > 0.0 and not _agrees(inverse, label, i, first, row, column):
+                if mass[i] > 0.0 and not _agrees(q, what, i, first):
                     second = i if second < 0 or mass[i] > mass[second] else second
             for place, i in ((0, first), (1, second)):
                 if i >= 0:
                     depth[place, row, column] = mean[i] / mass[i]
-                    support[place, row, column] = mass[i] / whole
-                    labels[place, row, column] = label[i, row, column]
+                    support[place, row, column] = mass[i] / whole[what[i]]
+                    labels[place, row, column] = what[i]
+
+
+@njit(cache=True, nogil=True)
+def _leave_expected(inverse, label, expected):  # type: ignore[no-untyped-def]
+    """Forget the inverse depths of a pixel's maps that do not show the object expected there, if one does."""
+    shown = False
+    for i in range(len(inverse)):
+        shown = shown or (inverse[i] > 0.0 and label[i] == expected)
+    for i in range(len(inverse)):
+        if expected > 0 and shown and label[i] != expected:
+            inverse[i] = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -151,19 +168,18 @@ def _front(inverse, mass, enough):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _agreeing(inverse, label, weight, i, row, column):  # type: ignore[no-untyped-def]
+def _agreeing(inverse, label, weight, i):  # type: ignore[no-untyped-def]
     """Weight of all maps that agree with map i at a pixel, and the weighted sum of their inverse depths."""
     mass, mean = np.float32(0.0), np.float32(0.0)
-    if inverse[i, row, column] > 0.0:
-        for j in range(inverse.shape[0]):
-            if _agrees(inverse, label, i, j, row, column):
-                mass += weight[j]
-                mean += weight[j] * inverse[j, row, column]
+    if inverse[i] > 0.0:
+        for j in range(len(inverse)):
+            if _agrees(inverse, label, i, j):
+                mass += weight[label[j], j]
+                mean += weight[label[j], j] * inverse[j]
     return mass, mean
 
 
 @njit(cache=True, nogil=True)
-def _agrees(inverse, label, i, j, row, column):  # type: ignore[no-untyped-def]
-    q, other = inverse[i, row, column], inverse[j, row, column]
-    near = abs(other - q) <= _AGREE_SHARE * max(q, other) + _AGREE_PER_M
-    return other > 0.0 and near and label[i, row, column] == label[j, row, column]
+def _agrees(inverse, label, i, j):  # type: ignore[no-untyped-def]
+    near = abs(inverse[j] - inverse[i]) <= _AGREE_SHARE * max(inverse[i], inverse[j]) + _AGREE_PER_M
+    return inverse[j] > 0.0 and near and label[i] == label[j]

@@ -122,12 +122,11 @@ def _place(image, size, motion, x, y, q, is_static, share, per_m):  # type: igno
     beside, below = np.uint64(channels), np.uint64(columns * channels)
     if not _between(image, at, beside, below, _SHOWN, down, right) > _ALMOST:
         return nowhere
-    if is_static or channels <= _MOVING:
-        hiding = q * scale * (_ONE + share) + per_m
-        if _between(image, at, beside, below, _DEPTH, down, right) > hiding:
-            return nowhere
-        if channels > _MOVING and _between(image, at, beside, below, _MOVING, down, right) > _HALF:
-            return nowhere
+    hiding = q * scale * (_ONE + share) + per_m
+    if _between(image, at, beside, below, _DEPTH, down, right) > hiding:
+        return nowhere
+    if is_static and channels > _MOVING and _between(image, at, beside, below, _MOVING, down, right) > _HALF:
+        return nowhere
     return True, at, down, right, scale
 
 

@@ -51,14 +51,12 @@ class LidarRecording:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """A drive with LiDAR, cameras, or both; all scene-local, except `scene_origin_m`."""
+    """A drive with LiDAR, cameras, or both; all scene-local."""
 
     lidar: LidarRecording | None
     cameras: dict[str, CameraRecording]
     trajectory: Trajectory
     """Of the LiDAR's frame; without LiDAR, of the frame that calibration or poses give instead."""
-    scene_origin_m: np.ndarray
-    """(3,) float64 metres, in the world."""
     posed_frame: np.ndarray
     """(p,) int64 ascending: frames with a pose, whichever sensor recorded them."""
     posed_time_s: np.ndarray

@@ -34,7 +34,6 @@ class Sweeps:
     table: LaserTable
     elevation_correction_rad: float
     """Angle by which rays were turned up."""
-    scene_origin_m: np.ndarray
 
     def returns_of(self, scan: int) -> slice:
         """Slice of a scan's returns in the flat arrays."""

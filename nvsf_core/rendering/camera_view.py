@@ -9,20 +9,22 @@ from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
 from nvsf_core.rendering.reproject_camera import nearest_sources
 from nvsf_core.rendering.sources import Sources
 from nvsf_core.rendering.view_depth_maps import (
     DepthMaps,
+    NearMaps,
     ViewDepth,
     baseline_sources,
+    camera_distance_m,
     covering_sources,
     depth_in_view,
-    spread_ranks,
+    image_motions,
+    images_near,
 )
-from nvsf_core.rendering.warping import relative_motion, shrunk, to_float
+from nvsf_core.rendering.warping import shrunk, to_float
 
 _DISTANCE_FLOOR_M = 0.05
 _SHOWN, _DEPTH, _MOVING = 3, 4, 5
@@ -54,11 +56,11 @@ class ShownImages:
 
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
-        static = maps.static.to(self.full.device)
+        shown = maps.inverse.to(self.full.device)
 
         def with_it(images: Tensor) -> Tensor:
             images = images.clone()
-            images[:, _DEPTH] = functional.avg_pool2d(static, static.shape[-1] // images.shape[-1])
+            images[:, _DEPTH] = functional.avg_pool2d(shown, shown.shape[-1] // images.shape[-1])
             return images
 
         full = with_it(self.full)
@@ -214,22 +216,23 @@ def camera_view(
     label = lidar.label if images.full.shape[1] > _MOVING else None
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
+    motions = image_motions(pose, poses, [each.moved for each in moving])
     surfaces, chosen = None, known[: spec.sources]
     if own is not None:
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
-    elif images.depths is not None and images.fronts is not None:
-        near = [known[rank] for rank in spread_ranks(len(known))]
-        surfaces = _surfaces(pose, pinhole, images.depths, poses, near, moving)
+    elif images.depths is not None:
+        numbers = images_near(motions, known, label)
+        near = _near_maps(images, motions, numbers, moving)
+        surfaces = depth_in_view(pinhole, near, label)
         if label is not None:
             surfaces = surfaces.completed(label, lidar.inverse)
             label = surfaces.label
-        fronts = [images.fronts[k] for k in near]
-        places = covering_sources(pose, pinhole, surfaces.inverse[0], fronts, poses[near], spec.sources)
-        chosen = [near[place] for place in places]
-    distances = np.linalg.norm(poses[chosen][:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M
+        chosen = [numbers[place] for place in covering_sources(pinhole, surfaces, near, spec.sources)]
+    distances = camera_distance_m(motions[0, chosen]) + _DISTANCE_FLOOR_M
     nearness = torch.zeros(spec.sources)
     nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
     chosen += [chosen[-1]] * (spec.sources - len(chosen))
+    to_sources = torch.from_numpy(motions[:, chosen].astype(np.float32))
     return CameraView(
         pinhole=pinhole,
         factor=shrinking(pinhole, spec),
@@ -238,40 +241,28 @@ def camera_view(
         surfaces=surfaces,
         images=images,
         chosen=chosen,
-        motion=torch.stack([relative_motion(pose, poses[index]) for index in chosen]),
+        motion=to_sources[0],
         nearness=nearness,
-        moved=_moved(pose, poses[chosen], [each.moved[chosen] for each in moving]) if moving else None,
+        moved=to_sources[1:] if moving else None,
         label=label,
     )
 
 
-# Wide: the view (pose, pinhole), the maps with their poses and numbers, and what moves are independent.
-def _surfaces(
-    pose: np.ndarray,
-    pinhole: Pinhole,
-    maps: DepthMaps,
-    poses: np.ndarray,
-    near: Sequence[int],
-    moving: Sequence[MovingPoints],
-) -> ViewDepth:
-    """What the depth maps of the images `near` show in a view; labels are places in `moving`, from 1."""
-    inverse, mover = ([x[k].numpy() for k in near] for x in (maps.inverse, maps.mover))
-    # An object that is not in the view has the last motion, of zeros.
-    still, absent = (np.tile(one, (len(near), 1, 1)) for one in (np.eye(4), np.zeros((4, 4))))
-    moved = np.stack([still, *(each.moved[near] for each in moving), absent])
+def _near_maps(
+    images: ShownImages, motions: np.ndarray, numbers: Sequence[int], moving: Sequence[MovingPoints]
+) -> NearMaps:
+    """Depth maps of the images `numbers`; labels are places in `moving`, from 1."""
+    maps, fronts = images.depths, images.fronts
+    assert maps is not None and fronts is not None
+    inverse, mover = ([x[k].numpy() for k in numbers] for x in (maps.inverse, maps.mover))
     most = max(*(int(one.max()) for one in mover), *(each.number for each in moving), 0)
+    # An object that is not in the view has the last motion, of zeros.
     place = np.full(most + 1, len(moving) + 1, np.uint8)
     place[0] = 0
     for number, each in enumerate(moving, start=1):
         place[each.number] = number
-    labels = [place[one] for one in mover]
-    return depth_in_view(pose, pinhole, inverse, labels, poses[near], moved)
-
-
-def _moved(pose: np.ndarray, sources: np.ndarray, moved: Sequence[np.ndarray]) -> Tensor:
-    """(o, k, 4, 4) from the view's frame to each source's, including each object's own motion."""
-    motions = [[invert_pose(to) @ by @ pose for to, by in zip(sources, each, strict=True)] for each in moved]
-    return torch.from_numpy(np.array(motions, np.float32))
+    near = np.concatenate([motions[:, numbers], np.zeros((1, len(numbers), 4, 4))])
+    return NearMaps(near, inverse, [place[one] for one in mover], [fronts[k] for k in numbers])
 
 
 def places_of(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:

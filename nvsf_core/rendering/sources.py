@@ -25,7 +25,7 @@ class Sources:
 
     images: Tensor
     """(j, c, H, W) float32, all images of the camera. Channels: colour in 0..1; 1 where the pixel shows
-    anything; inverse depth of the static surface that it shows, 1/m, 0 = unknown; and, in drives with moving
+    anything; inverse depth of the surface that it shows, 1/m, 0 = unknown; and, in drives with moving
     objects, 1 where the pixel shows one."""
     chosen: list[int]
     """Which k of them are the sources."""
@@ -58,9 +58,9 @@ def hides(own: Tensor, inverse: Tensor) -> Tensor:
 def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
     """Colours (k, 3, d, h, w) of the sources at points, and whether they show them (k, d, h, w) bool.
 
-    A static pixel is not shown where the source's own depth map has a surface in front of it, or where a
-    moving object hid it when the source image was taken. What is not shown has any colour. Gradients flow to
-    the inverse depths.
+    A pixel is not shown where the source's own depth map has a surface in front of it, nor is a static one
+    where a moving object hid it when the source image was taken. What is not shown has any colour.
+    Gradients flow to the inverse depths.
 
     Args:
         sources: Source images of the view.
@@ -132,5 +132,5 @@ def _look_up_one(
     seen = inside & (found[3] > 0.999) & (sources.nearness[number] > 0)
     is_hidden = hides(found[4], there)
     if label is not None and len(found) > 5:
-        is_hidden = (is_hidden | (found[5] > 0.5)) & (label == STATIC)
+        is_hidden = is_hidden | ((found[5] > 0.5) & (label == STATIC))
     return found[:3], seen & ~is_hidden

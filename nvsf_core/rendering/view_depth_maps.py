@@ -12,8 +12,8 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.depth_splat import agreed_depths, splat_depth_map
 from nvsf_core.rendering.reproject_camera import FAR_M
-from nvsf_core.rendering.sources import hides
-from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, source_pixels
+from nvsf_core.rendering.sources import SeenPoints, hides
+from nvsf_core.rendering.warping import plane_rays, sample, source_pixels
 
 _MOST_MAPS = 12
 """Most images whose depth maps are carried into a view."""
@@ -28,6 +28,10 @@ _THINNED = 8
 """Sources are chosen by one pixel in so many rows and columns."""
 _SECOND = 0.5
 """Worth of a pixel's second best source, beside its best one's."""
+_FIRST = 0.5
+"""Worth, 1/m, that a pixel's only source has beside its nearness: what one image alone shows is no hole."""
+_MOST_MOVERS, _MAPS_OF_MOVER = 3, 3
+"""So many moving objects, the largest in a view, have so many images of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +43,25 @@ class DepthMaps:
     mover: Tensor
     """(j, H, W) int16: number of the moving object that a pixel shows, 0 = static."""
 
+
+@dataclass(frozen=True, slots=True)
+class NearMaps:
+    """Depth maps of k images near to a view, and how the images move against it."""
+
+    motions: np.ndarray
+    """(m, k, 4, 4) float64, see `image_motions`; the last are zeros."""
+    inverse: list[np.ndarray]
+    """(H, W) float32 inverse depths of each image, 1/m; 0 = unknown."""
+    label: list[np.ndarray]
+    """(H, W) uint8: what each of its pixels shows, an index of `motions`; the last if that is not in the
+    view."""
+    fronts: list[Tensor]
+    """(H, W) inverse depths of each image, 1/m, that hide static surfaces behind them."""
+
     @property
-    def static(self) -> Tensor:
-        """(j, H, W) inverse depths of static surfaces alone, 1/m; else 0."""
-        return torch.where(self.mover == 0, self.inverse, 0.0)
+    def weight(self) -> np.ndarray:
+        """(m, k) float32, inversely proportional to the images' distances; 0 = unknown."""
+        return (1.0 / (camera_distance_m(self.motions) + _DISTANCE_FLOOR_M)).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,34 +103,70 @@ def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
     return ranks
 
 
-def depth_in_view(
-    pose: np.ndarray,
-    pinhole: Pinhole,
-    inverse: Sequence[np.ndarray],
-    label: Sequence[np.ndarray],
-    poses: np.ndarray,
-    moved: np.ndarray,
-) -> ViewDepth:
-    """The surfaces that the depth maps of images around a view agree on.
+def image_motions(pose: np.ndarray, poses: np.ndarray, moved: Sequence[np.ndarray]) -> np.ndarray:
+    """How images move against a view, as what is static and each moving object see it.
 
     Args:
         pose: (4, 4) camera to scene-local frame, of the view.
-        pinhole: Intrinsics of the view and of all images.
-        inverse: (H, W) float32 inverse depths of each of k images, 1/m; 0 = unknown.
-        label: (H, W) uint8: what each of their pixels shows, an index of `moved`.
         poses: (k, 4, 4) camera to scene-local frame of each image.
-        moved: (o, k, 4, 4) motion in the scene from the view's instant to each image's: the identity for what
-            is static, then of each moving object; zeros where it is unknown.
+        moved: (k, 4, 4) of each of o objects: its motion in the scene from the view's instant to each
+            image's; zeros where it is unknown.
+
+    Returns:
+        (o + 1, k, 4, 4) float64 from the view's camera frame to each image's: of what is static, then of each
+        object; zeros where it is unknown.
+    """
+    still = np.broadcast_to(np.eye(4), (1, len(poses), 4, 4))
+    by = np.concatenate([still, *(each[None] for each in moved)])
+    motions: np.ndarray = invert_pose(poses) @ by @ pose
+    return motions * (by[..., 3:, 3:] > 0.0)
+
+
+def camera_distance_m(motions: np.ndarray) -> np.ndarray:
+    """Distance (...) of two cameras by the motion (..., 4, 4) between their frames; inf if it is zeros."""
+    return np.where(motions[..., 3, 3] > 0.0, np.linalg.norm(motions[..., :3, 3], axis=-1), np.inf)
+
+
+def images_near(motions: np.ndarray, known: Sequence[int], label: Tensor | None) -> list[int]:
+    """Images whose depth maps are carried into a view, the nearest first.
+
+    They are spread by distance. At another time than the view's, an image that sees a moving object as the
+    view does may be far away: the largest objects in the view have the images nearest to them, too.
+
+    Args:
+        motions: (m, j, 4, 4) of all images, see `image_motions`.
+        known: Numbers of the images to choose from, the nearest first.
+        label: (H, W) uint8: moving objects in the view, as indices of `motions`, 0 = none; None = none.
+    """
+    ranks = set(spread_ranks(len(known)))
+    if label is not None:
+        distance_m = camera_distance_m(motions[:, known])
+        pixels = np.bincount(label.numpy().ravel(), minlength=len(motions))
+        largest = 1 + np.argsort(-pixels[1:], kind="stable")[:_MOST_MOVERS]
+        for mover in largest[pixels[largest] > 0]:
+            nearest = np.argsort(distance_m[mover], kind="stable")[:_MAPS_OF_MOVER]
+            ranks.update(nearest[np.isfinite(distance_m[mover, nearest])].tolist())
+    return [known[rank] for rank in sorted(ranks)]
+
+
+def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> ViewDepth:
+    """The surfaces that the depth maps of images around a view agree on.
+
+    Args:
+        pinhole: Intrinsics of the view and of all images.
+        near: Depth maps of images around it.
+        expected: (H, W) uint8: the moving object that returns show at each pixel, an index of the motions; 0
+            or None = none is known to be there.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
     carried = [
-        splat_depth_map(inverse[k], label[k], _to_view(pose, poses[k], moved[:, k]), intrinsics)
-        for k in range(len(poses))
+        splat_depth_map(inverse, label, _inverted(near.motions[:, k]), intrinsics)
+        for k, (inverse, label) in enumerate(zip(near.inverse, near.label, strict=True))
     ]
-    weight = 1.0 / (np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) + _DISTANCE_FLOOR_M)
+    nothing = np.zeros((pinhole.height, pinhole.width), np.uint8)
     depths, support, labels = agreed_depths(
         np.stack([one for one, _ in carried]), np.stack([one for _, one in carried]),
-        weight.astype(np.float32), _LEAST_SHARE,
+        near.weight, _LEAST_SHARE, nothing if expected is None else expected.numpy(),
     )  # fmt: skip
     known = support[0] > 0.0
     # What a moving object uncovers is static, however near the object is in the image.
@@ -127,12 +182,9 @@ def depth_in_view(
     return ViewDepth(torch.from_numpy(depths), torch.from_numpy(support), torch.from_numpy(labels[0]))
 
 
-def _to_view(pose: np.ndarray, source: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """(o, 4, 4) from an image's camera frame to the view's, by motions (o, 4, 4) between their instants."""
-    motions = np.zeros_like(moved)
-    known = moved[:, 3, 3] > 0.0
-    motions[known] = invert_pose(pose) @ np.linalg.inv(moved[known]) @ source
-    return motions
+def _inverted(motions: np.ndarray) -> np.ndarray:
+    """(m, 4, 4) the other way; zeros stay."""
+    return invert_pose(motions) * (motions[:, 3:, 3:] > 0.0)
 
 
 def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:
@@ -152,22 +204,13 @@ def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: in
     return chosen
 
 
-def covering_sources(
-    pose: np.ndarray,
-    pinhole: Pinhole,
-    inverse: Tensor,
-    fronts: Sequence[Tensor],
-    poses: np.ndarray,
-    most: int,
-) -> list[int]:
+def covering_sources(pinhole: Pinhole, surfaces: ViewDepth, near: NearMaps, most: int) -> list[int]:
     """Images that together see most of a view, near ones preferred; the nearest is always one of them.
 
     Args:
-        pose: (4, 4) camera to scene-local frame, of the view.
         pinhole: Intrinsics of the view and of all images.
-        inverse: (H, W) inverse depth of the view, 1/m, positive.
-        fronts: (H, W) inverse depths that hide what is behind them in each of k images, the nearest first.
-        poses: (k, 4, 4) camera to scene-local frame of these images.
+        surfaces: Of the view.
+        near: Depth maps of images around it, the nearest first.
         most: How many are chosen.
 
     Returns:
@@ -175,30 +218,42 @@ def covering_sources(
     """
     half = _THINNED // 2
     rays = plane_rays(pinhole)[half::_THINNED, half::_THINNED]
-    wanted = inverse[half::_THINNED, half::_THINNED]
+    wanted, label = (x[half::_THINNED, half::_THINNED] for x in (surfaces.inverse[0], surfaces.label))
+    weight = torch.from_numpy(near.weight)
     worth = torch.stack(
         [
-            _seen(relative_motion(pose, at), rays, wanted, front, pinhole).float()
-            / (float(np.linalg.norm(at[:3, 3] - pose[:3, 3])) + _DISTANCE_FLOOR_M)
-            for at, front in zip(poses, fronts, strict=True)
+            _seen(near, k, SeenPoints(rays, wanted, label), pinhole) * weight[:, k][label.long()]
+            for k in range(len(near.inverse))
         ]
     )
     chosen = [0]
-    while len(chosen) < min(most, len(poses)):
+    while len(chosen) < min(most, len(worth)):
         best, second = _two_best(worth[chosen])
         # What each further image would add to the sum of the best and half of the second best of each pixel.
         gain = torch.where(
             worth > best, worth - best + _SECOND * (best - second), _SECOND * (worth - second).clamp_min(0.0)
-        ).sum(dim=(1, 2))
+        )
+        gain = (gain + _FIRST * ((best == 0.0) & (worth > 0.0))).sum(dim=(1, 2))
         gain[chosen] = -1.0
         chosen.append(int(gain.argmax()))
     return sorted(chosen)
 
 
-def _seen(motion: Tensor, rays: Tensor, inverse: Tensor, own: Tensor, pinhole: Pinhole) -> Tensor:
-    """(h, w) bool: the view's points that an image with the depth map `own` shows."""
-    grid, inside, there = source_pixels(motion, rays, inverse, pinhole)
-    return inside & ~hides(sample(own[None], grid, "nearest")[0], there)
+def _seen(near: NearMaps, k: int, points: SeenPoints, pinhole: Pinhole) -> Tensor:
+    """(h, w) bool: the view's points, one of each pixel, that the image k shows."""
+    motions = torch.from_numpy(near.motions[:, k].astype(np.float32))
+    grid, inside, there = source_pixels(motions[0], points.rays, points.inverse, pinhole)
+    seen = inside & ~hides(sample(near.fronts[k][None], grid, "nearest")[0], there)
+    assert points.label is not None
+    for mover in torch.unique(points.label[points.label > 0]).tolist():
+        where = points.label == mover
+        grid, inside, there = source_pixels(
+            motions[mover], points.rays[where], points.inverse[where], pinhole
+        )
+        shown = np.stack([near.inverse[k], near.label[k].astype(np.float32)])
+        own, which = sample(torch.from_numpy(shown), grid[None], "nearest")[:, 0]
+        seen[where] = inside & (which == mover) & ~hides(own, there)
+    return seen
 
 
 def _two_best(worth: Tensor) -> tuple[Tensor, Tensor]:

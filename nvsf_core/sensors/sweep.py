@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError, ShapeError
-from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3
+from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3, poses_in
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up, wrap_angle
 from nvsf_core.sensors.tables import LaserTable
 
@@ -31,25 +31,25 @@ class Trajectory:
     """(n,) float64, ascending: instants of the poses."""
     lidar_to_world: np.ndarray
     """(n, 4, 4) float64 poses, metres."""
-    scene_origin_m: np.ndarray
-    """(3,) float64, world position of the scene's origin."""
+    scene_to_world: np.ndarray
+    """(4, 4) float64, pose of the scene's frame in the world."""
     _local: np.ndarray = field(init=False, repr=False)
     _twists: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the poses and compute the twist from each to the next.
+        """Check the poses, move them into the scene, and compute the twist from each to the next.
 
         Raises:
-            ShapeError: Times, poses and origin do not fit one another.
+            ShapeError: Times, poses and frame do not fit one another.
             DataError: Times do not ascend, or a pose is not finite.
         """
         times_s = np.asarray(self.times_s, np.float64)
-        local = np.array(self.lidar_to_world, np.float64)
-        origin_m = np.asarray(self.scene_origin_m, np.float64)
-        if len(times_s) == 0 or local.shape != (len(times_s), 4, 4) or origin_m.shape != (3,):
+        poses = np.asarray(self.lidar_to_world, np.float64)
+        scene_to_world = np.asarray(self.scene_to_world, np.float64)
+        if len(times_s) == 0 or poses.shape != (len(times_s), 4, 4) or scene_to_world.shape != (4, 4):
             raise ShapeError(
-                f"expected times (n,), poses (n, 4, 4), origin (3,) with n >= 1, found {times_s.shape}, "
-                f"{local.shape}, {origin_m.shape}"
+                f"expected times (n,), poses (n, 4, 4), a frame (4, 4) with n >= 1, found {times_s.shape}, "
+                f"{poses.shape}, {scene_to_world.shape}"
             )
         if not (np.diff(times_s) > 0.0).all():
             where = int(np.argmin(np.diff(times_s)))
@@ -57,12 +57,12 @@ class Trajectory:
                 f"expected ascending times, found {times_s[where]} s before {times_s[where + 1]} s at poses "
                 f"{where} and {where + 1}; correct the timestamps or remove them"
             )
-        if not np.isfinite(local).all():
+        if not np.isfinite(poses).all():
             raise DataError("expected finite poses, found NaN or infinity; leave invalid frames out")
-        local[:, :3, 3] -= origin_m
+        local = poses_in(scene_to_world, poses)
         twists = log_se3(invert_pose(local[:-1]) @ local[1:]) if len(local) > 1 else np.zeros((0, 6))
         object.__setattr__(self, "times_s", times_s)
-        object.__setattr__(self, "scene_origin_m", origin_m)
+        object.__setattr__(self, "scene_to_world", scene_to_world)
         object.__setattr__(self, "_local", local)
         object.__setattr__(self, "_twists", twists)
 
@@ -108,18 +108,18 @@ class Trajectory:
         return origin_m, np.einsum("nij,nj->ni", rotation, direction_s)
 
 
-def trajectory_of(frames: Sequence[Mapping[str, Any]], scene_origin_m: np.ndarray) -> Trajectory:
+def trajectory_of(frames: Sequence[Mapping[str, Any]], scene_to_world: np.ndarray) -> Trajectory:
     """Trajectory of the LiDAR frame, from the frames that have a pose.
 
     Args:
         frames: Each with `pose_valid`, `time_s` and `lidar_to_world`, a 4 x 4 matrix as 16 numbers.
-        scene_origin_m: (3,) float64, the scene's origin in the world.
+        scene_to_world: (4, 4) float64, pose of the scene's frame in the world.
     """
     posed = [frame for frame in frames if frame["pose_valid"]]
     return Trajectory(
         np.array([frame["time_s"] for frame in posed]),
         np.array([frame["lidar_to_world"] for frame in posed]).reshape(-1, 4, 4),
-        scene_origin_m,
+        scene_to_world,
     )
 
 

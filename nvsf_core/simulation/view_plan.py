@@ -171,9 +171,8 @@ def plan_view(
         moments = moments_s(view, recorded_frame, recorded_time_s)
     except DataError as error:
         raise MissingFrameError(f"view {view.name!r}: {error}") from error
-    start = pose_from_parts(*recorded.at(recorded_time_s[:1]))[0]
-    start[:3, 3] += recorded.scene_origin_m
-    path = view_path(view, start, recorded.scene_origin_m)
+    start = recorded.scene_to_world @ pose_from_parts(*recorded.at(recorded_time_s[:1]))[0]
+    path = view_path(view, start, recorded.scene_to_world)
     near_s = moments if path is None else _nearest_s(path, moments, recorded, recorded_time_s)
     is_frozen = view.frozen_at_s is not None
     nearest = np.abs(recorded_time_s[None, :] - near_s[:, None]).argmin(axis=1)
@@ -236,13 +235,13 @@ def table_of(sensor: str | SensorEntry | None, recorded_table: LaserTable) -> La
     return sensor.table() if isinstance(sensor, SensorEntry) else sensor_table(sensor)
 
 
-def view_path(view: ViewEntry, start_to_world: np.ndarray, scene_origin_m: np.ndarray) -> Trajectory | None:
+def view_path(view: ViewEntry, start_to_world: np.ndarray, scene_to_world: np.ndarray) -> Trajectory | None:
     """The path that a view's entry gives; None if it follows the recorded one.
 
     Args:
         view: The entry.
         start_to_world: (4, 4) first recorded pose of the LiDAR: the frame `start`.
-        scene_origin_m: (3,) the scene's origin in the world.
+        scene_to_world: (4, 4) pose of the scene's frame in the world.
     """
     if view.is_on_recorded_path:
         return None
@@ -254,7 +253,7 @@ def view_path(view: ViewEntry, start_to_world: np.ndarray, scene_origin_m: np.nd
         times_s, poses = _smooth(view)
     if view.path_in == "start":
         poses = start_to_world @ poses
-    return Trajectory(*_prolonged(times_s, poses), scene_origin_m)
+    return Trajectory(*_prolonged(times_s, poses), scene_to_world)
 
 
 def _smooth(view: ViewEntry) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
+from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import path_preview
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.runner.heartbeat import sparse
@@ -62,7 +63,7 @@ def _write(folder: Path, drive: Drive) -> None:
     _write_table(folder / "cameras.parquet", drive.images, CAMERA_COLUMNS)
     _write_table(folder / "boxes.parquet", drive.boxes, BOX_COLUMNS)
     facts: dict[str, Any] = {
-        "scene_origin_m": drive.scene_origin_m.tolist(),
+        "scene_to_world": drive.scene_to_world.reshape(-1).tolist(),
         "sweep_period_s": drive.times.sweep_period_s,
         "period_assumed": drive.times.is_assumed,
         "time_source": drive.times.source,
@@ -120,7 +121,7 @@ def _path_picture(drive: Drive) -> bytes:
         if frame.lidar_to_world is None:
             continue
         parts = images.get(frame.frame, []) + ([frame.scan_valid] if drive.has_scans else [])
-        path_m.append((frame.lidar_to_world[:3, 3] - drive.scene_origin_m)[:2])
+        path_m.append(poses_in(drive.scene_to_world, frame.lidar_to_world)[:2, 3])
         frames.append(frame.frame)
         splits.append(frame.split)
         uses.append("whole" if all(parts) else "part" if any(parts) else "none")
@@ -251,7 +252,7 @@ STAGE = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="2",
+    version="3",
     run=_run,
     reads_drive=True,
 )

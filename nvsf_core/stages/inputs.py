@@ -9,6 +9,7 @@ import numpy as np
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.recording.images import CameraImages, CameraRecording
 from nvsf_core.recording.sweeps import LinearPanos, Sweeps
@@ -36,12 +37,23 @@ def read_sweeps(store: SceneStore) -> Sweeps | None:
     return Sweeps(
         arrays=arrays,
         is_training=np.isin(arrays["frame"], list(training)),
-        trajectory=trajectory_of(rows, np.array(attrs["scene_origin_m"])),
+        trajectory=trajectory_of(rows, scene_frame(attrs)),
         period_s=float(attrs["sweep_period_s"]) if attrs["compensated"] else 0.0,
         table=table,
         elevation_correction_rad=float(np.deg2rad(attrs["elevation_correction_deg"])),
-        scene_origin_m=np.array(attrs["scene_origin_m"]),
     )
+
+
+def scene_frame(facts: Mapping[str, Any]) -> np.ndarray:
+    """(4, 4) float64 pose of the scene's frame in the world, from stored `scene_to_world`, row by row.
+
+    Raises:
+        DataError: They are not 16 numbers.
+    """
+    numbers = np.array(facts["scene_to_world"], np.float64)
+    if numbers.shape != (16,):
+        raise DataError(f"scene_to_world: expected 16 numbers, found {numbers.shape}; run frames again")
+    return numbers.reshape(4, 4)
 
 
 def pinhole_of(facts: Mapping[str, Any]) -> Pinhole:
@@ -66,14 +78,14 @@ def read_recording(store: SceneStore) -> Recording:
     frames = store.require("frames")
     rows = sorted(read_rows(frames / "frames.parquet"), key=lambda row: row["frame"])
     posed = [row for row in rows if row["pose_valid"]]
-    origin_m = np.array(read_document(frames / "drive.json")["scene_origin_m"], np.float64)
+    scene_to_world = scene_frame(read_document(frames / "drive.json"))
     sweeps, evidence = read_sweeps(store), read_evidence(store)
     lidar = (
         None
         if sweeps is None or evidence is None
         else LidarRecording(sweeps=sweeps, evidence=evidence, read_panos=lambda: _read_panos(store))
     )
-    cameras = _read_cameras(store, rows, origin_m)
+    cameras = _read_cameras(store, rows, scene_to_world)
     if lidar is None and not cameras:
         raise DataError(
             f"scene {store.scene}: expected scans or training images, found neither; see why frames are left "
@@ -82,8 +94,7 @@ def read_recording(store: SceneStore) -> Recording:
     return Recording(
         lidar=lidar,
         cameras=cameras,
-        trajectory=trajectory_of(rows, origin_m),
-        scene_origin_m=origin_m,
+        trajectory=trajectory_of(rows, scene_to_world),
         posed_frame=np.array([row["frame"] for row in posed], np.int64),
         posed_time_s=np.array([row["time_s"] for row in posed], np.float64),
     )
@@ -95,7 +106,7 @@ def _read_panos(store: SceneStore) -> LinearPanos:
 
 
 def _read_cameras(
-    store: SceneStore, rows: list[dict[str, object]], scene_origin_m: np.ndarray
+    store: SceneStore, rows: list[dict[str, object]], scene_to_world: np.ndarray
 ) -> dict[str, CameraRecording]:
     """The cameras that have a training image, by name."""
     folder = store.require("undistorted") / "images.zarr"
@@ -107,9 +118,7 @@ def _read_cameras(
         used = np.array([row_of[number]["split"] == "train" for number in frame.tolist()], np.bool_)
         if not used.any():
             continue
-        local = pose[used].copy()
-        local[:, :3, 3] -= scene_origin_m
-
+        local = poses_in(scene_to_world, pose[used])
         lidar_to_world = np.array(row_of[int(frame[0])]["lidar_to_world"], np.float64).reshape(4, 4)
         found[name] = CameraRecording(
             training=CameraImages(pinhole_of(facts), rgb[used], local, np.flatnonzero(valid.reshape(-1))),

@@ -144,7 +144,7 @@ def _publish(
     arrays = arrays | placed(recording, view)
     instances, table = instance_arrays(arrays, camera_models(attrs), boxes_of(task.store, arrays["time_s"]))
     arrays, attrs = arrays | instances, attrs | {"instances": table}
-    write_method(task, view.name, MODEL, arrays, attrs, recording.scene_origin_m)
+    write_method(task, view.name, MODEL, arrays, attrs, recording.trajectory.scene_to_world)
     folder = task.folder / view.name
     if "points_m" in arrays:
         write_scans(folder, view.plan.number.tolist(), scans_of(arrays))
@@ -154,7 +154,8 @@ def _publish(
 
 def _write(task: Task, recording: Recording, view: View, arrays: dict[str, np.ndarray], method: str) -> None:
     attrs = view_attrs(recording, view)
-    write_method(task, view.name, method, arrays | placed(recording, view), attrs, recording.scene_origin_m)
+    arrays = arrays | placed(recording, view)
+    write_method(task, view.name, method, arrays, attrs, recording.trajectory.scene_to_world)
 
 
 def _check(task: Task) -> list[Check]:
@@ -167,7 +168,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="19",
+    version="20",
     run=_run,
     per_recipe=True,
     reads_views=True,

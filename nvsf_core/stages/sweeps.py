@@ -9,6 +9,7 @@ import numpy as np
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
+from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
 from nvsf_core.sensors.found_table import find_table
@@ -18,6 +19,7 @@ from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehi
 from nvsf_core.sensors.sweep import compensate, trajectory_of
 from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, SENSOR_TABLES, LaserTable, sensor_table, table_facts
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
+from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.sizes import sweeps_bytes
@@ -63,12 +65,12 @@ def _run(task: Task) -> StageOutput:
     source = sources.most_common(1)[0][0] if scans else UNKNOWN
     correction_rad = 0.0 if source == UNKNOWN else table.elevation_correction_rad
     rays = _placed(task, table, posed, scans, drive, correction_rad)
-    arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, np.array(drive["scene_origin_m"])))
+    arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, scene_frame(drive)))
     arrays |= _mirrored(table, scans)
     arrays |= _laser_errors(table, scans, arrays)
     evidence = found + _evidence(scans, sources)
     attrs = {
-        "scene_origin_m": drive["scene_origin_m"],
+        "scene_to_world": drive["scene_to_world"],
         "sweep_period_s": drive["sweep_period_s"],
         "elevation_correction_deg": float(np.rad2deg(correction_rad)),
         "laser_source": source,
@@ -129,7 +131,7 @@ def _placed(
     if not scans:
         return []
     # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
-    trajectory = trajectory_of(posed, np.array(drive["scene_origin_m"], np.float64))
+    trajectory = trajectory_of(posed, scene_frame(drive))
     say = sparse(task.progress)
     # A period of 0 puts a whole scan at its pose's instant, as the papers do.
     period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
@@ -147,19 +149,20 @@ def _placed(
 
 
 def _learn_own_vehicle(
-    table: LaserTable, scans: list[_Scan], rays: list[_Rays], scene_origin_m: np.ndarray
+    table: LaserTable, scans: list[_Scan], rays: list[_Rays], scene_to_world: np.ndarray
 ) -> OwnVehicle:
     training = [(one, ray) for one, ray in zip(scans, rays, strict=True) if one.row["split"] == "train"]
     firings = [scan.timing.firings for scan, _ in training if scan.timing.firings > 0]
     # Cells finer than the firings would be empty by chance and miss the car.
     cells = min(_OWN_VEHICLE_CELLS, min(firings, default=_OWN_VEHICLE_CELLS))
+    poses = poses_in(scene_to_world, _poses([scan for scan, _ in training]))
     placed = [
         PlacedScan(
             points_m=scan.points_m, intensity=scan.intensity, laser=scan.timing.laser,
             world_m=(origin_m + direction * range_m[:, None]).astype(np.float32),
-            position_m=np.array(scan.row["lidar_to_world"], np.float64).reshape(4, 4)[:3, 3] - scene_origin_m,
+            position_m=pose[:3, 3],
         )
-        for scan, (origin_m, direction, range_m) in training
+        for (scan, (origin_m, direction, range_m)), pose in zip(training, poses, strict=True)
     ]  # fmt: skip
     return learn_own_vehicle(table, placed, cells)
 
@@ -177,11 +180,10 @@ def _mirrored(table: LaserTable, scans: list[_Scan]) -> dict[str, np.ndarray]:
 
 def _arrays(scans: list[_Scan], rays: list[_Rays], own: OwnVehicle) -> dict[str, np.ndarray]:
     counts = [len(scan.points_m) for scan in scans]
-    poses = np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
     return {
         "frame": np.array([scan.row["frame"] for scan in scans], np.int64),
         "time_s": np.array([scan.row["time_s"] for scan in scans], np.float64),
-        "lidar_to_world": poses,
+        "lidar_to_world": _poses(scans),
         "firings": np.array([scan.timing.firings for scan in scans], np.int32),
         "offsets": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         "points_m": _joined([scan.points_m for scan in scans], np.float32, 3),
@@ -196,6 +198,11 @@ def _arrays(scans: list[_Scan], rays: list[_Rays], own: OwnVehicle) -> dict[str,
         "own_vehicle_range_m": own.range_m,
         "own_vehicle_intensity": own.intensity,
     }
+
+
+def _poses(scans: list[_Scan]) -> np.ndarray:
+    """(n, 4, 4) float64 poses of the scans in the world."""
+    return np.array([scan.row["lidar_to_world"] for scan in scans], np.float64).reshape(-1, 4, 4)
 
 
 def _joined(parts: list[np.ndarray], dtype: type, columns: int = 0) -> np.ndarray:
@@ -364,7 +371,7 @@ STAGE = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="8",
+    version="9",
     run=_run,
     reads_drive=True,
     check=check_registration,

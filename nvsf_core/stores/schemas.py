@@ -128,8 +128,8 @@ CONTRACT: tuple[FileSpec, ...] = (
                 "own_vehicle_intensity", "f4", ("lasers", "azimuth_cells"), "1", "median over training scans"
             ),
         ),
-        "scene_origin_m, sweep_period_s, elevation_correction_deg, laser_source, laser_evidence, "
-        "compensated, sensor, sensor_table (of lasers that were found from the scans)",
+        "scene_to_world (4 x 4, row by row), sweep_period_s, elevation_correction_deg, laser_source, "
+        "laser_evidence, compensated, sensor, sensor_table (of lasers that were found from the scans)",
     ),
     FileSpec(
         "pano", "pano/pano.zarr", "zarr", "Range images; 0 = no return.",
@@ -218,10 +218,10 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),
         ),
         "split, sensor (empty = no LiDAR), method, recipe, seed, cameras, parameters, model_mb, "
-        "train_seconds, peak_memory_mb, scene_origin_m, scene_rate and path_rate (seconds of the scene "
-        "and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or null), "
-        "sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m (of "
-        "the drive's scans), cameras_like (cameras of other intrinsics: whose place they have), "
+        "train_seconds, peak_memory_mb, scene_to_world (4 x 4, row by row), scene_rate and path_rate "
+        "(seconds of the scene and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or "
+        "null), sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m "
+        "(of the drive's scans), cameras_like (cameras of other intrinsics: whose place they have), "
         "camera_models, camera_in_lidar, instances (labelled objects that `<camera>_instance` has as values)",
     ),
     FileSpec(

@@ -261,7 +261,7 @@ def test_recorded_ranges_are_the_worlds_along_the_ingested_rays(world):
     origin, direction, range_m = recorded_ray_of_points(HDL_64E, scan.points_m, timing.laser)
     theta = encoder_angle(HDL_64E, scan.points_m, timing.laser)
     origin, direction = turn_up(origin, direction, theta, HDL_64E.elevation_correction_rad)
-    path = Trajectory(times_s, world.lidar_to_world(times_s), np.zeros(3))
+    path = Trajectory(times_s, world.lidar_to_world(times_s), np.eye(4))
     time_s = times_s[frame] + timing.sweep_fraction * 0.1
     origin, direction = path.move_rays(origin, direction, time_s)
     truth = world.cast(origin, direction, time_s).range_m

@@ -45,7 +45,7 @@ def test_without_planes_nobody_is_suspected(kept) -> None:
 
 def test_a_simulated_laser_records_its_bias() -> None:
     poses = np.tile(np.eye(4), (2, 1, 1))
-    trajectory = Trajectory(np.array([0.0, 1.0]), poses, np.zeros(3))
+    trajectory = Trajectory(np.array([0.0, 1.0]), poses, np.eye(4))
     biased = replace(VLP_16, range_bias_m=np.linspace(-0.05, 0.05, 16))
     rays, exact = (sweep_rays(table, np.arange(16), 90, trajectory, 0.5, 0.1) for table in (biased, VLP_16))
     assert np.array_equal(rays.origin_m, exact.origin_m), "the ray in the world is the laser's, biased or not"

@@ -20,7 +20,7 @@ FRACTION = ((np.arange(FIRINGS) + 0.5) / FIRINGS - 0.5).astype(np.float32)
 def driving(speed_m_s: float) -> Trajectory:
     time_s = np.arange(FRAMES) * FRAME_S
     place = np.stack([speed_m_s * time_s, np.zeros(FRAMES), np.zeros(FRAMES)], axis=1)
-    return Trajectory(time_s, pose_from_parts(np.eye(3)[None].repeat(FRAMES, 0), place), np.zeros(3))
+    return Trajectory(time_s, pose_from_parts(np.eye(3)[None].repeat(FRAMES, 0), place), np.eye(4))
 
 
 def measured(range_m: np.ndarray) -> tuple[StationaryScans, DropPrior]:
@@ -52,7 +52,7 @@ def test_only_scans_that_were_taken_where_another_frame_was_are_kept() -> None:
     stops = driving(9.0)
     poses = stops.lidar_to_world.copy()
     poses[5:, 0, 3] = poses[5, 0, 3]
-    halted = find_stationary_scans(time_s, Trajectory(stops.times_s, poses, np.zeros(3)))
+    halted = find_stationary_scans(time_s, Trajectory(stops.times_s, poses, np.eye(4)))
     assert TRAINING[halted].tolist() == [5, 6, 7, 8]
 
 

@@ -73,7 +73,7 @@ def plate_at(dynamic: DynamicEvidence, time_s: float, leave_out: int | None = No
     is_hit[(HDL_64E.elevation_rad + HDL_64E.vertical_offset_m / PLATE_M) < 0.0] = False
     fraction = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     prior = DropPrior(instants, fraction, np.tile(is_hit, (SCANS, 1, 1)))
-    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     hit_priors = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
     (plate,) = objects_at(dynamic.objects, time_s, hit_priors, leave_out=leave_out)
     return (plate,)

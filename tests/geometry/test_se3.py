@@ -9,6 +9,8 @@ from nvsf_core.geometry.se3 import (
     invert_pose,
     log_se3,
     log_so3,
+    pose_from_parts,
+    poses_in,
     transform_points,
 )
 
@@ -61,6 +63,13 @@ def test_inverse_undoes_a_motion():
     points = np.random.default_rng(1).normal(size=(50, 3))
     back = transform_points(invert_pose(pose[0]), transform_points(pose[0], points))
     np.testing.assert_allclose(back, points, atol=1e-14)
+
+
+def test_poses_in_a_frame_are_found_again_however_far_out_it_lies():
+    local = exp_se3(np.random.default_rng(0).normal(size=(50, 6)) * 20.0)
+    frame = pose_from_parts(exp_so3(np.array([0.0, 0.0, 2.0])), np.array([5e6, -5e6, 115.0]))
+    # Half a float64 step at 5e6 m is 0.47 nm an axis, 0.66 nm of two; a product with the inverse loses more.
+    np.testing.assert_allclose(poses_in(frame, frame @ local), local, rtol=0.0, atol=7e-10)
 
 
 def test_wrong_shapes_are_named():

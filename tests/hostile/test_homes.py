@@ -175,7 +175,7 @@ READ = [
         lambda store: _foreign(store.path(RETURNS)),
         "expected 1 chunks, found 0",
     ),
-    ("no origin", lambda store: store.path(DRIVE).write_text("{}"), "drive.json: expected 'scene_origin_m'"),
+    ("no origin", lambda store: store.path(DRIVE).write_text("{}"), "drive.json: expected 'scene_to_world'"),
 ]
 
 

@@ -49,12 +49,15 @@ def test_what_moves_is_where_it_is_at_the_views_instant_and_absent_where_that_is
     assert gone.max() < 0.06 and (labels == 0).all()
 
 
-def agreed(*values: float, weight: tuple[float, ...] = (), label: tuple[int, ...] = ()) -> tuple[float, ...]:
+def agreed(
+    *values: float, weight: tuple[float, ...] = (), label: tuple[int, ...] = (), expected: int = 0
+) -> tuple[float, ...]:
     """Depth and support of both surfaces at the one pixel of maps with these inverse depths."""
     inverse = np.array(values, np.float32)[:, None, None]
     labels = np.array(label or (0,) * len(values), np.uint8)[:, None, None]
-    weights = np.array(weight or (1.0,) * len(values), np.float32)
-    depth, support, _ = agreed_depths(inverse, labels, weights, 0.3)
+    weights = np.tile(np.array(weight or (1.0,) * len(values), np.float32), (3, 1))
+    there = np.full((1, 1), expected, np.uint8)
+    depth, support, _ = agreed_depths(inverse, labels, weights, 0.3, there)
     return (*depth[:, 0, 0].tolist(), *support[:, 0, 0].tolist())
 
 
@@ -88,3 +91,22 @@ def test_pixels_on_both_sides_of_an_edge_are_unknown_and_slopes_are_none() -> No
     kept = without_edges(inverse)
     assert (kept[:, 39:41] == 0.0).all() and (kept[:, :39] == inverse[:, :39]).all()
     assert (kept[:, 41:] == inverse[:, 41:]).all()
+
+
+def test_where_a_moving_object_is_expected_maps_that_show_what_was_there_before_do_not_hide_it() -> None:
+    # One map of five has seen the object that is there now; the others show the street without it.
+    before = (0.2, 0.1, 0.1, 0.1, 0.1)
+    assert abs(agreed(*before, label=(2, 0, 0, 0, 0))[0] - 0.1) < 1e-6
+    front, other, share, other_share = agreed(*before, label=(2, 0, 0, 0, 0), expected=2)
+    assert abs(front - 0.2) < 1e-6 and abs(share - 0.2) < 1e-6 and (other, other_share) == (0.0, 0.0)
+    # No map has seen that one: what they show stays.
+    assert abs(agreed(*before, label=(2, 0, 0, 0, 0), expected=1)[0] - 0.1) < 1e-6
+
+
+def test_a_map_has_a_weight_of_its_own_for_each_label() -> None:
+    inverse = np.array([0.2, 0.1], np.float32)[:, None, None]
+    weight = np.array([[1.0, 2.0], [3.0, 1.0]], np.float32)
+    for label, depth, share in ((0, 0.1, 2 / 3), (1, 0.2, 3 / 4)):
+        labels = np.full((2, 1, 1), label, np.uint8)
+        found, support, _ = agreed_depths(inverse, labels, weight, 0.5, np.zeros((1, 1), np.uint8))
+        assert abs(found[0, 0, 0] - depth) < 1e-6 and abs(support[0, 0, 0] - share) < 1e-6

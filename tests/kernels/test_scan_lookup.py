@@ -28,7 +28,7 @@ def trajectory(speed_m_s: float) -> Trajectory:
     cosine, sine = np.cos(0.2 * times), np.sin(0.2 * times)
     poses[:, 0, 0], poses[:, 0, 1], poses[:, 1, 0], poses[:, 1, 1] = cosine, -sine, sine, cosine
     poses[:, 0, 3] = speed_m_s * times
-    return Trajectory(times, poses, np.zeros(3))
+    return Trajectory(times, poses, np.eye(4))
 
 
 def recorded(speed_m_s: float) -> tuple[np.ndarray, Lasers, SweepGrid]:

@@ -71,7 +71,7 @@ def test_an_object_is_shown_as_it_is_when_the_sweep_meets_it(walking: Walk, lag_
     met_s = shown.path.time_s
     instants = met_s - lag_s
     prior = DropPrior(instants, np.zeros((SCANS, 1), np.float32), np.ones((SCANS, 64, 1), bool))
-    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     hit_priors = ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
     between_s = float(0.5 * (met_s[6] + met_s[7]))
     (one,) = objects_at((shown,), between_s - lag_s, hit_priors)

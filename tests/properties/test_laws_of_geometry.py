@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as arrays
 
 from benchmarks.numerics.cases.geometry import KITTI_360
 from benchmarks.numerics.cases.tolerances import LENGTH_M, SHIFTED_POSE_M
+from nvsf_core.geometry.angles import pose_of_angles
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import (
     exp_se3,
@@ -77,15 +78,14 @@ def test_motions_keep_distances(twist: np.ndarray, a: np.ndarray, b: np.ndarray)
 
 
 @LAW
-@given(_vectors(5e6), twists(1.0), st.floats(-0.05, 0.25))
-def test_rays_do_not_notice_where_the_world_begins(
-    shift: np.ndarray, step: np.ndarray, when_s: float
+@given(_vectors(5e6), st.floats(-180.0, 180.0), twists(1.0), st.floats(-0.05, 0.25))
+def test_rays_do_not_notice_where_the_world_begins_and_where_its_north_is(
+    shift: np.ndarray, heading_deg: float, step: np.ndarray, when_s: float
 ) -> None:
     rays = []
-    for offset in (np.zeros(3), np.round(shift)):
-        poses = np.stack([np.eye(4), exp_se3(step), exp_se3(step) @ exp_se3(step)])
-        poses[:, :3, 3] += offset
-        trajectory = Trajectory(np.array([0.0, 0.1, 0.2]), poses, offset)
+    for frame in (np.eye(4), pose_of_angles(tuple(shift), heading_deg, 0.0, 0.0)):
+        poses = frame @ np.stack([np.eye(4), exp_se3(step), exp_se3(step) @ exp_se3(step)])
+        trajectory = Trajectory(np.array([0.0, 0.1, 0.2]), poses, frame)
         origin, direction = trajectory.move_rays(
             np.array([[0.0, 0.0, 0.2]]), np.array([[0.6, 0.0, 0.8]]), np.array([when_s])
         )

@@ -14,7 +14,7 @@ NEAR = np.arange(SCANS)
 
 def recorded(range_m: np.ndarray, unit_gaps: np.ndarray | None = None) -> tuple[RecordedSweeps, SweepRays]:
     """Two scans from one place with ranges (2, 64, 400), and the rays that they were fired along."""
-    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     rays = sweep_rays(HDL_64E, LASERS, FIRINGS, path, PERIOD_S, PERIOD_S)
     fraction = np.tile(rays.fraction[:FIRINGS].astype(np.float32), (SCANS, 1))
     grids = RecordedSweeps(

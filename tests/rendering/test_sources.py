@@ -84,3 +84,18 @@ def test_a_depth_that_is_not_finite_is_refused() -> None:
     points.inverse[0, 3, 4] = torch.nan
     with pytest.raises(DivergedError, match="inverse depths"):
         look_up(sources, points, CAMERA)
+
+
+def test_an_image_shows_of_a_moving_object_what_it_does_not_hide_itself() -> None:
+    """An object 5 m ahead; on the right the image itself shows a surface 4 m ahead."""
+    images = torch.rand(1, 6, 32, 48, generator=torch.Generator().manual_seed(0))
+    images[:, 3], images[:, 4], images[:, 5] = 1.0, 0.2, 1.0
+    images[:, 4, :, 24:] = 0.25
+    still = torch.eye(4)[None]
+    sources = Sources(images, [0], still, torch.ones(1), still[None])
+    points = SeenPoints(
+        plane_rays(CAMERA), torch.full((1, 32, 48), 0.2), torch.ones(32, 48, dtype=torch.uint8)
+    )
+    for _, seen in (look_up(sources, points, CAMERA), _look_up_one(sources, 0, points, CAMERA)):
+        shown = seen.reshape(32, 48)
+        assert shown[:, :23].all() and not shown[:, 25:].any()

@@ -11,7 +11,17 @@ from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.pixel_support import pixel_support
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources, covering_sources, spread_ranks
+from nvsf_core.rendering.view_depth_maps import (
+    DepthMaps,
+    NearMaps,
+    ViewDepth,
+    baseline_sources,
+    camera_distance_m,
+    covering_sources,
+    image_motions,
+    images_near,
+    spread_ranks,
+)
 
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
 SPEC = CameraSpec(sources=3, plane_px=64 * 32)
@@ -70,16 +80,72 @@ def test_what_no_image_shows_is_guessed_and_what_one_shows_from_elsewhere_extrap
     assert (classes[:, (x_m > 4.0) & (x_m < 9.0)] == Support.EXTRAPOLATED).float().mean() > 0.9
 
 
+def near_maps(at: np.ndarray, places: np.ndarray, inverse: np.ndarray, mover: np.ndarray) -> NearMaps:
+    """Maps of images at `places`, all of whose pixels `mover` (k, H, W) move as what is static does."""
+    motions = image_motions(at, places, [np.tile(np.eye(4), (len(places), 1, 1))])
+    fronts = [torch.from_numpy(one) for one in np.where(mover > 0, np.float32(1e3), inverse)]
+    return NearMaps(motions, list(inverse), list(mover), fronts)
+
+
+def facing(label: int = 0) -> ViewDepth:
+    """The wall alone, static or as a moving object."""
+    return ViewDepth(
+        torch.full((2, 32, 64), 1.0 / WALL_M), torch.ones(2, 32, 64),
+        torch.full((32, 64), label, dtype=torch.uint8),
+    )  # fmt: skip
+
+
 def test_sources_are_those_that_see_most_together_with_the_nearest_among_them() -> None:
     # Three images beside each other see the same; the last sees around the post.
     places = np.stack([pose(x) for x in (1.8, 1.9, 2.0, -2.0)])
-    fronts = torch.from_numpy(np.stack([depth_map(place) for place in places]))
-    inverse = torch.full((32, 64), 1.0 / WALL_M)
-    assert covering_sources(pose(1.0), CAMERA, inverse, fronts, places, 3) == [0, 1, 3]
-    assert covering_sources(pose(1.0), CAMERA, inverse, fronts, places, 9) == [0, 1, 2, 3]
+    inverse = np.stack([depth_map(place) for place in places])
+    near = near_maps(pose(1.0), places, inverse, np.zeros(inverse.shape, np.uint8))
+    assert covering_sources(CAMERA, facing(), near, 3) == [0, 1, 3]
+    assert covering_sources(CAMERA, facing(), near, 9) == [0, 1, 2, 3]
     # What shows nothing is no use, however near it is.
-    fronts[1] = 1e3
-    assert covering_sources(pose(1.0), CAMERA, inverse, fronts, places, 3) == [0, 2, 3]
+    near.fronts[1][:] = 1e3
+    assert covering_sources(CAMERA, facing(), near, 3) == [0, 2, 3]
+
+
+def test_an_image_that_alone_shows_a_part_of_a_view_is_a_source_however_far_it_is() -> None:
+    places = np.stack([pose(x) for x in (1.0, 1.1, 1.5, -7.0)])
+    inverse = np.full((4, 32, 64), 1.0 / WALL_M, np.float32)
+    # The near three do not see a quarter of the view; the third sees a little more of it than the second.
+    inverse[:3, :, 24:40] = 1.0 / POST_M
+    inverse[1, :, :8] = 1.0 / POST_M
+    near = near_maps(pose(1.0), places, inverse, np.zeros(inverse.shape, np.uint8))
+    assert covering_sources(CAMERA, facing(), near, 3) == [0, 1, 3]
+
+
+def test_a_moving_object_is_seen_by_images_that_show_it_and_nothing_in_front() -> None:
+    places = np.stack([pose(x) for x in (1.0, 1.1, 1.2, 1.3)])
+    inverse = np.full((4, 32, 64), 1.0 / WALL_M, np.float32)
+    mover = np.zeros((4, 32, 64), np.uint8)
+    mover[2:] = 1
+    inverse[2] = 1.0 / POST_M
+    near = near_maps(pose(1.0), places, inverse, mover)
+    # The second shows static wall there, the third another side of the object, nearer than the wanted one.
+    assert covering_sources(CAMERA, facing(1), near, 2) == [0, 3]
+
+
+def test_a_moving_object_brings_the_images_that_see_it_as_the_view_does() -> None:
+    """Twenty images, a metre apart; at the last one's instant the object was as far ahead as in the view."""
+    places = np.stack([pose(0.0, -float(k)) for k in range(20)])
+    moved = np.tile(np.eye(4), (20, 1, 1))
+    moved[:, 2, 3] = 5.0
+    moved[19, 2, 3], moved[18] = -19.0, 0.0
+    motions = image_motions(pose(0.0), places, [moved])
+    alone = images_near(motions, range(20), None)
+    assert alone[:4] == [0, 1, 2, 3] and 19 not in alone
+    label = torch.zeros(32, 64, dtype=torch.uint8)
+    assert images_near(motions, range(20), label) == alone, "it is not in the view"
+    label[4:6, 4:6] = 1
+    with_it = images_near(motions, range(20), label)
+    assert 19 in with_it and set(alone) <= set(with_it) and with_it == sorted(with_it)
+    # Where its pose is unknown no image is near to it.
+    assert images_near(image_motions(pose(0.0), places, [moved * 0.0]), range(20), label) == alone
+    np.testing.assert_allclose(camera_distance_m(motions)[:, [0, 19]], [[0.0, 19.0], [5.0, 0.0]], atol=1e-12)
+    assert camera_distance_m(motions)[1, 18] == np.inf
 
 
 def test_what_moved_through_a_source_leaves_no_ghost_in_a_view_without_it() -> None:

@@ -21,7 +21,7 @@ NEAR = np.arange(SCANS)
 
 
 def standing(mount: np.ndarray | None = None) -> tuple[Trajectory, SweepRays]:
-    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     return path, sweep_rays(HDL_64E, LASERS, FIRINGS, path, PERIOD_S, PERIOD_S, mount=mount)
 
 
@@ -38,7 +38,7 @@ def recorded(is_hit: np.ndarray) -> LidarRecording:
     }  # fmt: skip
     sweeps = Sweeps(
         arrays=arrays, is_training=np.ones(SCANS, bool), trajectory=path, period_s=PERIOD_S, table=HDL_64E,
-        elevation_correction_rad=HDL_64E.elevation_correction_rad, scene_origin_m=np.zeros(3),
+        elevation_correction_rad=HDL_64E.elevation_correction_rad,
     )  # fmt: skip
     count = len(rays.laser)
     surfels = build_surfels(

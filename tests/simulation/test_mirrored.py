@@ -47,9 +47,9 @@ def drive() -> LidarRecording:
     surfels = build_surfels(0 * ray, ray, np.ones(1, np.float32), np.ones(1, np.float32), voxel_m=0.2)
     own = np.zeros((64, 4), np.float32)
     evidence = SceneEvidence(surfels, prior, np.arange(64, dtype=np.int16), np.full(2, FIRINGS), own, own)
-    still = Trajectory(instants, np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
+    still = Trajectory(instants, np.tile(np.eye(4), (2, 1, 1)), np.eye(4))
     arrays |= {"offsets": offsets, "time_s": instants, "frame": np.arange(2), "bonnet_shape": SHAPE}
-    sweeps = Sweeps(arrays, np.ones(2, bool), still, PERIOD_S, HDL_64E, 0.0, np.zeros(3))
+    sweeps = Sweeps(arrays, np.ones(2, bool), still, PERIOD_S, HDL_64E, 0.0)
     return LidarRecording(sweeps=sweeps, evidence=evidence)
 
 
@@ -103,9 +103,7 @@ def test_where_the_bonnet_mirrors_past_what_was_recorded_the_recorded_range_stay
 
 def test_a_drive_without_a_bonnet_is_rendered_as_before(drive: LidarRecording) -> None:
     arrays = {name: column for name, column in drive.sweeps.arrays.items() if name != "bonnet_shape"}
-    plain = Sweeps(
-        arrays, drive.sweeps.is_training, drive.sweeps.trajectory, PERIOD_S, HDL_64E, 0.0, np.zeros(3)
-    )
+    plain = Sweeps(arrays, drive.sweeps.is_training, drive.sweeps.trajectory, PERIOD_S, HDL_64E, 0.0)
     rays = swept(drive)
     before = without_mirrored(rays)
     after = add_mirrored(

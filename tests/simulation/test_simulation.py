@@ -95,12 +95,12 @@ def test_copying_answers_only_with_the_same_laser_within_a_fifth_of_a_degree() -
 
 
 def still_sweep(mount: np.ndarray | None = None):
-    trajectory = Trajectory(TIMES, np.tile(np.eye(4), (5, 1, 1)), np.zeros(3))
+    trajectory = Trajectory(TIMES, np.tile(np.eye(4), (5, 1, 1)), np.eye(4))
     return sweep_rays(HDL_64E, np.array([0, 30]), 50, trajectory, 0.2, 0.1, mount=mount)
 
 
 def plan(name: str, frames=None, times_s=None, sensor=None):
     frames = frames or ("all" if times_s is None else ())
-    still = Trajectory(TIMES, np.tile(np.eye(4), (len(TIMES), 1, 1)), np.zeros(3))
+    still = Trajectory(TIMES, np.tile(np.eye(4), (len(TIMES), 1, 1)), np.eye(4))
     view = plan_view(ViewEntry(name=name, frames=frames, times_s=times_s), FRAMES, TIMES, still)
     return plan_sweeps(view, LEARNED, sensor)

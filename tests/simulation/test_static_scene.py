@@ -36,10 +36,10 @@ def _wall() -> tuple[SceneEvidence, np.ndarray, np.ndarray]:
 
 def _moving(scene: SceneEvidence) -> NearObjects | None:
     """Of a recording whose trajectory ends at 0.1 s: whoever asks it for the pose at 99 s gets an error."""
-    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.zeros(3))
+    short = Trajectory(np.array([0.0, 0.1]), np.tile(np.eye(4), (2, 1, 1)), np.eye(4))
     sweeps = Sweeps(
         arrays={}, is_training=np.ones(1, bool), trajectory=short, period_s=0.1, table=HDL_64E,
-        scene_origin_m=np.zeros(3), elevation_correction_rad=0.0,
+        elevation_correction_rad=0.0,
     )  # fmt: skip
     return LidarRecording(sweeps=sweeps, evidence=scene).moving()
 

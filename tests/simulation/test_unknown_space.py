@@ -48,7 +48,7 @@ def scene() -> LidarRecording:
     is_hit[:, LASERS] = True
     is_hit[0, LASERS[2:]] = False
     fraction = np.tile((np.arange(FIRINGS, dtype=np.float32) + 0.5) / FIRINGS - 0.5, (SCANS, 1))
-    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     place = np.array([[1.0, 0.0, 0.0]], np.float32)
     surfels = build_surfels(0 * place, place, np.full(1, 90.0), np.ones(1), voxel_m=0.2)
     own = np.zeros((64, 4), np.float32)
@@ -63,7 +63,7 @@ def scene() -> LidarRecording:
     }  # fmt: skip
     sweeps = Sweeps(
         arrays=arrays, is_training=np.ones(SCANS, bool), trajectory=path, period_s=PERIOD_S, table=HDL_64E,
-        elevation_correction_rad=0.0, scene_origin_m=np.zeros(3),
+        elevation_correction_rad=0.0,
     )  # fmt: skip
     return LidarRecording(sweeps=sweeps, evidence=evidence)
 

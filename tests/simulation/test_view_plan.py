@@ -14,10 +14,10 @@ from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.view_plan import plan_sweeps, plan_view
 
 FRAMES, TIMES = np.arange(10, 21), np.arange(11) * 0.1
-ORIGIN_M = np.array([1000.0, 2000.0, 100.0])
+SCENE = pose_of_angles((1000.0, 2000.0, 100.0), 70.0, 0.0, 0.0)
 START = pose_of_angles((1003.0, 2001.0, 101.0), 40.0, 0.0, 0.0)
 RECORDED = Trajectory(
-    TIMES, np.stack([START @ pose_of_angles((10.0 * t, 0.0, 0.0), 0.0, 0.0, 0.0) for t in TIMES]), ORIGIN_M
+    TIMES, np.stack([START @ pose_of_angles((10.0 * t, 0.0, 0.0), 0.0, 0.0, 0.0) for t in TIMES]), SCENE
 )
 
 
@@ -36,7 +36,8 @@ def test_a_frozen_instant_stops_the_scene_and_not_the_car():
     found = plan(frames=(12, 18), frozen_at_s=0.5)
     assert found.time_s.tolist() == [0.5, 0.5] and np.allclose(found.moments_s, [0.2, 0.8])
     assert found.number.tolist() == [12, 18] and np.allclose(found.stamp_s, [0.2, 0.8])
-    assert np.allclose(np.diff(found.poses(RECORDED)[:, :3, 3], axis=0), 6.0 * START[:3, 0])
+    along = SCENE[:3, :3].T @ START[:3, 0]
+    assert np.allclose(np.diff(found.poses(RECORDED)[:, :3, 3], axis=0), 6.0 * along)
     sweeps = plan_sweeps(found, HDL_64E, None)
     assert np.allclose(sweeps.fired_s(0.5, np.array([-0.5, 0.5]), 0.1), 0.5)
     one = sweeps.only(1)
@@ -58,8 +59,7 @@ def test_waypoints_are_met_and_left_without_a_kink():
         for t, y, yaw in ((0.0, 0.0, 0.0), (0.5, 2.0, 30.0), (1.0, 0.0, 0.0))
     )
     found = plan(waypoints=points, times_s=(0.0, 0.5, 1.0))
-    world = found.poses(RECORDED)
-    world[:, :3, 3] += ORIGIN_M
+    world = SCENE @ found.poses(RECORDED)
     local = np.linalg.inv(START) @ world
     assert np.allclose(local[:, :3, 3], [(0, 0, 0), (4, 2, 0), (8, 0, 0)], atol=1e-6)
     assert np.allclose(local[1, :3, :3], rotation_of(30.0, 0.0, 0.0), atol=1e-6)
@@ -81,7 +81,7 @@ def test_a_pose_file_in_the_world_is_the_path():
     rows = tuple(tuple(pose[:3].ravel().tolist()) for pose in poses)
     given = PoseFile(name="p.txt", time_s=(0.0, 1.0), poses=rows)
     found = plan(pose_file=given, path_in="world", times_s=(0.0, 1.0), shift_m=(1.0, 0.0, 0.0))
-    world = found.poses(RECORDED)[:, :3, 3] + ORIGIN_M
+    world = (SCENE @ found.poses(RECORDED))[:, :3, 3]
     assert np.allclose(world, [(pose @ [1.0, 0.0, 0.0, 1.0])[:3] for pose in poses], atol=1e-6)
 
 

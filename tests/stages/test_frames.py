@@ -7,9 +7,13 @@ import pytest
 
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.errors import CheckFailedError, DataError
+from nvsf_core.geometry.angles import pose_of_angles
+from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.recipe import preset
 from nvsf_core.stages.frames import STAGE
+from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.execution import StagePlace, run_stage
 from nvsf_core.stages.runner.stage import Outcome, RunConfig
 from nvsf_core.stores.scene_store import SceneStore
@@ -78,9 +82,30 @@ def test_a_clean_drive_is_all_usable_and_placed(tmp_path: Path) -> None:
     camera = read_rows(outcome.path / "cameras.parquet")[1]
     assert np.allclose(np.array(camera["camera_to_world"]).reshape(4, 4)[:3, 3], [1012.0, 3700.4, 111.6])
     facts = json.loads((outcome.path / "drive.json").read_text())
-    assert facts["scene_origin_m"] == [1013.0, 3700.0, 112.0]
+    scene_to_world = np.array(facts["scene_to_world"]).reshape(4, 4)
+    assert np.allclose(scene_to_world, np.array(rows[3]["lidar_to_world"]).reshape(4, 4))
     assert facts["period_assumed"] is True and facts["cameras"]["image_00"]["fx"] == 50.0
     assert [row["time_s"] for row in rows] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+
+
+def test_the_scene_is_placed_by_the_drive_alone(tmp_path: Path) -> None:
+    def local_poses(entry: SceneEntry, home: Path) -> tuple[np.ndarray, np.ndarray]:
+        outcome = run(entry, home)
+        scene_to_world = scene_frame(json.loads((outcome.path / "drive.json").read_text()))
+        rows = read_rows(outcome.path / "frames.parquet")
+        poses = np.array([row["lidar_to_world"] for row in rows]).reshape(-1, 4, 4)
+        return np.linalg.inv(scene_to_world) @ poses, scene_to_world
+
+    still, _ = local_poses(drive(tmp_path / "still"), tmp_path / "a")
+    entry = drive(tmp_path / "moved")
+    path = DriveLayout(entry.root, entry.sequence).poses_path
+    poses = np.loadtxt(path)[:, 1:].reshape(-1, 3, 4)
+    poses = pose_from_parts(poses[..., :3], poses[..., 3])
+    motion = pose_of_angles((0.37, 0.81, 0.2), 127.0, 0.0, 0.0)
+    write_frame_poses(path, list(FRAMES), motion @ poses, rows=3)
+    moved, scene_to_world = local_poses(entry, tmp_path / "b")
+    assert np.allclose(moved, still, atol=1e-6)
+    assert np.allclose(scene_to_world[2, :3], [0, 0, 1]) and np.allclose(scene_to_world[:3, 2], [0, 0, 1])
 
 
 def test_a_frame_without_a_pose_is_invalid_and_never_gets_its_neighbours(tmp_path: Path) -> None:

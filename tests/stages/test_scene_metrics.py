@@ -7,6 +7,7 @@ import pytest
 
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import StoreError
+from nvsf_core.geometry.angles import pose_of_angles
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.linear_pano import LinearPano
@@ -254,7 +255,8 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Moving:
     arrays = read_arrays(returns)
     direction = arrays["points_m"] / arrays["range_m"][:, None]
     rays = {"direction": direction, "origin_m": np.zeros_like(direction)}
-    write_arrays(returns, arrays | rays, {"scene_origin_m": [1000.0, 3700.0, 100.0]})
+    place = pose_of_angles((1000.0, 3700.0, 100.0), 0.0, 0.0, 0.0)
+    write_arrays(returns, arrays | rays, {"scene_to_world": place.reshape(-1).tolist()})
     model = task.store.path("novel_views/smoke/3/test") / "model.zarr"
     # The recorded walls lie 8 to 16 m away; a depth of 12 m everywhere is off by less than 4 m.
     stored = read_arrays(model) | {"image_00_range_m": np.full((2, 40, 48), 12.0, np.float16)}

@@ -6,7 +6,8 @@ import pytest
 
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.geometry.se3 import exp_se3
+from nvsf_core.geometry.angles import pose_of_angles
+from nvsf_core.geometry.se3 import exp_se3, invert_pose
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
@@ -21,6 +22,7 @@ from nvsf_core.stores.tables import write_rows
 from tests.conftest import SHARED
 
 ORIGIN_M = (1000.0, 3700.0, 115.0)
+SCENE = pose_of_angles(ORIGIN_M, 0.0, 0.0, 0.0)
 PERIOD_S, FRAMES, LASERS, FIRINGS = 0.1, 6, 64, 400
 DATA = SHARED / "data"
 
@@ -37,7 +39,7 @@ def _walls_ahead(origin_m, direction):
 
 def _record(poses, times_s, k):
     """One scan of the walls as a driver records it, each return at its own time; no correction in it."""
-    trajectory = Trajectory(times_s, poses, np.array(ORIGIN_M))
+    trajectory = Trajectory(times_s, poses, SCENE)
     azimuth, fraction = firing_grid(HDL_64E, FIRINGS)
     steps = np.rint(azimuth / HDL_64E.step_rad - HDL_64E.phase_steps[:, None])
     azimuth = (steps + HDL_64E.phase_steps[:, None]) * HDL_64E.step_rad
@@ -78,7 +80,7 @@ def drive(tmp_path_factory):
             }
         )  # fmt: skip
     store = SceneStore(home=base / "home", scene="walls")
-    facts = {"scene_origin_m": ORIGIN_M, "sweep_period_s": PERIOD_S, "period_assumed": True}
+    facts = {"scene_to_world": SCENE.reshape(-1).tolist(), "sweep_period_s": PERIOD_S, "period_assumed": True}
     with store.publish("frames") as folder:
         write_rows(folder / "frames.parquet", rows, frames.FRAME_COLUMNS)
         (folder / "drive.json").write_text(json.dumps(facts))
@@ -137,8 +139,7 @@ def test_the_catalogue_switches_compensation_off_and_a_turn_then_has_one_pose(ti
         """Where the rays of one turn end, in the frame of the turn's one pose, beside what was recorded."""
         scene = read_sweeps(store)
         a, turn = scene.arrays, scene.returns_of(1)
-        local = a["lidar_to_world"][1].copy()
-        local[:3, 3] -= scene.scene_origin_m
+        local = invert_pose(scene.trajectory.scene_to_world) @ a["lidar_to_world"][1]
         hit_m = a["origin_m"][turn] + a["range_m"][turn, None] * a["direction"][turn]
         back = np.linalg.inv(local)
         seen_m = hit_m @ back[:3, :3].T + back[:3, 3]
@@ -192,7 +193,7 @@ def test_a_camera_only_drive_has_no_returns_and_no_range_images(drive, tmp_path)
         {"frame": 0, "time_s": 0.0, "split": "train", "lidar_to_world": np.eye(4).ravel().tolist(),
          "pose_valid": True, "scan_valid": False, "reason": "no scan", "checksum": ""}
     ]  # fmt: skip
-    facts = {"scene_origin_m": ORIGIN_M, "sweep_period_s": PERIOD_S, "period_assumed": True}
+    facts = {"scene_to_world": SCENE.reshape(-1).tolist(), "sweep_period_s": PERIOD_S, "period_assumed": True}
     with store.publish("frames") as folder:
         write_rows(folder / "frames.parquet", rows, frames.FRAME_COLUMNS)
         (folder / "drive.json").write_text(json.dumps(facts))

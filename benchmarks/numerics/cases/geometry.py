@@ -61,7 +61,7 @@ def _sweep(angle: float) -> float:
         twist = np.array([1.2, -0.3, 0.1, *(axis * angle)])
         # At 180 degrees the way round is not in the poses: the reference takes the one that was chosen.
         chosen = log_se3(exp_se3(twist)) if angle > math.pi - 1e-5 else twist
-        trajectory = Trajectory(np.array([0.0, 0.1]), np.stack([np.eye(4), exp_se3(twist)]), np.zeros(3))
+        trajectory = Trajectory(np.array([0.0, 0.1]), np.stack([np.eye(4), exp_se3(twist)]), np.eye(4))
         start, towards = trajectory.move_rays(origin, direction, shares * 0.1)
         motions = np.stack([_exact_motion(chosen, float(share)) for share in shares])
         ends = np.einsum("nij,nj->ni", motions[:, :3, :3], origin + 80.0 * direction) + motions[:, :3, 3]
@@ -83,7 +83,7 @@ def _wrap() -> float:
 def _poses(times_s: np.ndarray, first_x_m: float = 0.0) -> Trajectory:
     poses = np.stack([np.eye(4)] * len(times_s))
     poses[0, 0, 3] = first_x_m
-    return Trajectory(times_s, poses, np.zeros(3))
+    return Trajectory(times_s, poses, np.eye(4))
 
 
 def _exact_pixel(camera: MeiFisheye, point: np.ndarray) -> tuple[float, float]:

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.sensors.own_vehicle import NEAR_M
 from nvsf_core.stages.checks.norms import training_frames
+from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
-from nvsf_core.stores.arrays import array_names, read_arrays
+from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 GHOSTS = NamedCheck(
     name="views_hold_no_ghosts_of_the_recording_vehicle",
@@ -32,14 +34,16 @@ def check_ghosts(task: Task) -> list[Check]:
     a = read_arrays(recorded, "frame", "offsets", "points_m", "lidar_to_world", "is_own_vehicle")
     if not a["is_own_vehicle"].any():
         return [GHOSTS.not_run("no recorded return is on the recording vehicle")]
-    swept = _swept_cubes(a["points_m"][a["is_own_vehicle"]], a["lidar_to_world"])
+    scene_to_world = scene_frame(read_attrs(recorded))
+    a["pose"] = poses_in(scene_to_world, a["lidar_to_world"])
+    swept = _swept_cubes(a["points_m"][a["is_own_vehicle"]], a["pose"])
     training = np.flatnonzero(np.isin(a["frame"], training_frames(task.store)))
     usual = max((share for _, share in _shares(a, swept, training)), default=0.0)
     found = [
         (share, f"view {path.parent.name}, frame {frame}")
         for path in sorted(task.folder.glob("*/model.zarr"))
         if "points_m" in array_names(path, "f")
-        for frame, share in _of_view(path, swept)
+        for frame, share in _of_view(path, swept, scene_to_world)
     ]
     if not found:
         return [GHOSTS.not_run("no view has a scan")]
@@ -48,8 +52,9 @@ def check_ghosts(task: Task) -> list[Check]:
     return [GHOSTS.outcome(worst, _TWICE * usual + _SPARE, detail)]
 
 
-def _of_view(path: Path, swept: np.ndarray) -> Iterator[tuple[int, float]]:
+def _of_view(path: Path, swept: np.ndarray, scene_to_world: np.ndarray) -> Iterator[tuple[int, float]]:
     a = read_arrays(path, "frame", "offsets", "points_m", "lidar_to_world")
+    a["pose"] = poses_in(scene_to_world, a["lidar_to_world"])
     yield from _shares(a, swept, np.arange(len(a["frame"])))
 
 
@@ -58,21 +63,21 @@ def _shares(a: dict[str, np.ndarray], swept: np.ndarray, scans: np.ndarray) -> I
     for scan in scans.tolist():
         points_m = a["points_m"][a["offsets"][scan] : a["offsets"][scan + 1]].astype(np.float64)
         far_m = points_m[np.linalg.norm(points_m, axis=1) > NEAR_M]
-        pose = a["lidar_to_world"][scan]
+        pose = a["pose"][scan]
         inside = np.isin(_numbers(far_m @ pose[:3, :3].T + pose[:3, 3]), swept)
         yield int(a["frame"][scan]), float(inside.sum() / max(1, len(points_m)))
 
 
-def _swept_cubes(own_m: np.ndarray, lidar_to_world: np.ndarray) -> np.ndarray:
-    """Numbers of the cubes of the world through which the vehicle's own returns (n, 3) were carried.
+def _swept_cubes(own_m: np.ndarray, lidar_to_scene: np.ndarray) -> np.ndarray:
+    """Numbers of the cubes of the scene through which the vehicle's own returns (n, 3) were carried.
 
     Between the poses (m, 4, 4), in order of time, the vehicle drives straight on.
     """
     # With the cubes beside them: surfaces made of such returns are as wide as voxels.
     cube = np.unique(np.floor(own_m.astype(np.float64) / _CUBE_M), axis=0)
     parts = np.unique((cube[:, None] + _BESIDE).reshape(-1, 3), axis=0) * _CUBE_M + 0.5 * _CUBE_M
-    cubes = [_numbers(parts @ pose[:3, :3].T + pose[:3, 3]) for pose in lidar_to_world[-1:]]
-    for pose, after in pairwise(lidar_to_world):
+    cubes = [_numbers(parts @ pose[:3, :3].T + pose[:3, 3]) for pose in lidar_to_scene[-1:]]
+    for pose, after in pairwise(lidar_to_scene):
         way_m = after[:3, 3] - pose[:3, 3]
         steps = int(np.ceil(np.linalg.norm(way_m) / _STEP_M)) + 1
         along_m = np.linspace(0.0, 1.0, steps)[:, None] * way_m
@@ -82,7 +87,7 @@ def _swept_cubes(own_m: np.ndarray, lidar_to_world: np.ndarray) -> np.ndarray:
 
 
 def _numbers(points_m: np.ndarray) -> np.ndarray:
-    """(n,) int64 number of the cube of each point (n, 3), world metres; equal only near each other."""
+    """(n,) int64 number of the cube of each point (n, 3), scene-local metres; equal only near each other."""
     cube = np.floor(points_m / _CUBE_M).astype(np.int64) % _STRIDE
     found: np.ndarray = (cube[:, 0] * _STRIDE + cube[:, 1]) * _STRIDE + cube[:, 2]
     return found

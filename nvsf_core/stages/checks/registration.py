@@ -7,6 +7,8 @@ import numpy as np
 from nvsf_core.clouds.registration import LEAST_ACROSS, Registration, register
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.evidence.scan_fit import scan_misfits
+from nvsf_core.geometry.se3 import poses_in
+from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
@@ -52,8 +54,7 @@ def check_registration(task: Task) -> list[Check]:
         return [named.not_run("this drive has no scan") for named in (FRAME_CHECK, ORDER_CHECK)]
     names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
     arrays = read_arrays(path, *names)
-    poses = arrays["lidar_to_world"].copy()
-    poses[:, :3, 3] -= np.array(read_attrs(path)["scene_origin_m"])
+    poses = poses_in(scene_frame(read_attrs(path)), arrays["lidar_to_world"])
     return [registration_check(arrays), order_check(arrays, poses)]
 
 

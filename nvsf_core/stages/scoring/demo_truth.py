@@ -23,7 +23,7 @@ from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.errors import StoreError
-from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.geometry.se3 import pose_from_parts, transform_points
 from nvsf_core.metrics.foreground import FOREGROUND
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.measure import Measure
@@ -35,6 +35,7 @@ from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.view_plan import ViewPlan, table_of
+from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
@@ -108,9 +109,11 @@ def _gap_m(
     taken = others[:: max(1, len(others) // _SAMPLE)]
     if taken.size == 0:
         return np.inf
-    origin_m = a["origin_m"][taken].astype(np.float64) + np.array(attrs["scene_origin_m"])
+    scene_to_world = scene_frame(attrs)
+    origin_m = transform_points(scene_to_world, a["origin_m"][taken])
+    direction = a["direction"][taken].astype(np.float64) @ scene_to_world[:3, :3].T
     times_s = time_s + period_s * a["sweep_fraction"][taken].astype(np.float64)
-    exact = world.cast(origin_m, a["direction"][taken].astype(np.float64), times_s)
+    exact = world.cast(origin_m, direction, times_s)
     return float(np.median(np.abs(exact.range_m - a["range_m"][taken])))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.errors import StoreError
+from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.metrics.foreground import lidar4d_regions, masked_range_regions, masked_regions
 from nvsf_core.metrics.hit import hit_columns
 from nvsf_core.metrics.lpips import Lpips
@@ -14,6 +15,7 @@ from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d, project_scan, raw
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stores.arrays import read_arrays, read_attrs, read_part
@@ -49,8 +51,7 @@ class RecordedScans:
         cut = self._part(frame)
         rays = read_part(self.path, cut, "origin_m", "direction")
         along = rays["direction"].astype(np.float64) * self.arrays["range_m"][cut, None]
-        found: np.ndarray = along + rays["origin_m"] + read_attrs(self.path)["scene_origin_m"]
-        return found
+        return transform_points(scene_frame(read_attrs(self.path)), along + rays["origin_m"])
 
     def _part(self, frame: int) -> slice:
         found = np.flatnonzero(self.arrays["frame"] == frame)

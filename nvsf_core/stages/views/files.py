@@ -29,7 +29,7 @@ def write_method(
     method: str,
     arrays: dict[str, np.ndarray],
     about: Mapping[str, Any],
-    scene_origin_m: np.ndarray,
+    scene_to_world: np.ndarray,
 ) -> None:
     """Write one method's arrays of a view, with attributes on the method and its cost.
 
@@ -40,7 +40,7 @@ def write_method(
         arrays: All arrays to publish, poses included.
         about: Attributes of the view: its plan's, `sensor` (empty without a LiDAR), and whether images
             supplied the rays above the recorded lasers.
-        scene_origin_m: (3,) the scene's origin in the world, metres.
+        scene_to_world: (4, 4) pose of the scene's frame in the world, metres.
     """
     folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def write_method(
         "recipe": task.config.recipe.name if method == "model" else method,
         "seed": task.config.seed,
         "cameras": cameras_of(arrays),
-        "scene_origin_m": scene_origin_m.tolist(),
+        "scene_to_world": scene_to_world.reshape(-1).tolist(),
         **_costs(task, method),
     }
     write_arrays(folder / f"{method}.zarr", arrays, attrs)

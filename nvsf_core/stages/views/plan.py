@@ -98,9 +98,7 @@ def reference_poses(recording: Recording, plan: ViewPlan) -> np.ndarray:
 
 def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
     """Scene-local poses (n, 4, 4) moved to the world, metres."""
-    moved = poses.copy()
-    moved[:, :3, 3] += recording.scene_origin_m
-    return moved
+    return np.asarray(recording.trajectory.scene_to_world @ poses)
 
 
 def plan_arrays(plan: ViewPlan) -> dict[str, np.ndarray]:
@@ -133,7 +131,7 @@ def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
     own = None
     if _PATH[0] in array_names(path, "f"):
         knots = read_arrays(path, *_PATH)
-        own = Trajectory(knots["path_knot_s"], knots["path_to_world"], np.zeros(3))
+        own = Trajectory(knots["path_knot_s"], knots["path_to_world"], np.eye(4))
     mount = None if attrs["mount"] is None else np.array(attrs["mount"], np.float64).reshape(4, 4)
     return ViewPlan(
         path.parent.name, a["frame"], a["time_s"], mount, path_time_s=a["path_time_s"], path=own,

@@ -10,7 +10,7 @@ from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_obje
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.geometry.se3 import invert_pose, transform_points
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts, transform_points
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E
@@ -26,7 +26,7 @@ def demo_returns() -> tuple[TimedReturns, np.ndarray, DemoWorld]:
     world = DemoWorld(0)
     instants = np.arange(FRAMES[-1] + 1) * FRAME_PERIOD_S
     poses = world.lidar_to_world(instants)
-    trajectory = Trajectory(instants, poses, poses[0, :3, 3])
+    trajectory = Trajectory(instants, poses, pose_from_parts(np.eye(3), poses[0, :3, 3]))
     scans = [simulate_scan(world, frame, LASERS, FIRINGS) for frame in FRAMES]
     points = []
     for scan in scans:
@@ -58,7 +58,7 @@ def street() -> tuple[TimedReturns, np.ndarray, DemoWorld, MovingObjects]:
 def test_what_moves_is_found_and_what_stands_is_not(street) -> None:
     returns, instance, world, moving = street
     to_street = invert_pose(world.street_to_world)
-    height = transform_points(to_street, returns.point_m + returns.trajectory.scene_origin_m)[:, 2]
+    height = transform_points(to_street, returns.point_m + returns.trajectory.scene_to_world[:3, 3])[:, 2]
     above_ground = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     truth = np.isin(instance, [mover.object_id for mover in world.street.movers])
     found = moving.object_id >= 0
@@ -74,7 +74,11 @@ def test_centres_move_as_they_did_to_two_centimetres_a_frame(street) -> None:
         found = moving.objects[np.bincount(own).argmax()]
         time_s = returns.scan_time_s[found.scan]
         truth = world.object_to_world(mover.object_id, time_s)
-        centre = truth[:, :3, 3] + 0.5 * mover.size_m[2] * truth[:, :3, 2] - returns.trajectory.scene_origin_m
+        centre = (
+            truth[:, :3, 3]
+            + 0.5 * mover.size_m[2] * truth[:, :3, 2]
+            - returns.trajectory.scene_to_world[:3, 3]
+        )
         in_object = found.to_object(centre, time_s)
         pose = found.matrix_at(time_s)[1:]
         predicted = np.einsum("nij,nj->ni", pose[:, :3, :3], in_object[:-1]) + pose[:, :3, 3]

@@ -9,7 +9,7 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
-from nvsf_core.geometry.se3 import invert_pose, transform_points
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts, transform_points
 from nvsf_core.sensors.sweep import Trajectory, compensate
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -24,7 +24,7 @@ def traffic() -> tuple[np.ndarray, np.ndarray, MovingObjects]:
     world = DemoWorld(5, speed=SPEED, traffic=12)
     instants = np.arange(FRAMES) * FRAME_PERIOD_S
     poses = world.lidar_to_world(instants)
-    trajectory = Trajectory(instants, poses, poses[0, :3, 3])
+    trajectory = Trajectory(instants, poses, pose_from_parts(np.eye(3), poses[0, :3, 3]))
     scans = [simulate_scan(world, frame, LASERS, 1000) for frame in range(FRAMES)]
     points = []
     for scan in scans:
@@ -46,7 +46,7 @@ def traffic() -> tuple[np.ndarray, np.ndarray, MovingObjects]:
         elevation_correction_rad=HDL_64E.elevation_correction_rad,
     )
     to_street = invert_pose(world.street_to_world)
-    height = transform_points(to_street, returns.point_m + trajectory.scene_origin_m)[:, 2]
+    height = transform_points(to_street, returns.point_m + trajectory.scene_to_world[:3, 3])[:, 2]
     counted = (height > ABOVE_GROUND_M) & ~returns.is_own_vehicle
     counted &= np.linalg.norm(returns.recorded_m, axis=1) < 80.0
     moved = np.isin(instance, [mover.object_id for mover in world.street.movers])

@@ -63,7 +63,7 @@ def votes_of(is_hit: np.ndarray) -> ObjectHitPriors:
     instants = np.arange(SCANS) * FRAME_S
     fraction = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     prior = DropPrior(instants, fraction, np.tile(is_hit, (SCANS, 1, 1)))
-    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     return ObjectHitPriors(prior, np.arange(64, dtype=np.int16), still, HDL_64E, 0.0)
 
 

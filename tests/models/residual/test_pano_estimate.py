@@ -12,7 +12,7 @@ from nvsf_core.simulation.scan import RenderedSweep, SweepRays, sweep_rays
 SMALL = LinearPano(height=3, width=5)
 PANO = LinearPano(reference_quirks=True)
 FIRINGS = 300
-STILL = Trajectory(np.arange(3) * 0.1, np.tile(np.eye(4), (3, 1, 1)), np.zeros(3))
+STILL = Trajectory(np.arange(3) * 0.1, np.tile(np.eye(4), (3, 1, 1)), np.eye(4))
 
 
 def some_phases(seed: int) -> list[PanoRays]:

@@ -16,7 +16,7 @@ def drive() -> RecordedPanos:
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, 0, 3] = np.arange(3) * STEP_M
     found = [_wall(pose[:3, 3]) for pose in poses]
-    trajectory = Trajectory(TIMES_S, poses, np.zeros(3))
+    trajectory = Trajectory(TIMES_S, poses, np.eye(4))
     ranges, shines = (np.stack(images).astype(np.float32) for images in zip(*found, strict=True))
     return RecordedPanos(TIMES_S, ranges, shines, trajectory, 0.0, 0.0)
 

@@ -25,7 +25,7 @@ NEAR = np.array([1, 0, 2])
 
 def scene() -> tuple[RecordedSweeps, SweepRays, RenderedRays]:
     rng = np.random.default_rng(1)
-    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    path = Trajectory(np.arange(SCANS) * PERIOD_S, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     rays = sweep_rays(HDL_64E, LASERS, FIRINGS, path, PERIOD_S, PERIOD_S)
     hit_grid = rng.uniform(size=(SCANS, 64, FIRINGS)) < 0.8
     ranges = np.where(hit_grid, 10.0, 0.0).astype(np.float32)

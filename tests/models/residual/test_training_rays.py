@@ -41,7 +41,7 @@ def drive() -> LidarRecording:
     intensity = np.where(on_plate, np.where(scan == BRIGHT, 0.9, 0.5), 0.2).astype(np.float32)
     rays = (np.zeros_like(direction), direction, range_m, intensity)
     instants, offsets = np.arange(SCANS) * PERIOD_S, np.arange(SCANS + 1) * RETURNS
-    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.zeros(3))
+    still = Trajectory(instants, np.tile(np.eye(4), (SCANS, 1, 1)), np.eye(4))
     none = np.zeros(SCANS)
     path = MovingObject(
         np.arange(SCANS, dtype=np.int32), instants,
@@ -67,7 +67,7 @@ def drive() -> LidarRecording:
         "laser": np.zeros(len(scan), np.int16), "range_m": range_m, "intensity": intensity,
         "sweep_fraction": fraction.astype(np.float32), "origin_m": rays[0], "direction": direction,
     }  # fmt: skip
-    sweeps = Sweeps(arrays, np.ones(SCANS, bool), still, PERIOD_S, HDL_64E, 0.0, np.zeros(3))
+    sweeps = Sweeps(arrays, np.ones(SCANS, bool), still, PERIOD_S, HDL_64E, 0.0)
     return LidarRecording(sweeps=sweeps, evidence=evidence)
 
 

@@ -79,7 +79,8 @@ def store(tmp_path, monkeypatch):
         times["firings"] = np.full(5, FIRINGS, np.int32)
         times["lidar_to_world"] = np.stack([_at(frame) for frame in FRAMES])
         arrays = _joined([_recorded(draws) for _ in FRAMES])
-        write_arrays(folder / "returns.zarr", times | arrays, {"sensor": SENSOR})
+        facts = {"sensor": SENSOR, "scene_to_world": np.eye(4).reshape(-1).tolist()}
+        write_arrays(folder / "returns.zarr", times | arrays, facts)
     with store.publish("undistorted") as folder:
         images = {f"{CAMERA}_rgb": np.stack([_image(draws) for _ in FRAMES])}
         images |= {f"{CAMERA}_frame": np.array(FRAMES), f"{CAMERA}_valid": np.ones((HIGH, WIDE), np.bool_)}

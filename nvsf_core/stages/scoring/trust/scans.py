@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nvsf_core.drives.view_parts import SensorEntry
-from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.geometry.se3 import pose_from_parts, poses_in
 from nvsf_core.metrics.trust.cues import (
     AWAY,
     DENSITY,
@@ -177,11 +177,9 @@ class RecordedScans:
         kept = _is_counted(scan.points_m)
         points_m, laser = scan.points_m[kept].astype(np.float64), scan.laser[kept]
         path = scan.path
-        rotation, position_m = path.at(np.array([scan.moment_s]))
-        reference = np.eye(4)
-        reference[:3, :3], reference[:3, 3] = rotation[0], position_m[0] + path.scene_origin_m
-        mount = invert_pose(reference) @ scan.lidar_to_world
-        mounted = Trajectory(path.times_s, path.lidar_to_world @ mount, sweeps.scene_origin_m)
+        reference = path.scene_to_world @ pose_from_parts(*path.at(np.array([scan.moment_s])))[0]
+        mount = poses_in(reference, scan.lidar_to_world)
+        mounted = Trajectory(path.times_s, path.lidar_to_world @ mount, sweeps.trajectory.scene_to_world)
         is_own = scan.table.name == self.sensor
         azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
         origin_m, direction, range_m = compensate(
