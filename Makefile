@@ -82,7 +82,7 @@ gpu: install ## on a machine with a GPU: its tests, kernels and `paper`, measure
 	$(BIN)/python -m benchmarks.gpu
 
 contract: install ## write docs/data_contract.md from nvsf_core/stores/schemas.py
-	$(BIN)/python -m nvsf_core.stores.schemas > docs/data_contract.md
+	$(BIN)/python -m nvsf_core.stores.contract_page > docs/data_contract.md
 
 # With DAGSTER_MODULE_NAME set, Dagster refuses -w.
 ui: install $(DAGSTER_HOME)/dagster.yaml ## the Dagster UI on localhost, PORT=3000

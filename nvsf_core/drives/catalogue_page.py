@@ -71,11 +71,11 @@ def as_markdown() -> str:
     formats = [(f"`{name}`", _FORMATS[name]) for name in EXPORTS]
     parts.append(
         "## Formats of `exports`\n\nImages always come as PNG, beside them depth (uint16, 1/256 m along the "
-        "optical axis, of a fisheye along the ray, 0 = not known) and, where the drive has labelled boxes, "
-        "instances (uint16; the manifest's `instances` says which object each value is). Where a format's "
-        "points have no ring, time and support of their own, these lie beside them: `velodyne_points/ring` "
-        "(uint16), `time` (float32 seconds after the stamp), `support` (uint8: 0 guessed, 1 extrapolated, "
-        "2 seen).\n\n" + _table(("format", "what"), formats)
+        "optical axis, of a fisheye along the ray, 0 = not known) and, where objects are labelled or found "
+        "to move, instances (uint16; the manifest's `instances` says which object each value is). Where a "
+        "format's points have no ring, time and support of their own, these lie beside them: "
+        "`velodyne_points/ring` (uint16), `time` (float32 seconds after the stamp), `support` (uint8: 0 "
+        "guessed, 1 extrapolated, 2 seen).\n\n" + _table(("format", "what"), formats)
     )
     return "\n".join(parts)
 

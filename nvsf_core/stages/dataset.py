@@ -43,7 +43,7 @@ from nvsf_core.stores.removal import carry_pin, removal_of
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
-_VERSION = "6"
+_VERSION = "7"
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
@@ -302,7 +302,7 @@ def _checks(made: list[dict[str, Any]]) -> list[Check]:
 STAGE = Stage(
     name="dataset",
     group="export",
-    inputs=("frames", "novel_views", "scene_metrics"),
+    inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
     version=_VERSION,

@@ -1,11 +1,14 @@
 """Stage `evidence`: what the training sweeps prove about the scene."""
 
+from typing import Any
+
 import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
+from nvsf_core.evidence.moving.object_box import boxes_on_way
 from nvsf_core.evidence.profile import scene_profile
-from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene
 from nvsf_core.recording.sweeps import Sweeps
@@ -19,6 +22,7 @@ def _run(task: Task) -> StageOutput:
     sweeps = read_sweeps(task.store)
     if sweeps is None:
         write_arrays(task.folder / "evidence.zarr", {})
+        write_table(task.folder / "moving.parquet", _moving_boxes(None, np.eye(4)))
         return StageOutput(metadata={"profile": "cameras alone: nothing is proven, everything is learned"})
     if not sweeps.is_training.any():
         raise DataError(
@@ -27,6 +31,8 @@ def _run(task: Task) -> StageOutput:
         )
     evidence, tried = prove_scene(sweeps)
     write_arrays(task.folder / "evidence.zarr", evidence.to_arrays())
+    scene_to_world = sweeps.trajectory.scene_to_world
+    write_table(task.folder / "moving.parquet", _moving_boxes(evidence.dynamic, scene_to_world))
     surfels = evidence.surfels
     profile = _profile(evidence, sweeps, task)
     write_table(task.folder / "profile.parquet", {name: [value] for name, value in profile.items()})
@@ -58,6 +64,16 @@ def _run(task: Task) -> StageOutput:
     )
 
 
+def _moving_boxes(dynamic: DynamicEvidence | None, scene_to_world: np.ndarray) -> dict[str, list[Any]]:
+    """Columns of `moving.parquet`: the box of each moving object at each scan that saw it."""
+    columns: dict[str, list[Any]] = {"object_id": [], "time_s": [], "box_to_world": []}
+    for number, one in enumerate(() if dynamic is None else dynamic.objects, start=1):
+        columns["object_id"] += [number] * len(one.path.time_s)
+        columns["time_s"] += one.path.time_s.tolist()
+        columns["box_to_world"] += (scene_to_world @ boxes_on_way(one)).reshape(-1, 16).tolist()
+    return columns
+
+
 def _plane_thickness(surfels: Surfels) -> dict[str, float]:
     """Metadata with the planes' median thickness; empty if a sparse drive has no plane."""
     if not surfels.is_planar.any():
@@ -79,6 +95,6 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, what moves and how, and what the scene needs.",
-    version="14",
+    version="15",
     run=_run,
 )

@@ -1,20 +1,17 @@
 """The data contract: the arrays and columns that stages publish for other stages, with type, shape and unit.
 
-`python -m nvsf_core.stores.schemas` prints it as markdown (docs/data_contract.md). Readers check it: arrays
+`python -m nvsf_core.stores.contract_page` prints it (docs/data_contract.md). Readers check it: arrays
 by `field_faults` before and `violations` after reading, tables by `column_faults`.
 """
 
 import fnmatch
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-
-from nvsf_core.stores.contract_head import CONTRACT_HEAD
 
 CAMERA = "<camera>"
 """Placeholder of a camera's name (`image_00`) in a field's name."""
@@ -132,6 +129,15 @@ CONTRACT: tuple[FileSpec, ...] = (
         "laser_evidence, compensated, sensor, sensor_table (of lasers that were found from the scans)",
     ),
     FileSpec(
+        "evidence", "evidence/moving.parquet", "parquet",
+        "One row a moving object that was found, without labels, and scan that saw it; may be empty.",
+        _columns(
+            ("object_id", "i8", "1", "from 1, the largest first"),
+            ("time_s", "f8", "s", "mean time of its returns, since the first frame"),
+            ("box_to_world", "list<f8>", "m", "4x4 bounds of its returns, as in `boxes.parquet`"),
+        ),
+    ),
+    FileSpec(
         "pano", "pano/pano.zarr", "zarr", "Range images; 0 = no return.",
         (
             Entry("frame", "i8", ("scans",), "1", "frame number"),
@@ -222,7 +228,8 @@ CONTRACT: tuple[FileSpec, ...] = (
         "(seconds of the scene and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or "
         "null), sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m "
         "(of the drive's scans), cameras_like (cameras of other intrinsics: whose place they have), "
-        "camera_models, camera_in_lidar, instances (labelled objects that `<camera>_instance` has as values)",
+        "camera_models, camera_in_lidar, instances (objects, labelled or found to move: the values of "
+        "`<camera>_instance`)",
     ),
     FileSpec(
         "scene_metrics", "scene_metrics/<recipe>/<seed>/<view>/truth.zarr", "zarr",
@@ -375,26 +382,3 @@ def _matching(name: str, arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str
     for stored, array in arrays.items():
         if stored.startswith("image_") and stored.removeprefix(stored[:8]) == name.removeprefix(CAMERA):
             yield stored, array
-
-
-def as_markdown() -> str:
-    """The contract as a markdown page."""
-    lines = list(CONTRACT_HEAD)
-    for spec in CONTRACT:
-        lines += ["", f"## `{spec.path}`", "", f"Stage `{spec.stage}`, {spec.kind}. {spec.meaning}"]
-        if spec.attributes:
-            lines.append(f"Attributes: {spec.attributes}.")
-        head = ["name", "type", "shape", "unit", "meaning"]
-        if spec.kind == "parquet":
-            head.remove("shape")
-        lines += ["", f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
-        for field in spec.fields:
-            shape = [" x ".join(str(word) for word in field.shape)] if spec.kind == "zarr" else []
-            meaning = f"{field.meaning} (where there is one)" if field.optional else field.meaning
-            cells = [f"`{field.name}`", field.dtype, *shape, field.unit, meaning]
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    sys.stdout.write(as_markdown())

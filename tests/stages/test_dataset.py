@@ -72,6 +72,8 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
             write_table(folder / "frames.parquet", {"frame": [1, 2], "checksum": ["aa", "bb"]})
             columns = {"frame": [1, 2], "camera": ["image_00"] * 2, "checksum": ["cc", None]}
             write_table(folder / "cameras.parquet", columns)
+        with store.publish("evidence") as folder:
+            write_table(folder / "moving.parquet", {"object_id": [], "time_s": [], "box_to_world": []})
         _write_view(store, "test", [2], {})
         _write_view(store, "shift_1m", [1, 4], _grid(2))
         shared = {

@@ -40,7 +40,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A home with the inputs of the stage `dataset`, as their stages record them."""
     home = tmp_path_factory.mktemp("prepared")
     store = _task(home).store
-    for place in ("frames", "novel_views/quick/0", "scene_metrics/quick/0"):
+    for place in ("frames", "evidence", "novel_views/quick/0", "scene_metrics/quick/0"):
         record = {"fingerprint": place, "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
         write_document(store.path(place) / "stage.json", record)
     return home

@@ -5,7 +5,8 @@ import pytest
 
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages import STAGE_NAMES
-from nvsf_core.stores.schemas import CONTRACT, as_markdown, spec_of, violations
+from nvsf_core.stores.contract_page import as_markdown
+from nvsf_core.stores.schemas import CONTRACT, spec_of, violations
 
 
 def test_the_document_is_what_the_code_says(repo):

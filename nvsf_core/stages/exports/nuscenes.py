@@ -171,7 +171,7 @@ class _Tables:
         return file
 
     def add_box(self, index: int, box: BoxRecord, scan: ScanRecord | None) -> None:
-        """Add a labelled object of an instant; `scan` is counted in it."""
+        """Add an object of an instant; `scan` is counted in it."""
         centre, size, rotation = _upright(box.box_to_world)
         hits = 0 if scan is None else _points_in(box, scan)
         self.rows["sample_annotation"].append(

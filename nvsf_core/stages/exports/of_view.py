@@ -112,7 +112,7 @@ class RenderedView:
     def data_set(self, boxes: Callable[[int], list[BoxRecord]]) -> DataSet:
         """The data set, for the formats that hold all of it.
 
-        `boxes` gives the labelled objects of an instant. A view of held-out frames may lack an image of some:
+        `boxes` gives the objects of an instant. A view of held-out frames may lack an image of some:
         then its camera is left out of these formats.
         """
         a = self.arrays

@@ -46,7 +46,7 @@ class ImageRecord:
     depth_m: np.ndarray | None = None
     """(H, W) float32 along the optical axis, of a fisheye along the ray, metres; 0 = not known."""
     object_id: np.ndarray | None = None
-    """(H, W) int32: labelled object that each pixel shows; 0 = none."""
+    """(H, W) int32: object, labelled or found to move, that each pixel shows; 0 = none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -60,7 +60,7 @@ class CameraRecord:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BoxRecord:
-    """A labelled object at one instant."""
+    """An object, labelled or found to move, at one instant."""
 
     object_id: int
     label: str
@@ -94,4 +94,4 @@ class DataSet:
     image: Callable[[str, int], ImageRecord]
     """The image of a camera at an instant."""
     boxes: Callable[[int], list[BoxRecord]]
-    """The labelled objects at an instant."""
+    """The objects at an instant."""

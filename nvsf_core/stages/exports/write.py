@@ -42,7 +42,7 @@ def write_data_set(
     Args:
         folder: Folder of the data set.
         view: The rendered view.
-        boxes: The labelled objects at one of its instants.
+        boxes: The objects at one of its instants.
     """
     a = view.arrays
     scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
@@ -160,7 +160,7 @@ def _cameras(view: RenderedView) -> dict[str, Any]:
 
 
 def _boxes(view: RenderedView, boxes: Callable[[int], list[BoxRecord]]) -> list[dict[str, Any]]:
-    """A row for each labelled object and instant; static objects have one row, of no instant."""
+    """A row for each object and instant; static objects have one row, of no instant."""
     found: dict[tuple[int, int | None], dict[str, Any]] = {}
     for index, number in enumerate(view.numbers):
         for box in boxes(index):

@@ -1,4 +1,4 @@
-"""Labelled objects in a view: their boxes at its instants, and which of them each pixel shows."""
+"""Objects in a view, labelled or found to move: their boxes at its instants, and pixels that show them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,34 +16,35 @@ from nvsf_core.stages.views.files import cameras_of
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 
+FOUND = "dynamic"
+"""Label of objects that were found to move; KITTI-360's word for what moves and has no class."""
 _GROWN_M = 0.1
 """Surfaces lie on their boxes' faces, and a pixel's range is off by centimetres."""
+_SAME_OBJECT_M = 0.3
+"""A found object is a labelled one if its middle lies in that one's box, grown by so much on all sides."""
 _MOST_OBJECTS = 65_535
 _SAME_S = 1e-6
 
 
-def boxes_at(
-    rows: Sequence[Mapping[str, Any]], frame_time_s: Mapping[int, float], time_s: np.ndarray
-) -> Callable[[int], list[BoxRecord]]:
+def boxes_at(rows: Sequence[Mapping[str, Any]], time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
     """Gives the boxes at one of the instants of a view.
 
-    A moving object's box between two frames lies between its boxes in these; it is absent before its first
-    and after its last. Over a tenth of a second the mean of two poses is a rotation to 1e-4.
+    A moving object's box between two of its own lies between these; it is absent before its first and after
+    its last. Over a tenth of a second the mean of two poses is a rotation to 1e-4.
 
     Args:
-        rows: Of `boxes.parquet`: frame (below 0 = static), object_id, label, dynamic, box_to_world.
-        frame_time_s: Frame to its time.
+        rows: One a box: object_id, label, dynamic, box_to_world and, if dynamic, time_s.
         time_s: (n,) instants of the scene.
     """
-    tracks: dict[int, list[tuple[float, Mapping[str, Any]]]] = {}
+    tracks: dict[int, list[Mapping[str, Any]]] = {}
     static: dict[int, Mapping[str, Any]] = {}
     for row in rows:
-        if not row["dynamic"]:
+        if row["dynamic"]:
+            tracks.setdefault(row["object_id"], []).append(row)
+        else:
             static[row["object_id"]] = row
-        elif row["frame"] in frame_time_s:
-            tracks.setdefault(row["object_id"], []).append((frame_time_s[row["frame"]], row))
     for track in tracks.values():
-        track.sort(key=lambda one: one[0])
+        track.sort(key=lambda row: float(row["time_s"]))
 
     def at(number: int) -> list[BoxRecord]:
         moving = [_between(track, float(time_s[number])) for track in tracks.values()]
@@ -55,24 +56,55 @@ def boxes_at(
 
 
 def boxes_of(store: SceneStore, time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
-    """Gives the drive's labelled boxes at one of the instants (n,) of a view; none if it has none."""
+    """Gives the boxes of a drive at one of the instants (n,) of a view.
+
+    These are the labelled ones, and those of what was found to move without a label, as `dynamic`; their
+    numbers come after the labelled ones'.
+    """
+    labelled = _labelled(store)
+    found = read_rows(store.require("evidence") / "moving.parquet")
+    return boxes_at(labelled + _without_label(found, labelled), time_s)
+
+
+def _without_label(
+    found: Sequence[Mapping[str, Any]], labelled: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Boxes of found objects whose middle lies in labelled boxes less than half of the time."""
+    at = boxes_at(labelled, np.array([row["time_s"] for row in found], np.float64))
+    inside: dict[int, list[bool]] = {}
+    for number, row in enumerate(found):
+        boxes = [one.box_to_world for one in at(number)]
+        middle = _matrix(row)[None, :3, 3]
+        is_labelled = bool(boxes) and bool(inside_any(middle, np.stack(boxes), _SAME_OBJECT_M)[0])
+        inside.setdefault(row["object_id"], []).append(is_labelled)
+    first = max((row["object_id"] for row in labelled), default=0)
+    return [
+        {**row, "object_id": first + row["object_id"], "label": FOUND, "dynamic": True}
+        for row in found
+        if np.mean(inside[row["object_id"]]) < 0.5
+    ]
+
+
+def _labelled(store: SceneStore) -> list[dict[str, Any]]:
+    """Labelled boxes of the frames that the scene has, with their times."""
     folder = store.require("frames")
     if not (folder / "boxes.parquet").is_file():
-        return lambda index: []
-    frames = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
-    return boxes_at(read_rows(folder / "boxes.parquet"), frames, time_s)
+        return []
+    time_s = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
+    rows = [{**row, "time_s": time_s.get(row["frame"])} for row in read_rows(folder / "boxes.parquet")]
+    return [row for row in rows if not row["dynamic"] or row["time_s"] is not None]
 
 
-def _between(track: Sequence[tuple[float, Mapping[str, Any]]], time_s: float) -> BoxRecord | None:
-    known_s = np.array([known for known, _ in track])
+def _between(track: Sequence[Mapping[str, Any]], time_s: float) -> BoxRecord | None:
+    known_s = np.array([row["time_s"] for row in track], np.float64)
     if not known_s[0] - _SAME_S <= time_s <= known_s[-1] + _SAME_S:
         return None
     after = int(np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1))
     before = max(0, after - 1) if known_s[after] > time_s + _SAME_S else after
     length_s = known_s[after] - known_s[before]
     share = 0.0 if length_s <= 0.0 else (time_s - known_s[before]) / length_s
-    pose = (1.0 - share) * _matrix(track[before][1]) + share * _matrix(track[after][1])
-    return _record(track[before][1], pose)
+    pose = (1.0 - share) * _matrix(track[before]) + share * _matrix(track[after])
+    return _record(track[before], pose)
 
 
 def _matrix(row: Mapping[str, Any]) -> np.ndarray:
@@ -109,11 +141,11 @@ def instance_arrays(
     Args:
         arrays: Of the view, with the length of each pixel's ray.
         models: Of its cameras.
-        boxes: Gives the labelled objects at one of the view's instants.
+        boxes: Gives the objects at one of the view's instants.
 
     Returns:
         `<camera>_instance` (n, H, W) uint16, 0 = none, and a row a value: `value`, `object_id`, `label`,
-        `dynamic`. Both are empty if there is no labelled object.
+        `dynamic`. Both are empty if there is no object.
 
     Raises:
         DataError: There are more objects than values.

@@ -7,6 +7,8 @@ from nvsf_core.demo.lidar import OWN_VEHICLE, simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
+from nvsf_core.evidence.moving.object_box import boxes_on_way
+from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.timed_returns import TimedReturns
 from nvsf_core.evidence.surfels import build_surfels
@@ -85,6 +87,31 @@ def test_centres_move_as_they_did_to_two_centimetres_a_frame(street) -> None:
         frames = np.diff(time_s) / FRAME_PERIOD_S
         error_m = np.linalg.norm(predicted - centre[1:], axis=1) / frames
         assert np.median(error_m) <= 0.02
+
+
+def test_boxes_lie_around_what_moves_and_along_its_way(street) -> None:
+    returns, _, world, moving = street
+    _, fired_from = returns.trajectory.at(returns.time_s)
+    along = returns.point_m - fired_from
+    range_m = np.linalg.norm(along, axis=1)
+    rays = (
+        fired_from.astype(np.float32), (along / range_m[:, None]).astype(np.float32),
+        range_m.astype(np.float32), np.zeros(len(range_m), np.float32),
+    )  # fmt: skip
+    found = prove_objects(moving, *rays, returns.time_s, returns.offsets)
+    for mover in world.street.movers:
+        errors = []
+        for one in found:
+            boxes = boxes_on_way(one)
+            truth = world.object_to_world(mover.object_id, one.path.time_s)
+            middle = truth[:, :3, 3] + 0.5 * mover.size_m[2] * truth[:, :3, 2]
+            away_m = np.linalg.norm(
+                boxes[:, :2, 3] + returns.trajectory.scene_to_world[:2, 3] - middle[:, :2], axis=1
+            )
+            ahead = boxes[:, :3, 0] / np.linalg.norm(boxes[:, :3, 0], axis=1, keepdims=True)
+            errors.append((np.median(away_m), np.median((ahead * truth[:, :3, 0]).sum(axis=1))))
+        away_m, cosine = min(errors)
+        assert away_m < 0.5 and cosine > np.cos(np.deg2rad(12.0)), mover.label
 
 
 def test_the_same_returns_give_the_same_objects(street) -> None:

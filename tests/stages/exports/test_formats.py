@@ -149,12 +149,12 @@ def test_boxes_between_frames_lie_between_and_end_with_their_track() -> None:
         pose = np.eye(4)
         pose[0, 3] = x_m
         return {
-            "frame": frame, "object_id": 1 if dynamic else 2, "label": "car", "dynamic": dynamic,
+            "time_s": 0.1 * frame, "object_id": 1 if dynamic else 2, "label": "car", "dynamic": dynamic,
             "box_to_world": pose.ravel().tolist(),
         }  # fmt: skip
 
     rows = [row(3, 1.0), row(4, 3.0), row(-1, 9.0, dynamic=False)]
-    at = boxes_at(rows, {3: 0.3, 4: 0.4}, np.array([0.3, 0.35, 0.4, 0.5]))
+    at = boxes_at(rows, np.array([0.3, 0.35, 0.4, 0.5]))
     moving = [[box.box_to_world[0, 3] for box in at(k) if box.is_dynamic] for k in range(4)]
     assert [np.round(one, 9).tolist() for one in moving] == [[1.0], [2.0], [3.0], []]
     assert all(len([box for box in at(k) if not box.is_dynamic]) == 1 for k in range(4))

@@ -1,4 +1,6 @@
-"""Instance images show which labelled box each pixel's surface lies in; depth is along the axis."""
+"""Instance images show which box each pixel's surface lies in, labelled or found; depth is along the axis."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,9 @@ from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.simulation.other_camera import camera_rays
 from nvsf_core.stages.exports.records import BoxRecord
-from nvsf_core.stages.views.instances import depth_m, instance_arrays, object_ids
+from nvsf_core.stages.views.instances import boxes_of, depth_m, instance_arrays, object_ids
+from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.tables import write_rows
 
 _PINHOLE = Pinhole(fx=60.0, fy=60.0, cx=40.0, cy=30.0, width=80, height=60)
 _FISHEYE = MeiFisheye(
@@ -76,3 +80,34 @@ def test_depth_of_a_wall_is_the_same_in_all_pixels_of_a_pinhole_and_the_range_of
     known = np.isfinite(range_m)
     depth = depth_m(_FISHEYE, range_m)
     assert np.allclose(depth[known], range_m[known]) and (depth[~known] == 0.0).all()
+
+
+def _track(object_id: int, x_m: float, side_m: float, **other: object) -> list[dict]:
+    """Boxes of an object that moves along y at 10 m/s."""
+    rows = []
+    for frame in range(4):
+        box = np.diag([side_m, side_m, side_m, 1.0])
+        box[:3, 3] = x_m, frame, 0.5
+        rows.append({"object_id": object_id, "box_to_world": box.ravel().tolist(), "frame": frame} | other)
+    return rows
+
+
+def test_what_moves_without_a_label_has_a_box_and_what_has_one_is_not_doubled(tmp_path: Path) -> None:
+    store = SceneStore(tmp_path, "street")
+    frames = [{"frame": frame, "time_s": 0.1 * frame} for frame in range(4)]
+    labelled = _track(26_004, 0.0, 2.0, label="car", dynamic=True)
+    found = _track(1, 0.3, 1.8) + _track(2, 9.0, 0.6)
+    with store.publish("frames") as folder:
+        write_rows(folder / "frames.parquet", frames, ["frame", "time_s"])
+        write_rows(
+            folder / "boxes.parquet", labelled, ["frame", "object_id", "label", "dynamic", "box_to_world"]
+        )
+    with store.publish("evidence") as folder:
+        rows = [{**row, "time_s": 0.1 * row["frame"] + 0.01} for row in found]
+        write_rows(folder / "moving.parquet", rows, ["object_id", "time_s", "box_to_world"])
+    at = boxes_of(store, np.array([0.16, 0.0]))
+    assert [(one.object_id, one.label, one.is_dynamic) for one in at(0)] == [
+        (26_004, "car", True), (26_006, "dynamic", True),
+    ]  # fmt: skip
+    np.testing.assert_allclose(at(0)[1].box_to_world[:3, 3], [9.0, 1.5, 0.5])
+    assert [one.object_id for one in at(1)] == [26_004], "before its first scan nothing is known of it"
