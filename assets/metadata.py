@@ -32,16 +32,17 @@ def outcome_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
 
 
 def exported_folders(outcome: Outcome) -> dict[str, Path]:
-    """View to folder of the data sets that a stage published beside its own output."""
+    """View to folder of the data sets that a stage published beside its own output and that are there."""
     if outcome.stage != "dataset":
         return {}
     root = next(folder for folder in outcome.path.parents if folder.name == outcome.stage)
     ending = "_version"
-    return {
+    folders = {
         key.removesuffix(ending): root / key.removesuffix(ending) / str(value)
         for key, value in outcome.metadata.items()
         if key.endswith(ending)
     }
+    return {view: folder for view, folder in folders.items() if folder.is_dir()}
 
 
 def rounded(value: float) -> float:

@@ -11,6 +11,7 @@ from nvsf_core.recipe import preset, seed_from_text
 from nvsf_core.stages import RunConfig, SceneRun, find_scene, plan_run
 from nvsf_core.stages.runner.run import DEFAULT_RECIPE
 from nvsf_core.stages.runner.trained import newest_field
+from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import require_home
 
 
@@ -59,6 +60,7 @@ class Workspace(dg.ConfigurableResource):
             NvsfError: The recipe, a seed, the label or the home is not valid; the error that `plan` raises.
         """
         require_home(self.home())
+        number_kept(os.environ)
         choices = self._choices()
         RunConfig(**{**choices, "recipe": preset(choices["recipe"] or DEFAULT_RECIPE)})
 

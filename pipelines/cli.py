@@ -193,11 +193,14 @@ def join(scene: str, view: str, out: Path, recipe: str | None, seed: int) -> Non
     from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
     from nvsf_core.drives.cuts import parts_of
     from nvsf_core.stages.exports.join import join_data_sets, newest_data_set
+    from nvsf_core.stages.versions import reading_versions
 
     parts = parts_of(scene, catalogue_from_environment(os.environ))
     home = home_from_environment(os.environ)
-    folders = [newest_data_set(home, part.name, view, recipe, seed) for part, _ in parts]
-    click.echo(join_data_sets(scene, parts, folders, out))
+    names = [part.name for part, _ in parts]
+    with reading_versions(home, names, lambda line: click.echo(line, err=True)):
+        folders = [newest_data_set(home, name, view, recipe, seed) for name in names]
+        click.echo(join_data_sets(scene, parts, folders, out))
 
 
 @main.command()
@@ -257,18 +260,23 @@ def verify(names: Sequence[str], mend: bool) -> None:
 
 def _has_damaged_versions(entry: SceneEntry, home: Path, mend: bool) -> bool:
     """Say of each version of a scene's data sets whether it is whole; whether one is not, and stays so."""
-    from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
+    from nvsf_core.stages.versions import VERSIONS, damage_of_version, make_anew, versions_of
+    from nvsf_core.stores.removal import removal_of, removals
     from nvsf_core.stores.scene_store import SceneStore
 
-    damaged = False
-    for version in versions_of(SceneStore(home, entry.name)):
+    store, damaged = SceneStore(home, entry.name), False
+    for version in versions_of(store):
         damage = damage_of_version(version)
         words = "whole"
+        if damage is not None and removal_of(store, version.location) is not None:
+            continue  # removed while it was read; told below
         if damage is not None:
             is_mended = mend and make_anew(entry, home, version, lambda line: click.echo(line, err=True))
             words = "made anew" if is_mended else f"DAMAGED ({damage})"
             damaged |= not is_mended
         click.echo(f"{entry.name}, {version.location}: {words}")
+    for one in removals(store, f"{VERSIONS}/*/*"):
+        click.echo(f"{entry.name}, {one.place}: {one.words}")
     return damaged
 
 

@@ -13,6 +13,7 @@ from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_env
 from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError
 from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
+from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept
 from nvsf_core.stores.scene_store import require_home
 from pipelines.doctor_instance import examine_instance
 
@@ -34,7 +35,8 @@ class Finding:
 def examine(environ: Mapping[str, str]) -> list[Finding]:
     """Examine everything; nothing is written but a temporary folder."""
     return [
-        _machine(), _gpu(), _home(environ), _catalogue(environ), _open3d(), _lpips(), _executors(),
+        _machine(), _gpu(), _home(environ), _catalogue(environ), _versions(environ), _open3d(), _lpips(),
+        _executors(),
         Finding("Dagster instance", *examine_instance(environ)),
     ]  # fmt: skip
 
@@ -77,6 +79,17 @@ def _catalogue(environ: Mapping[str, str]) -> Finding:
         return Finding("catalogue", False, str(error), is_needed=True)
     words = f"{len(entries)} scenes, with data here: {', '.join(there) or 'none (nvsf demo writes its own)'}"
     return Finding("catalogue", True, words)
+
+
+def _versions(environ: Mapping[str, str]) -> Finding:
+    try:
+        number = number_kept(environ)
+    except NvsfError as error:
+        return Finding("data sets", False, str(error), is_needed=True)
+    words = f"all versions are kept; {KEEP_VARIABLE} limits their number"
+    if number is not None:
+        words = f"the newest {number} versions of each view, recipe and seed are kept ({KEEP_VARIABLE})"
+    return Finding("data sets", True, words)
 
 
 def _open3d() -> Finding:

@@ -5,14 +5,15 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.chaos.world import LONGEST_RUN_S, World
+from benchmarks.chaos.world import LONGEST_RUN_S, SCENE, World
 from nvsf_core.stages.runner.verify import Verdict, verify_scene
-from nvsf_core.stages.versions import damage_of_version, versions_of
+from nvsf_core.stages.versions import VERSIONS, damage_of_version, versions_of
+from nvsf_core.stores.removal import removals
 from nvsf_core.stores.scene_store import published
 
 Ledger = dict[str, str]
 """Each file of all data sets that were ever published, below the home, to its SHA-256."""
-_HALF = (".publishing-*", ".retired-*")
+_HALF = (".publishing-*", ".retired-*", ".removing-*")
 
 
 def ledger_of(world: World) -> Ledger:
@@ -22,12 +23,13 @@ def ledger_of(world: World) -> Ledger:
 
 
 def losses(world: World, before: Ledger) -> list[str]:
-    """Files of earlier versions that are gone or changed."""
-    now = ledger_of(world)
+    """Files of earlier versions that are gone or changed, but for versions that are noted as removed."""
+    store, now = world.plan().store, ledger_of(world)
+    noted = tuple(f"{SCENE}/{one.place}/" for one in removals(store, f"{VERSIONS}/*/*"))
     return [
         f"{name} {'changed' if name in now else 'is gone'}"
         for name, digest in before.items()
-        if now.get(name) != digest and "/.index/" not in name
+        if now.get(name) != digest and "/.index/" not in name and not name.startswith(noted)
     ]
 
 

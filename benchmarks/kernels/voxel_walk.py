@@ -21,7 +21,7 @@ from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
 from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps
 from nvsf_core.stores.scene_store import SceneStore

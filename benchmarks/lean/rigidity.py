@@ -33,7 +33,7 @@ from nvsf_core.evidence.moving.object_evidence import NEAREST_SCANS, OBJECT_VOXE
 from nvsf_core.evidence.moving.visibility import build_ground
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.evidence.voxels import PLANE_POINTS
-from nvsf_core.recording.sweeps import training_returns
+from nvsf_core.recording.drive import training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps
 from nvsf_core.stores.scene_store import SceneStore

@@ -10,7 +10,7 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.geometry.se3 import pose_from_parts, transform_points
 from nvsf_core.models.paper.flow_training import flow_cloud
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.scoring.demo_truth import DemoTruth
 
 SURFACES = ("car", "cyclist", "static", "ground")

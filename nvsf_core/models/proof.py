@@ -28,7 +28,7 @@ from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.evidence.unobserved import unobserved_beside
 from nvsf_core.models.holdout import is_sure
 from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.recording.sweeps import Sweeps, training_returns
+from nvsf_core.recording.drive import Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.simulation.scan import sweep_rays
 

@@ -32,10 +32,14 @@ class VersionFacts:
     view: str
     name: str
     made_s: float
-    """When its folder was published, seconds since 1970."""
+    """When it was made, seconds since 1970."""
     megabytes: float
+    scans: int
+    images: int
     manifest: Manifest
     """Empty if it cannot be read."""
+    removed: str = ""
+    """When and by which rule it was removed; empty if it is there."""
 
 
 def versions_html(versions: Sequence[VersionFacts]) -> str:
@@ -66,9 +70,12 @@ def _section(scene: str, view: str, versions: Sequence[VersionFacts]) -> str:
     rows = []
     for before, now in zip([None, *ordered[:-1]], ordered, strict=True):
         made = f"{datetime.fromtimestamp(now.made_s, UTC):%Y-%m-%d %H:%M}"
-        counts = [str(len(now.manifest.get(kind, []))) for kind in ("scans", "images")]
+        counts = [str(now.scans), str(now.images)]
         words = "the first one here" if before is None else "; ".join(changes(before.manifest, now.manifest))
-        cells = [f"<code>{escape(now.name)}</code>", made, escape(words), *counts, f"{now.megabytes:.1f}"]
+        name = f"<code>{escape(now.name)}</code>"
+        if now.removed:
+            name += f'<br><span class="soft">{escape(now.removed)}</span>'
+        cells = [name, made, escape(words), *counts, f"{now.megabytes:.1f}"]
         rows.append([*cells, *_moved(before, now)])
     note = f'<p class="soft">{left_out} older versions are not shown.</p>' if left_out else ""
     table = plain_table(head, reversed(rows), words=(2,))

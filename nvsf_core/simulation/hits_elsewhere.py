@@ -7,9 +7,8 @@ ray meets a surface of the evidence, the nearest scans are asked whether they ha
 import numpy as np
 
 from nvsf_core.evidence.drop_prior import cells_of
-from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.simulation.ray_renderers import evidence_renderer, render_in_chunks
+from nvsf_core.simulation.ray_renderers import render_in_chunks, reprojecting_renderer
 from nvsf_core.simulation.scan import SweepRays
 
 SCANS = 12
@@ -29,11 +28,8 @@ def hit_prior_elsewhere(
         is_own_unit: Whether the recorded unit fires them: then its gaps are theirs, too.
     """
     evidence = lidar.evidence
-    render = evidence_renderer(
-        evidence.for_rendering, lidar.moving(), most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m
-    )
     ones = np.ones(len(rays.laser), np.float32)
-    met = render_in_chunks(render, rays.origin_m, rays.direction, ones, time_s)
+    met = render_in_chunks(reprojecting_renderer(lidar), rays.origin_m, rays.direction, ones, time_s)
     points_m = (rays.origin_m + rays.direction * met.range_m[:, None]).astype(np.float32)
     hit_prior = lidar.scan_grids.hit_prior_at(points_m, near)
     if is_own_unit and evidence.unit_gaps is not None:

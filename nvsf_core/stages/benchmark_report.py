@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from nvsf_core import reporting
+from nvsf_core._types import Scalar
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
@@ -13,7 +14,8 @@ from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
-from nvsf_core.stages.versions_page import manifests_of, write_versions_page
+from nvsf_core.stages.versions import VERSIONS
+from nvsf_core.stages.versions_page import made_from, write_versions_page
 from nvsf_core.stores.scene_store import publish_folder, published
 
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
@@ -83,7 +85,7 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
         curves: Folder of curves, or None.
     """
     read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
-    read += manifests_of(home, names)
+    read += made_from(home, names)
     read += sorted(curves.rglob("*.json")) if curves is not None else []
     code = [path for kind in _CODE for path in sorted(_REPORTING.rglob(kind))] + [Path(__file__)]
     state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
@@ -126,8 +128,20 @@ def _records(root: Path) -> list[StageRecord]:
         record = read_record(found[name][1])
         if record is not None:
             shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
+            shown["metadata"] = _without_removed(root, name, record["metadata"])
             records.append(StageRecord(stage=name, **shown))
     return records
+
+
+def _without_removed(root: Path, name: str, metadata: Mapping[str, Scalar]) -> dict[str, Scalar]:
+    """A record's numbers; of data sets without the versions that were removed, to which no link leads."""
+    ending = "_version"
+    return {
+        key: value
+        for key, value in metadata.items()
+        if not (name.startswith(VERSIONS) and key.endswith(ending))
+        or (root / VERSIONS / key.removesuffix(ending) / str(value)).is_dir()
+    }
 
 
 def _flow_rank(name: str) -> tuple[int, str]:

@@ -22,7 +22,6 @@ from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
-from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     damaged_data_set,
@@ -31,13 +30,16 @@ from nvsf_core.stages.exports.manifest import (
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
+from nvsf_core.stages.kept_versions import tidy_versions
 from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import dataset_bytes
 from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
+from nvsf_core.stores.removal import carry_pin, removal_of
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
@@ -99,6 +101,11 @@ def _run(task: Task) -> StageOutput:
         arrays = _read_view(rendered / view.name / "model.zarr")
         attrs = read_attrs(rendered / view.name / "model.zarr")
         location = f"dataset/{view.name}/{version}"
+        removal = removal_of(task.store, location)
+        if removal is not None:
+            output.beside.append(location)
+            output.metadata[view.name] = removal.words
+            continue
         if not is_there(task, location):
             with task.store.publish(location) as folder:
                 rendered_view = RenderedView(
@@ -114,6 +121,7 @@ def _run(task: Task) -> StageOutput:
                     "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
                 }
                 finish_data_set(folder, manifest)
+                carry_pin(task.store.path(location), folder)
         written = read_document(task.store.path(location) / MANIFEST_NAME)
         scans, pictures = written["scans"], written["images"]
         output.beside.append(location)
@@ -303,4 +311,5 @@ STAGE = Stage(
     per_draw=True,
     reads_views=True,
     estimate_bytes=dataset_bytes,
+    tidy=tidy_versions,
 )

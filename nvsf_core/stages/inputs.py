@@ -10,9 +10,8 @@ from nvsf_core.errors import DataError
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import poses_in
-from nvsf_core.recording.drive import LidarRecording, Recording
+from nvsf_core.recording.drive import LidarRecording, LinearPanos, Recording, Sweeps
 from nvsf_core.recording.images import CameraImages, CameraRecording
-from nvsf_core.recording.sweeps import LinearPanos, Sweeps
 from nvsf_core.sensors.sweep import trajectory_of
 from nvsf_core.sensors.tables import recorded_table
 from nvsf_core.stores.arrays import read_arrays, read_attrs

@@ -4,7 +4,7 @@ import numpy as np
 
 from nvsf_core.clouds.mesh import Mesh, poisson_mesh
 from nvsf_core.errors import DataError, MissingLibraryError
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, write_arrays

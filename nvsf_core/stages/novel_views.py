@@ -24,6 +24,7 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import novel_views_bytes
 from nvsf_core.stages.views.camera import copied_images
 from nvsf_core.stages.views.files import (
     describe_view,
@@ -171,6 +172,7 @@ STAGE = Stage(
     run=_run,
     per_recipe=True,
     reads_views=True,
+    estimate_bytes=novel_views_bytes,
     check=_check,
     check_version="3",
     named_checks=(*VIEW_CHECKS, *IMAGE_CHECKS, GHOSTS, GUESSED),

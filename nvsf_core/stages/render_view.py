@@ -17,6 +17,7 @@ from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.kept_versions import keep_newest
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.run import (
     SceneRun,
@@ -27,9 +28,11 @@ from nvsf_core.stages.runner.run import (
     write_demo_where_absent,
 )
 from nvsf_core.stages.runner.stage import Progress, Task
+from nvsf_core.stages.versions import reading_versions
 from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
 from nvsf_core.stages.views.plan import View, asked_view
 from nvsf_core.stages.views.render import asks_images, placed, render_view_arrays, view_attrs, with_images
+from nvsf_core.stores.removal import carry_pin
 
 _MODEL = "model"
 _BEFORE = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
@@ -106,10 +109,12 @@ def render_view(
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
     location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
     lock = file_lock(place / LOCKS / entry.name / f"{location}.lock", say, f"{location} of another run")
-    with lock:
+    with reading_versions(place, [entry.name], say), lock:
         if not is_there(task, location):
             with run.store.publish(location) as folder:
                 _write(run, asked, folder, say)
+                carry_pin(run.store.path(location), folder)
+    keep_newest(run.store, [location], say)
     return run.store.path(location)
 
 

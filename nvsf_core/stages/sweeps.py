@@ -22,6 +22,7 @@ from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import sweeps_bytes
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
@@ -376,4 +377,5 @@ STAGE = Stage(
     check=check_registration,
     check_version="3",
     named_checks=(FRAME_CHECK, ORDER_CHECK),
+    estimate_bytes=sweeps_bytes,
 )

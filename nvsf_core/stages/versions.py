@@ -1,17 +1,21 @@
 """The versions of a scene's data sets: which there are, whether they are whole, and making one anew."""
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import NvsfError
-from nvsf_core.stages.exports.manifest import damaged_data_set
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, damaged_data_set
+from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
 from nvsf_core.stages.runner.stage import Progress
 from nvsf_core.stores.scene_store import SceneStore, published
 
+VERSIONS = "dataset"
+"""Folder of all versions below a scene's, and the name of their lock."""
 _INDEX = "dataset/.index"
 
 
@@ -35,6 +39,33 @@ def versions_of(store: SceneStore) -> Iterator[Version]:
     for folder in published(store.root, "dataset/*/*"):
         if folder.is_dir() and not folder.parent.name.startswith("."):
             yield Version(view=folder.parent.name, name=folder.name, folder=folder)
+
+
+def made_s(version: Version) -> float:
+    """When a version was made, seconds since 1970, by its manifest, whose time a pin does not change."""
+    manifest = version.folder / MANIFEST_NAME
+    return (manifest if manifest.is_file() else version.folder).stat().st_mtime
+
+
+def versions_lock(store: SceneStore) -> Path:
+    """The lock file of a scene's versions: shared by who reads or makes them, held by who removes some."""
+    return store.home / LOCKS / store.scene / f"{VERSIONS}.lock"
+
+
+@contextlib.contextmanager
+def reading_versions(home: Path, scenes: Iterable[str], progress: Progress) -> Iterator[None]:
+    """Keep the versions of scenes' data sets from being removed while they are read.
+
+    Args:
+        home: Folder of all outputs.
+        scenes: Names of the scenes.
+        progress: Told every few seconds of waiting.
+    """
+    with contextlib.ExitStack() as held:
+        for scene in scenes:
+            path, words = versions_lock(SceneStore(home, scene)), f"data sets of {scene}, of which some go"
+            held.enter_context(file_lock(path, progress, words, shared=True))
+        yield
 
 
 def damage_of_version(version: Version) -> str | None:

@@ -1,16 +1,25 @@
 """Collects the versions of all data sets of a home for the page that compares them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from nvsf_core.errors import StoreError
 from nvsf_core.reporting.versions import VersionFacts, versions_html
-from nvsf_core.stages.exports.manifest import MANIFEST_NAME
-from nvsf_core.stages.versions import Version, versions_of
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, count_of
+from nvsf_core.stages.versions import VERSIONS, Version, made_s, versions_of
 from nvsf_core.stores.documents import read_document
+from nvsf_core.stores.removal import Removal, removals
 from nvsf_core.stores.scene_store import SceneStore
 
 VERSIONS_PAGE = "versions.html"
+_NOTED = f"{VERSIONS}/*/*"
+_KINDS: Mapping[str, type] = dict.fromkeys(
+    ("recipe", "view", "source_checksums", "software", "rendered_from"), dict
+)
+"""Kinds of a manifest's entries: what is of another one is left out, for a page must not fail by one file."""
+_LARGEST = 1e11
+"""Of seconds and of megabytes; beyond it a note is damaged."""
 
 
 def write_versions_page(folder: Path, home: Path, scenes: Sequence[str]) -> Path:
@@ -21,20 +30,30 @@ def write_versions_page(folder: Path, home: Path, scenes: Sequence[str]) -> Path
         home: NVSF_HOME.
         scenes: Scenes to show, in this order.
     """
-    facts = [_facts(scene, version) for scene in scenes for version in versions_of(SceneStore(home, scene))]
+    facts = [one for scene in scenes for one in _facts_of(SceneStore(home, scene))]
     path = folder / VERSIONS_PAGE
     path.write_text(versions_html(facts), encoding="utf-8", errors="backslashreplace")
     return path
 
 
-def manifests_of(home: Path, scenes: Sequence[str]) -> list[Path]:
-    """The manifests that the page is made from."""
-    return [
-        version.folder / MANIFEST_NAME
-        for scene in scenes
-        for version in versions_of(SceneStore(home, scene))
-        if (version.folder / MANIFEST_NAME).is_file()
-    ]
+def made_from(home: Path, scenes: Sequence[str]) -> list[Path]:
+    """The files that the page is made from: manifests, and notes on removed versions."""
+    found: list[Path] = []
+    for scene in scenes:
+        store = SceneStore(home, scene)
+        found += [version.folder / MANIFEST_NAME for version in versions_of(store)]
+        found += [one.note for one in removals(store, _NOTED)]
+    return [path for path in found if path.is_file()]
+
+
+def _facts_of(store: SceneStore) -> Iterator[VersionFacts]:
+    """The versions that are there, then those that were removed."""
+    for version in versions_of(store):
+        try:
+            yield _facts(store.scene, version)
+        except FileNotFoundError:  # removed while the page is made: its note is among the next
+            continue
+    yield from (_removed_facts(store.scene, one) for one in removals(store, _NOTED))
 
 
 def _facts(scene: str, version: Version) -> VersionFacts:
@@ -44,6 +63,35 @@ def _facts(scene: str, version: Version) -> VersionFacts:
         manifest = {}
     files = [path for path in version.folder.rglob("*") if path.is_file()]
     return VersionFacts(
-        scene=scene, view=version.view, name=version.name, made_s=version.folder.stat().st_mtime,
-        megabytes=sum(path.stat().st_size for path in files) / 1e6, manifest=manifest,
+        scene=scene, view=version.view, name=version.name, made_s=made_s(version),
+        megabytes=sum(path.stat().st_size for path in files) / 1e6, scans=count_of(manifest, "scans"),
+        images=count_of(manifest, "images"), manifest=_readable(manifest),
     )  # fmt: skip
+
+
+def _removed_facts(scene: str, removal: Removal) -> VersionFacts:
+    _, view, name = removal.place.split("/")
+    made, megabytes, scans, images = (
+        _number(removal.facts.get(key)) for key in ("made_s", "megabytes", "scans", "images")
+    )
+    return VersionFacts(
+        scene=scene, view=view, name=name, made_s=made, megabytes=megabytes, scans=int(scans),
+        images=int(images), manifest=_readable(removal.facts), removed=removal.words,
+    )  # fmt: skip
+
+
+def _number(value: object) -> float:
+    """A number that a page can show; 0 for what is none."""
+    return value if isinstance(value, int | float) and 0 <= value < _LARGEST else 0.0
+
+
+def _readable(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of a manifest whose kind is right."""
+    rows = manifest.get("field_metrics")
+    metrics = [row for row in rows if _is_metric(row)] if isinstance(rows, list) else []
+    found = {key: value for key, value in manifest.items() if isinstance(value, _KINDS.get(key, object))}
+    return found | ({"field_metrics": metrics} if found else {})
+
+
+def _is_metric(row: object) -> bool:
+    return isinstance(row, dict) and isinstance(row.get("value"), int | float | None)

@@ -4,7 +4,7 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
-__all__ = ["damaged_file", "file_checksums"]
+__all__ = ["checksum_of", "damaged_file", "file_checksums"]
 
 _BLOCK_BYTES = 4 << 20
 
@@ -13,7 +13,7 @@ def file_checksums(folder: Path, leave_out: frozenset[str] = frozenset()) -> dic
     """Path of every file below `folder`, except those in `leave_out`, to `<bytes>-<crc32 in hex>`."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     named = ((path.relative_to(folder).as_posix(), path) for path in files)
-    return {name: _checksum(path) for name, path in named if name not in leave_out}
+    return {name: checksum_of(path) for name, path in named if name not in leave_out}
 
 
 def damaged_file(folder: Path, listed: Mapping[str, str]) -> str | None:
@@ -24,14 +24,15 @@ def damaged_file(folder: Path, listed: Mapping[str, str]) -> str | None:
         try:
             if not path.is_file() or path.stat().st_size != int(checksum.split("-")[0]):
                 return name
-            if _checksum(path) != checksum:
+            if checksum_of(path) != checksum:
                 return name
         except (OSError, ValueError):
             return name
     return None
 
 
-def _checksum(path: Path) -> str:
+def checksum_of(path: Path) -> str:
+    """A file's size and checksum: `<bytes>-<crc32 in hex>`."""
     crc = size = 0
     with path.open("rb") as handle:
         while block := handle.read(_BLOCK_BYTES):

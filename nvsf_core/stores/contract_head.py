@@ -17,7 +17,9 @@ CONTRACT_HEAD = (
     "checksums of all files and its own (`manifest_sha256`: of the JSON of all other entries, keys sorted),",
     "what was rendered from, cameras and boxes; other formats: [catalogue.md](catalogue.md). Its card",
     "(`card.md`, `card.json`) says what it is, how wrong, and what it must not be used for. What made it",
-    "is recorded in `dataset/.index/<recipe>/<seed>-<draw>-<label>/`. Unless the view asks otherwise, hits",
-    "are drawn by their probability, and ranges get noise of 1.5 cm. Beside the arrays of `novel_views` lie",
-    "`.bin` and PNG files, too: nothing there is drawn, they are what is expected.",
+    "is recorded in `dataset/.index/<recipe>/<seed>-<draw>-<label>/`. A file `PINNED`, made by a user, keeps",
+    "a version whatever NVSF_KEEP_VERSIONS says; of a removed one a note tells when, why, and its metrics",
+    "(`.removed/dataset/<view>/<version>.json`). Unless the view asks otherwise, hits are drawn by their",
+    "probability, and ranges get noise of 1.5 cm. Beside the arrays of `novel_views` lie `.bin` and PNG",
+    "files, too: nothing there is drawn, they are what is expected.",
 )

@@ -21,6 +21,8 @@ from nvsf_core.stores.writers import is_left, mark_of, own_mark
 
 _TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
+_REMOVING = ".removing-"
+"""Of an output that is being deleted: never restored."""
 _LONGEST_HOME = 1000
 """Most characters of NVSF_HOME: a path may have 4096 bytes, and outputs add some 200."""
 _CHANCE = re.compile(r"[0-9a-f]{8}")
@@ -159,13 +161,26 @@ def _is_plain(path: Path, place: Path) -> bool:
 
 def published(root: Path, pattern: str) -> list[Path]:
     """Sorted paths below `root` that match a glob pattern; without links and leftovers of killed writers."""
-    hidden = (_TEMPORARY, _RETIRED, ".work")
+    hidden = (_TEMPORARY, _RETIRED, _REMOVING, ".work")
     return [
         path
         for path in sorted(root.glob(pattern))
         if not any(part.startswith(hidden) for part in path.relative_to(root).parts)
         and _is_plain(path, root.resolve() / path.relative_to(root))
     ]
+
+
+def hide(path: Path) -> None:
+    """Take an output away by one rename; `delete_hidden` deletes it, in this process or a later one."""
+    path.rename(path.parent / f"{_REMOVING}{path.name}-{uuid.uuid4().hex[:8]}")
+    flush(path.parent)
+
+
+def delete_hidden(root: Path, pattern: str) -> None:
+    """Delete what `hide` took away, in the folders below `root` that match a glob pattern."""
+    for path in root.glob(f"{pattern}/{_REMOVING}*"):
+        if _is_plain(path, root.resolve() / path.relative_to(root)):
+            _remove(path)
 
 
 @contextlib.contextmanager
@@ -197,7 +212,7 @@ def _swap_in(temporary: Path, target: Path) -> None:
             if error.errno not in _OCCUPIED or attempt == _MOST_SWAPS - 1:
                 _put_back(retired, target)
                 raise
-    _flush(target.parent)
+    flush(target.parent)
     if retired is not None:
         _remove(retired)
 
@@ -258,11 +273,12 @@ def _remove(path: Path) -> None:
 def _flush_tree(folder: Path) -> None:
     for root, _, files in os.walk(folder):
         for name in files:
-            _flush(Path(root) / name)
-        _flush(Path(root))
+            flush(Path(root) / name)
+        flush(Path(root))
 
 
-def _flush(path: Path) -> None:
+def flush(path: Path) -> None:
+    """Write a file's bytes, or a folder's names, from memory to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

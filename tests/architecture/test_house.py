@@ -1,5 +1,6 @@
 """The house keeps its own rules."""
 
+import ast
 import importlib
 import itertools
 import re
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 PACKAGES = ("nvsf_core", "assets", "pipelines")
+OURS = (*PACKAGES, "benchmarks")
 
 
 def _sources(repo: Path, *folders: str) -> list[Path]:
@@ -39,6 +41,34 @@ def test_no_postponed_annotations_where_dagster_reads_them(repo):
     # Dagster resolves `config: Choice` at definition time and fails on a string.
     sources = _sources(repo, "assets", "pipelines")
     assert [path for path in sources if "from __future__ import annotations" in path.read_text()] == []
+
+
+def test_every_name_that_is_imported_of_ours_is_there(repo):
+    # Commands that no test runs, as most benchmarks, would else fail only where somebody needs them.
+    trees = {
+        path: ast.parse(path.read_text()) for path in _sources(repo, *PACKAGES, "benchmarks", "examples")
+    }
+    modules = {".".join(path.relative_to(repo).with_suffix("").parts): tree for path, tree in trees.items()}
+    names = {name.removesuffix(".__init__"): _bound(tree) for name, tree in modules.items()}
+    for name in list(names):
+        names.setdefault(name.rpartition(".")[0], set()).add(name.rpartition(".")[2])
+    absent = [
+        f"{path.relative_to(repo)}: {node.module}.{one.name}"
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS
+        for one in node.names
+        if one.name not in names.get(node.module, set())
+    ]
+    assert absent == []
+
+
+def _bound(tree: ast.Module) -> set[str]:
+    """Names that a module binds by imports, classes and functions at its top, and by assignments anywhere."""
+    names = [one for one in ast.walk(tree) if isinstance(one, ast.Name)]
+    assigned = {one.id for one in names if isinstance(one.ctx, ast.Store)}
+    imported = {one.asname or one.name for node in tree.body for one in getattr(node, "names", [])}
+    return assigned | imported | {node.name for node in tree.body if hasattr(node, "name")}
 
 
 def test_no_source_file_is_longer_than_400_lines(repo):

@@ -4,12 +4,13 @@ import json
 import os
 import shutil
 import sys
+from dataclasses import replace
 
 import pytest
 
 from nvsf_core.stages import find_scene, plan_run, run_named_stage
-from nvsf_core.stages.dataset_size import dataset_bytes
 from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stages.sizes import dataset_bytes, novel_views_bytes
 from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore
@@ -82,6 +83,19 @@ def test_what_a_data_set_takes_on_the_disk_is_estimated_from_its_view(trained):
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
     written = sum(file.stat().st_size for file in (trained / "tiny/dataset").glob("*/manual-*/*/**/*.*"))
     assert written < dataset_bytes(task) < 3 * written
+
+
+def test_what_rendered_views_take_on_the_disk_is_estimated_from_the_drive(trained):
+    run = plan_run(find_scene("tiny"), trained)
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
+    views = trained / "tiny/novel_views/smoke/0"
+    written = sum(file.stat().st_size for file in views.rglob("*") if file.is_file() and file.parent != views)
+    # Of so few lasers range images are nearly empty, which packs well: two views by four methods.
+    panos = 2 * 4 * 66 * 1030 * 12
+    assert written < novel_views_bytes(task) < 3 * written + panos
+    longer = replace(run.scene, views=tuple(replace(view, frames=(1, 3)) for view in run.scene.views))
+    more = novel_views_bytes(replace(task, scene=longer)) - novel_views_bytes(task)
+    assert more == novel_views_bytes(replace(task, scene=replace(longer, test_frames=()))) // 2
 
 
 def test_a_second_run_skips_every_stage(run_process, trained, tiny_catalogue):

@@ -13,8 +13,7 @@ from nvsf_core import numerics
 from nvsf_core.losses.lidar import CLAMP_M, depth_loss
 from nvsf_core.losses.line_of_sight import line_of_sight_loss
 from nvsf_core.rendering.reproject import weighted_median_index
-from nvsf_core.rendering.volume import weights_from_optical_depth
-from nvsf_core.sampling.along_ray import uniform_samples
+from nvsf_core.rendering.volume import uniform_samples, weights_from_optical_depth
 
 LAW = settings(derandomize=True, deadline=None, max_examples=40, database=None)
 UNARY = {

@@ -35,8 +35,9 @@ def test_versions_stand_in_the_order_of_their_making_with_moved_metrics() -> Non
 
     def version(name: str, made_s: float, manifest: dict[str, Any]) -> VersionFacts:
         return VersionFacts(
-            scene="street", view="left", name=name, made_s=made_s, megabytes=1.0, manifest=manifest
-        )
+            scene="street", view="left", name=name, made_s=made_s, megabytes=1.0, scans=1, images=0,
+            manifest=manifest, removed="removed on 2026-11-25 by a rule" if made_s == 1e9 else "",
+        )  # fmt: skip
 
     page = versions_html(
         [
@@ -46,4 +47,5 @@ def test_versions_stand_in_the_order_of_their_making_with_moved_metrics() -> Non
         ]
     )
     assert page.index("manual-&lt;3&gt;") < page.index("manual-2") < page.index("manual-1"), "newest first"
+    assert page.index("manual-1") < page.index("removed on 2026-11-25 by a rule") and "20.00" in page
     assert "21.50 <span" in page and "▲ +1.50" in page and "the first one here" in page

@@ -7,8 +7,7 @@ import numpy as np
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays, Support
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

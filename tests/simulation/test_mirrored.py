@@ -6,8 +6,7 @@ import pytest
 from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.bonnet import Bonnet
 from nvsf_core.sensors.sweep import Trajectory

@@ -11,8 +11,7 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.sweep import Trajectory

@@ -1,12 +1,23 @@
-"""SIGKILL: to a whole run, as when the power goes; to one of its steps; to what serves the steps."""
+"""SIGKILL: to a whole run, as when the power goes; to one of its steps; to what serves them or removes."""
+
+import sys
 
 from benchmarks.chaos.event import Event, Harm, Random
 from benchmarks.chaos.processes import Running, descendants, kill, words_of
-from benchmarks.chaos.world import LONGEST_RUN_S, World
+from benchmarks.chaos.world import LONGEST_RUN_S, SCENE, World
+from nvsf_core.stores.removal import KEEP_VARIABLE
 
 _A_RUN_S = 45.0
 _A_BARE_RUN_S = 1.5
 _GOES_ON = r"dagster/job|died twice|report  |RUN_SUCCESS|next: open the report"
+_DRAWS = """
+from nvsf_core.stages import find_scene, plan_run, run_named_stage
+from nvsf_core.stages.runner.run import say_on_stderr
+for draw in range({first}, {first} + {count}):
+    run = plan_run(find_scene("{scene}"), "{home}", seed={seed}, draw_seed=draw, dataset_label="draws")
+    run_named_stage("dataset", run, say_on_stderr)
+"""
+_MOST_DRAWS = 6
 
 
 def kill_run(world: World, random: Random) -> Harm:
@@ -33,6 +44,19 @@ def kill_step(world: World, random: Random) -> Harm:
     return Harm(f"{name or 'after its end'}; the run ends with {code}", run.said, expected)
 
 
+def kill_removal(world: World, random: Random) -> Harm:
+    """Draw data sets anew, of which the newest alone is kept, and kill that at a random moment."""
+    first = 1 + random.randrange(10**6)
+    code = _DRAWS.format(first=first, count=_MOST_DRAWS, scene=SCENE, home=world.home, seed=world.seed)
+    run = world.launch([sys.executable, "-c", code], "draws", **{KEEP_VARIABLE: "1"})
+    run.wait_for("removed by", LONGEST_RUN_S)
+    run.sleep(random.uniform(0.0, 1.0))
+    was_alive = run.is_alive
+    run.kill()
+    removed = run.said.count("removed by")
+    return Harm(f"after {removed} were removed{'' if was_alive else ', at its end'}", run.said, "removed by")
+
+
 def _kill_one(run: Running, random: Random) -> str:
     """Kill one process below a run's; what it was, empty if there was none."""
     below = [number for number in descendants(run.process.pid) if "python" in words_of(number)]
@@ -48,5 +72,8 @@ def _kill_one(run: Running, random: Random) -> str:
 
 EVENTS = [
     Event("kill_run", "SIGKILL to a run and its steps", kill_run, weight=4),
+    Event(
+        "kill_removal", "SIGKILL to who removes old versions of data sets", kill_removal, needs_dagster=True
+    ),
     Event("kill_step", "SIGKILL to one process of a run", kill_step, needs_dagster=True, weight=4),
 ]

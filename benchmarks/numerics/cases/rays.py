@@ -20,8 +20,7 @@ from nvsf_core.losses.line_of_sight import line_of_sight_loss
 from nvsf_core.recipe import HeadsSpec
 from nvsf_core.rendering.reproject import weighted_median_index
 from nvsf_core.rendering.scaled_rays import ScaledRays
-from nvsf_core.rendering.volume import render_volume, weights_from_optical_depth
-from nvsf_core.sampling.along_ray import uniform_samples
+from nvsf_core.rendering.volume import render_volume, uniform_samples, weights_from_optical_depth
 
 TITLE = "Density, transmittance and ranges along a ray"
 _NAN = torch.tensor(math.nan)
@@ -234,7 +233,7 @@ def _sampled(near: float, far: float) -> object:
     return uniform_samples(torch.tensor([near]), torch.tensor([far]), 8)
 
 
-_WEIGHTS, _SAMPLES = "rendering.volume.weights_from_optical_depth", "sampling.along_ray.uniform_samples"
+_WEIGHTS, _SAMPLES = "rendering.volume.weights_from_optical_depth", "rendering.volume.uniform_samples"
 _MEDIAN, _VOLUME = "rendering.reproject.weighted_median_index", "rendering.volume.render_volume"
 CASES = (
     Case("numerics.safe_exp", "every float32; -110 to 60 by 0.1: subnormals, saturation at 40; NaN stays NaN",

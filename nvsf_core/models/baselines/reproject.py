@@ -4,8 +4,7 @@ import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.recording.drive import Recording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.simulation.ray_renderers import reprojecting_renderer, unobserved_renderer

@@ -7,9 +7,8 @@ from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.baselines.reproject import depth_scans, returns_of_scan
-from nvsf_core.recording.drive import Recording
+from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.recording.images import CameraRecording
-from nvsf_core.recording.sweeps import Sweeps
 from nvsf_core.rendering.lidar_view import MovingPoints, moving_pixels
 
 _MARGIN_M = 0.1

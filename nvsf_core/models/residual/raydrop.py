@@ -24,8 +24,7 @@ from nvsf_core.models.residual.raydrop_grid import (
 )
 from nvsf_core.models.residual.training_rays import learned_scans
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.recording.sweeps import RecordedSweeps
+from nvsf_core.recording.drive import LidarRecording, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
-from nvsf_core.recording.drive import Recording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scene_model import SceneModel

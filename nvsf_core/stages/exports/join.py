@@ -14,6 +14,7 @@ from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
 from nvsf_core.stages.exports.write import WHOLE, finish_data_set
+from nvsf_core.stores.scene_store import published
 
 _OF_A_PART = ("scene", "value", "n_frames", "n_defined")
 """Columns of a mean error that differ between parts."""
@@ -169,7 +170,7 @@ def newest_data_set(home: Path, scene: str, view: str, recipe: str | None, seed:
         DataError: There is none.
     """
     found = []
-    for path in (home / scene / "dataset" / view).glob(f"*/{MANIFEST_NAME}"):
+    for path in published(home / scene, f"dataset/{view}/*/{MANIFEST_NAME}"):
         manifest = _manifest(path.parent)
         if manifest["seed"] == seed and recipe in (None, manifest["recipe"]["name"]):
             found.append((path.stat().st_mtime_ns, path.parent))

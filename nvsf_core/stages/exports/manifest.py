@@ -27,16 +27,28 @@ def damaged_data_set(folder: Path) -> str | None:
     The manifest lists the others by size and checksum. Manifests of before have no digest of themselves, and
     the oldest no list: what is not listed counts as whole.
     """
-    try:
-        manifest = dict(read_document(folder / MANIFEST_NAME))
-        seal, listed = manifest.pop(SEAL, None), manifest.get("checksums", {})
-    except StoreError:
-        return MANIFEST_NAME
-    if seal is not None and seal != _digest(manifest):
-        return MANIFEST_NAME
+    manifest = sound_manifest(folder)
+    listed = None if manifest is None else manifest.get("checksums", {})
     if not isinstance(listed, dict):
         return MANIFEST_NAME
     return damaged_file(folder, {str(name): str(checksum) for name, checksum in listed.items()})
+
+
+def sound_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of a data set, if it is as it was written by its own digest; None if it is not."""
+    try:
+        manifest = dict(read_document(folder / MANIFEST_NAME))
+    except StoreError:
+        return None
+    seal = manifest.get(SEAL)
+    own = _digest({key: value for key, value in manifest.items() if key != SEAL})
+    return manifest if seal in (None, own) else None
+
+
+def count_of(manifest: Mapping[str, Any], kind: str) -> int:
+    """How many `scans` or `images` a manifest lists."""
+    rows = manifest.get(kind, [])
+    return len(rows) if isinstance(rows, list) else 0
 
 
 def is_sealed(folder: Path) -> bool:

@@ -13,7 +13,14 @@ from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
 from nvsf_core.stages.runner.kept_memory import keep_freed_memory
-from nvsf_core.stages.runner.record import RECORD_NAME, content_of, damage_of, listed_files, read_record
+from nvsf_core.stages.runner.record import (
+    RECORD_NAME,
+    content_of,
+    damage_of,
+    listed_files,
+    read_record,
+    removals_of,
+)
 from nvsf_core.stages.runner.resources import Meter, in_words
 from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.documents import write_document
@@ -111,6 +118,8 @@ def skipped_stage(place: StagePlace, progress: Progress) -> Outcome | None:
         return None
     name, path = f"[{place.scene.name}] {place.stage.name}", place.store.path(place.location)
     progress(f"{name}: up to date, skipped")
+    for one in removals_of(place.store, found.record):
+        progress(f"{name}: {one.place} was {one.words}; delete {one.note} and run again to have it")
     task = _task(place, found, path, progress)
     record = _checked_again(place.stage, task, _taken_over(path, found, progress, name))
     return outcome_of(place.stage, path, record, skipped=True)

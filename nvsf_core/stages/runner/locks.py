@@ -52,6 +52,14 @@ def file_lock(path: Path, progress: Progress, awaited: str, *, shared: bool = Fa
 
 
 @contextlib.contextmanager
+def free_lock(path: Path) -> Iterator[bool]:
+    """Hold the lock of a file if nobody else has it; yields whether it is held. Nothing is waited for."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+") as handle:
+        yield _locked(handle.fileno(), fcntl.LOCK_EX)
+
+
+@contextlib.contextmanager
 def output_locks(
     folder: Path, written: str | None, read: Iterable[str], progress: Progress
 ) -> Iterator[None]:

@@ -9,6 +9,7 @@ from typing import Any
 from nvsf_core.errors import StoreError
 from nvsf_core.stores.checksums import damaged_file, file_checksums
 from nvsf_core.stores.documents import read_document
+from nvsf_core.stores.removal import PIN_NAME, Removal, removal_of
 from nvsf_core.stores.scene_store import SceneStore
 
 RECORD_NAME = "stage.json"
@@ -49,7 +50,15 @@ def listed_files(
         beside: Outputs published beside it, by their place below the scene's folder.
     """
     own = file_checksums(folder, frozenset({RECORD_NAME, *previews}))
-    return {_OWN: own, **{place: file_checksums(store.path(place)) for place in beside}}
+    return {_OWN: own, **{place: _beside(store, place) for place in beside}}
+
+
+def _beside(store: SceneStore, place: str) -> dict[str, str]:
+    """The files of an output beside a record's own; of a removed one those by which it is known."""
+    removal = removal_of(store, place)
+    if removal is not None:
+        return dict(removal.checksums)
+    return file_checksums(store.path(place), frozenset({PIN_NAME}))
 
 
 def content_of(record: Mapping[str, Any]) -> str:
@@ -66,14 +75,30 @@ def content_of(record: Mapping[str, Any]) -> str:
 def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:
     """The first file of an output that is absent or changed; None if all are as published.
 
-    Older records list no files; their outputs count as unchanged.
+    What was removed on purpose, by its note, is no damage. Older records list no files; their outputs
+    count as unchanged.
     """
     for place, files in record.get("files", {}).items():
         folder = store.path(location if place == _OWN else place)
         name = damaged_file(folder, files)
-        if name is not None:
+        # The note comes before the removal: an output that is taken away while it is read has one, too.
+        if name is not None and _removal(store, place, files) is None:
             return str(folder / name)
     return None
+
+
+def removals_of(store: SceneStore, record: Mapping[str, Any]) -> list[Removal]:
+    """The outputs beside a record's own that were removed on purpose since."""
+    found = [_removal(store, place, files) for place, files in record.get("files", {}).items()]
+    return [one for one in found if one is not None]
+
+
+def _removal(store: SceneStore, place: str, files: Mapping[str, str]) -> Removal | None:
+    """The note on an output beside a record's own; None if it is there, lost, or was another one."""
+    found = None if place == _OWN else removal_of(store, place)
+    if found is None or not found.checksums:
+        return None
+    return found if all(files.get(name) == one for name, one in found.checksums.items()) else None
 
 
 def _is_record(record: Mapping[str, Any]) -> bool:

@@ -25,6 +25,7 @@ from nvsf_core.stages.runner.execution import (
 from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
 from nvsf_core.stages.runner.locks import LOCKS, output_locks
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage
+from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
 DEMO_SCENE, STREET_SCENE = "demo", "street"
@@ -63,14 +64,15 @@ def plan_run(
 
     Raises:
         RecipeError: There is no preset of that name, or a seed is not valid.
-        DataError: The label cannot be part of a folder's name, a view asks for what the drive cannot give, or
-            its true images are absent or of another size.
+        DataError: The label cannot be part of a folder's name, a view asks for what the drive cannot give,
+            its true images are absent or of another size, or NVSF_KEEP_VERSIONS is no number.
         StoreError: The home cannot be written to.
     """
     if not isinstance(scene, SceneEntry):
         raise DataError(f"expected a SceneEntry, found {scene!r:.60}; `find_scene` gives one by its name")
     require_views(scene)
     require_truth(scene)
+    number_kept(os.environ)
     home = require_home(home)
     _require_apart(scene, home)
     if not isinstance(recipe, Recipe):
@@ -177,17 +179,20 @@ def _run_or_skip(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], prog
 def _once(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], progress: Progress) -> Outcome:
     place, locks = place_of(stage, run, by_name), run.store.home / LOCKS / run.scene.name
     inputs = [place.inputs[source] for source in by_name if source in place.inputs]
+    inputs += stage.versions
     # Who finds an output up to date only reads it: a run does not wait for another one's training.
     with output_locks(locks, None, [*inputs, place.location], progress):
         outcome = skipped_stage(place, progress)
-    if outcome is not None:
-        return outcome
-    with (
-        _device_for(stage, run, progress),
-        output_locks(locks, place.location, inputs, progress),
-        Heartbeat(progress, f"[{run.scene.name}] {stage.name}") as say,
-    ):
-        return run_stage(place, say)
+    if outcome is None:
+        with (
+            _device_for(stage, run, progress),
+            output_locks(locks, place.location, inputs, progress),
+            Heartbeat(progress, f"[{run.scene.name}] {stage.name}") as say,
+        ):
+            outcome = run_stage(place, say)
+    if stage.tidy is not None:
+        stage.tidy(run.store, outcome, progress)
+    return outcome
 
 
 def field_made_from(run: SceneRun) -> str:

@@ -170,8 +170,15 @@ class Stage:
     """Checks the output in the task's folder, just made or published earlier."""
     check_version: str = ""
     """Raised when `check` changes: outputs that are up to date are then checked again, not made again."""
+    tidy: Callable[[SceneStore, "Outcome", Progress], None] | None = None
+    """Called once its output is published or found up to date, and the run holds no lock any more."""
     named_checks: tuple[NamedCheck, ...] = ()
     """The checks, of `run` or `check`, that the UI and the report show separately."""
+
+    @property
+    def versions(self) -> tuple[str, ...]:
+        """Folder below the scene's of versions beside its output: who uses them shares the folder's lock."""
+        return (self.name,) if self.per_draw else ()
 
     def location(self, config: RunConfig) -> str:
         """Path of its output below the scene's folder."""

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel

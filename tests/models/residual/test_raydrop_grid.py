@@ -11,7 +11,7 @@ from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.models.residual.capacity import hits_network
 from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, sweep_cells
 from nvsf_core.recipe import HitsSpec, TrainingSpec
-from nvsf_core.recording.sweeps import RecordedSweeps
+from nvsf_core.recording.drive import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

@@ -15,8 +15,7 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.models.residual.training_rays import LidarRays, learned_scans, training_rays
 from nvsf_core.recipe import FieldSpec, ResidualRecipe
-from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 

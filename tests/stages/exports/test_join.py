@@ -1,6 +1,7 @@
 """Data sets of a cut drive's parts become one: each frame once, of the part whose it is."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,6 +91,15 @@ def test_parts_of_two_seeds_are_not_joined_and_nothing_is_left_behind(tmp_path):
     with pytest.raises(DataError, match=r"expected a data set of view 'left'.*seed 3"):
         newest_data_set(tmp_path, "long_000", "left", None, 3)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["long_000", "long_001"]
+
+
+def test_a_version_that_is_being_deleted_is_not_the_newest(tmp_path):
+    ((part, _), *_) = parts_of("long", cut_scene(ENTRY))
+    folder = _made(tmp_path, part, 0)
+    hidden = folder.parent / ".removing-manual-01-0123abcd"
+    shutil.copytree(folder, hidden)
+    (hidden / "manifest.json").touch()
+    assert newest_data_set(tmp_path, part.name, "left", None, 0) == folder
 
 
 def test_a_view_of_times_is_not_joined(tmp_path):

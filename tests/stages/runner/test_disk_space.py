@@ -6,10 +6,14 @@ import pytest
 
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import StoreError
+from nvsf_core.stages import STAGES
+from nvsf_core.stages.runner import disk_space
 from nvsf_core.stages.runner.run import run_scene
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 
 EXABYTE = 10**18
+RETURN_BYTES = 16
+"""In a scan file."""
 
 
 def test_an_output_that_does_not_fit_is_not_begun(tiny_catalogue: Path, tmp_path: Path) -> None:
@@ -27,3 +31,24 @@ def test_an_output_that_does_not_fit_is_not_begun(tiny_catalogue: Path, tmp_path
     with pytest.raises(StoreError, match=words):
         run_scene(entry, tmp_path, progress=str, stages=[stage("large", EXABYTE)])
     assert begun == ["small"] and not (tmp_path / "tiny/large").exists()
+
+
+def test_sweeps_that_do_not_fit_are_refused_by_the_size_of_the_scans(
+    tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry = next(one for one in load_catalogue([tiny_catalogue], None) if one.name == "tiny")
+    run_scene(entry, tmp_path, progress=str, stages=STAGES[:1])
+    scans = [path for path in entry.root.rglob("*.bin") if path.parent.name == "data"]
+    recorded = sum(path.stat().st_size for path in scans)
+    estimate = 54 * (recorded // RETURN_BYTES)
+    words = f"stage sweeps: not begun, for it writes about {estimate:,} MB"
+    with monkeypatch.context() as patched:
+        patched.setattr(disk_space, "_MB", 1.0)  # the message's figures in bytes
+        patched.setattr(disk_space, "SPARE_BYTES", EXABYTE)
+        with pytest.raises(StoreError, match=words):
+            run_scene(entry, tmp_path, progress=str, stages=STAGES[:2])
+    assert not (tmp_path / "tiny/sweeps").exists()
+    run_scene(entry, tmp_path, progress=str, stages=STAGES[:2])
+    chunks = (tmp_path / "tiny/sweeps").glob("*.zarr/*/c/**/*")
+    written = sum(path.stat().st_size for path in chunks if path.is_file())
+    assert written < estimate < 3 * written

@@ -9,7 +9,7 @@ from nvsf_core.clouds.odometry import odometry_path
 from nvsf_core.errors import DataError, MissingLibraryError
 from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.trust.path_error import step_error_m
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Sweeps
 from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stores.arrays import read_arrays

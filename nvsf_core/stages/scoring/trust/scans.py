@@ -39,7 +39,7 @@ from nvsf_core.metrics.trust.scan_statistics import (
     scan_grid,
     table_distance,
 )
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
 from nvsf_core.sensors.tables import LaserTable

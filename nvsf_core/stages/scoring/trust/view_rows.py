@@ -10,7 +10,7 @@ from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.metrics.trust.cues import BAND, GUESSED, IMAGE_CUES, ODOMETRY, PROTOCOL, SCAN_CUES, SCORE
 from nvsf_core.metrics.trust.verdict import LIDAR, Band, score_of
-from nvsf_core.recording.sweeps import Sweeps
+from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues, recorded_cameras

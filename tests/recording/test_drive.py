@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.recording.sweeps import RecordedSweeps
+from nvsf_core.recording.drive import RecordedSweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.scan import SweepRays, sweep_rays

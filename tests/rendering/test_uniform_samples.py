@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import DataError, ShapeError
-from nvsf_core.sampling.along_ray import uniform_samples
+from nvsf_core.rendering.volume import uniform_samples
 
 NEAR = torch.tensor([1.0, 0.0, 2.0])
 FAR = torch.tensor([80.0, 1.0, 2.0])
