@@ -109,11 +109,13 @@ class SceneStore:
     def recovered(self, relative: str) -> Path:
         """Folder of an output; restored first if a writer died between its two renames.
 
+        What other dead writers left beside it is removed: an output that is up to date has no next writer.
+
         Raises:
             StoreError: See `path`.
         """
         path = self.path(relative)
-        if not path.exists() and path.parent.is_dir():
+        if path.parent.is_dir():
             _sweep_leftovers(path)
         return path
 

@@ -61,6 +61,15 @@ def test_the_next_writer_removes_what_a_killed_one_left(store, tmp_path):
     assert [path.name for path in store.require("pano").iterdir()] == ["new"]
 
 
+def test_who_reads_an_output_removes_what_a_killed_writer_left_beside_it(store, tmp_path):
+    with store.publish("pano") as folder:
+        (folder / "old").write_text("whole")
+    _kill_a_writer(tmp_path)
+    assert len(list(store.root.iterdir())) == 2
+    store.require("pano")
+    assert [path.name for path in store.root.iterdir()] == ["pano"]
+
+
 def test_an_error_while_writing_leaves_the_old_output(store):
     with store.publish("pano") as folder:
         (folder / "old").write_text("whole")

@@ -79,7 +79,7 @@ def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> st
     count as unchanged.
     """
     for place, files in record.get("files", {}).items():
-        folder = store.path(location if place == _OWN else place)
+        folder = store.recovered(location if place == _OWN else place)
         name = damaged_file(folder, files)
         # The note comes before the removal: an output that is taken away while it is read has one, too.
         if name is not None and _removal(store, place, files) is None:
