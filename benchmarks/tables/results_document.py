@@ -111,6 +111,15 @@ to reach, as the mean of three seeds, written down in its issue before it was bu
 """
 
 
+_PICTURED = "street"
+_PICTURES = """\
+Images off the recorded path (`python -m benchmarks.views.off_path_pictures`): the truth, `quick`, the
+baseline of the highest PSNR there, and the error of `quick`:
+
+![Six views off the recorded path, by truth, model, best baseline and error](pictures/off_path.jpg)
+"""
+
+
 class _Limit(NamedTuple):
     """What is asked of one mean."""
 
@@ -189,6 +198,8 @@ def as_document(rows: Iterable[Row]) -> str:
                 about = [_ABOUT_MASKED] if protocol == "masked" else []
                 parts += [f"### {words} (`{protocol}`)\n", *about, table]
         parts += [*_views(mine), *_view_images(mine)]
+        if scene == _PICTURED:
+            parts.append(_PICTURES)
     return "\n".join([*parts, *_others(others)])
 
 

@@ -44,6 +44,8 @@ def test_every_format_has_a_row_with_seconds_and_megabytes(tmp_path: Path) -> No
     store = SceneStore(home=tmp_path, scene="tiny")
     with store.publish("frames") as folder:
         write_table(folder / "frames.parquet", {"frame": [1, 2], "time_s": [0.0, 0.1]})
+    with store.publish("evidence") as folder:
+        write_table(folder / "moving.parquet", {"object_id": [], "time_s": [], "box_to_world": []})
     count, points = 2, 50
     with store.publish("novel_views/quick/0/test") as folder:
         write_arrays(
