@@ -17,6 +17,7 @@ from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.drives.view_checks import moments_s
 from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.errors import DataError
+from nvsf_core.metrics.table import BASELINES
 from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.runner.stage import Task
@@ -45,8 +46,6 @@ _PIXEL_BYTES = 3 + 2 + 1
 """Of a rendered pixel: colours, range and support."""
 _MODEL_PIXEL_BYTES = 2 + 3 + 1
 """Of the model's, too: instance, and two PNG files."""
-_BASELINES = 3
-"""Methods beside the model that render what there is a truth of."""
 
 
 def sweeps_bytes(task: Task) -> int:
@@ -60,7 +59,7 @@ def novel_views_bytes(task: Task) -> int:
     """Estimated bytes of all views of a scene; one that cannot be rendered takes none."""
     drive = _Drive.of(task.store)
     held_out = sum(frame in drive.frame for frame in task.scene.test_frames)
-    methods = 1 + _BASELINES
+    methods = 1 + len(BASELINES)
     one = _sweep_bytes(drive, drive.table, methods) + methods * drive.returns * _RECORDED_RAY_BYTES
     one += _shown_bytes(drive.pixels, drive.pixels)
     return held_out * one + sum(_asked_bytes(task, drive, view) for view in task.scene.views)
@@ -120,7 +119,7 @@ def _asked_bytes(task: Task, drive: _Drive, view: ViewEntry) -> int:
     if drive.table is not None and view.sensor != NO_SENSOR:
         table = table_of(view.sensor, drive.table)
     pixels = _pixels(drive, view)
-    sweep = _sweep_bytes(drive, table, 1 + is_known * _BASELINES)
+    sweep = _sweep_bytes(drive, table, 1 + is_known * len(BASELINES))
     return count * (sweep + _shown_bytes(pixels, pixels if is_known else dict(view.truth)))
 
 
@@ -138,7 +137,7 @@ def _sweep_bytes(drive: _Drive, table: LaserTable | None, methods: int) -> int:
 def _shown_bytes(pixels: Mapping[str, int], known: Container[str]) -> int:
     """Of an image of each camera, by the model and, where its truth is known, by all methods."""
     return sum(
-        count * ((1 + (camera in known) * _BASELINES) * _PIXEL_BYTES + _MODEL_PIXEL_BYTES)
+        count * ((1 + (camera in known) * len(BASELINES)) * _PIXEL_BYTES + _MODEL_PIXEL_BYTES)
         for camera, count in pixels.items()
     )
 

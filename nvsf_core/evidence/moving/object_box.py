@@ -30,14 +30,17 @@ def smallest_box(point_m: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     Returns:
         (4, 4) from the unit cube, +-0.5, to the points' frame, metres; no side is shorter than 10 cm.
     """
-    yaw_rad = np.deg2rad(np.arange(0.0, 90.0, _STEP_DEG))
-    along = point_m[:, :1] * np.cos(yaw_rad) + point_m[:, 1:2] * np.sin(yaw_rad)
-    across = point_m[:, 1:2] * np.cos(yaw_rad) - point_m[:, :1] * np.sin(yaw_rad)
-    (low_x, high_x), (low_y, high_y) = (np.percentile(x, _WITHIN_PERCENT, axis=0) for x in (along, across))
-    best = int(np.argmin((high_x - low_x) * (high_y - low_y)))
-    towards_rad = float(np.arctan2(ahead[1], ahead[0]))
-    quarters = round((towards_rad - float(yaw_rad[best])) / (0.5 * np.pi))
-    axes = rotation_of(float(np.rad2deg(yaw_rad[best])) + 90.0 * quarters, 0.0, 0.0)
+
+    def area_m2(yaw_deg: float) -> float:
+        low, high = np.percentile(
+            point_m[:, :2] @ rotation_of(yaw_deg, 0.0, 0.0)[:2, :2], _WITHIN_PERCENT, axis=0
+        )
+        return float(np.prod(high - low))
+
+    # One direction at a time: a lorry has a million returns.
+    best_deg = min(np.arange(0.0, 90.0, _STEP_DEG).tolist(), key=area_m2)
+    towards_deg = float(np.rad2deg(np.arctan2(ahead[1], ahead[0])))
+    axes = rotation_of(best_deg + 90.0 * round((towards_deg - best_deg) / 90.0), 0.0, 0.0)
     low_m, high_m = np.percentile(point_m @ axes, _WITHIN_PERCENT, axis=0)
     box = np.eye(4)
     box[:3, :3] = axes * np.maximum(high_m - low_m, _LEAST_SIDE_M)

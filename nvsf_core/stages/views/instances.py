@@ -70,13 +70,20 @@ def _without_label(
     found: Sequence[Mapping[str, Any]], labelled: Sequence[Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
     """Boxes of found objects whose middle lies in labelled boxes less than half of the time."""
-    at = boxes_at(labelled, np.array([row["time_s"] for row in found], np.float64))
+    if not found:
+        return []
+    middles_m = np.stack([_matrix(row)[:3, 3] for row in found])
+    static = [_matrix(row) for row in labelled if not row["dynamic"]]
+    # A drive has hundreds of static boxes and few that move: the static ones are asked once.
+    is_labelled = inside_any(middles_m, np.array(static).reshape(-1, 4, 4), _SAME_OBJECT_M)
+    at = boxes_at(
+        [row for row in labelled if row["dynamic"]], np.array([row["time_s"] for row in found], np.float64)
+    )
     inside: dict[int, list[bool]] = {}
     for number, row in enumerate(found):
-        boxes = [one.box_to_world for one in at(number)]
-        middle = _matrix(row)[None, :3, 3]
-        is_labelled = bool(boxes) and bool(inside_any(middle, np.stack(boxes), _SAME_OBJECT_M)[0])
-        inside.setdefault(row["object_id"], []).append(is_labelled)
+        boxes = np.array([one.box_to_world for one in at(number)]).reshape(-1, 4, 4)
+        is_labelled[number] |= inside_any(middles_m[number : number + 1], boxes, _SAME_OBJECT_M)[0]
+        inside.setdefault(row["object_id"], []).append(bool(is_labelled[number]))
     first = max((row["object_id"] for row in labelled), default=0)
     return [
         {**row, "object_id": first + row["object_id"], "label": FOUND, "dynamic": True}
