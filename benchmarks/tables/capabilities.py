@@ -69,12 +69,6 @@ CAPABILITIES = (
         "(docs/results.md)",
     ),
     Capability(
-        "a field as large as the scene needs",
-        ("models/residual/capacity.py", "evidence/profile.py"),
-        "street: the recipe's own size; demo: finest cell 7 cm instead of 6; errors with and without were "
-        "not tabled",
-    ),
-    Capability(
         "raydrop network on the sensor's own grid",
         ("models/residual/raydrop.py", "models/residual/raydrop_grid.py", "models/residual/cell_step.py",
          "fields/cell_network.py"),

@@ -18,10 +18,10 @@ class EvidenceSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSpec:
-    """Largest size of the LiDAR's residual field; scenes with less evidence get a smaller one."""
+    """Size of the LiDAR's residual field."""
 
     levels: int = 8
-    """Most resolution levels of the hash grid."""
+    """Resolution levels of the hash grid."""
     features: int = 2
     """Features per entry of the hash table."""
     log2_table: int = 17
@@ -29,7 +29,7 @@ class FieldSpec:
     coarsest_cell_m: float = 4.0
     """Cell edge of the coarsest level."""
     finest_cell_m: float = 0.06
-    """Least cell edge of the finest level."""
+    """Cell edge of the finest level."""
     hidden: int = 32
     """Width of the network evaluated at each surfel along a ray."""
     decoded: int = 8

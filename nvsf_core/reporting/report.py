@@ -11,7 +11,7 @@ from nvsf_core.reporting import plots
 from nvsf_core.reporting.checks import checks_section
 from nvsf_core.reporting.error_cloud import error_cloud_figure
 from nvsf_core.reporting.html import escape, figure, number, page, plain_table, plot
-from nvsf_core.reporting.scene_notes import not_run, profile_table
+from nvsf_core.reporting.scene_notes import evidence_table, not_run
 from nvsf_core.reporting.scene_outputs import FieldRun, SceneOutputs, mean_of, method_rows
 from nvsf_core.reporting.tables import (
     METHOD_WORDS,
@@ -239,7 +239,7 @@ def _scene(scene: SceneOutputs) -> str:
     if curves[1:]:
         older = "".join(_loss_curve(run) for run in curves[1:])
         parts.append(f"<details><summary>Loss of the older runs</summary>{older}</details>")
-    parts.append(profile_table(scene))
+    parts.append(evidence_table(scene))
     parts.append(_stages(scene))
     tables = "".join(f'<div class="label">{escape(name)}</div>{table}' for name, table in full_tables(rows))
     parts.append(

@@ -1,17 +1,17 @@
-"""Notes of the report on one scene: its profile, and the baselines that were not run."""
+"""Notes of the report on one scene: what its scans prove, and the baselines that were not run."""
 
 from nvsf_core.reporting.html import escape, number, plain_table
 from nvsf_core.reporting.scene_outputs import SceneOutputs
 
 
-def profile_table(scene: SceneOutputs) -> str:
-    """HTML table of the scene's profile and of the model size each recipe needs; empty if unknown."""
-    rows = [(key, value) for key, value in scene.profile.items() if "\n" not in str(value)]
+def evidence_table(scene: SceneOutputs) -> str:
+    """HTML table of what the training scans prove; empty if unknown."""
+    rows = [(key, value) for key, value in scene.proven.items() if "\n" not in str(value)]
     if not rows:
         return ""
     cells = [[escape(key.replace("_", " ")), _value(value)] for key, value in rows]
     table = plain_table(["what", "value"], cells, words=(1,))
-    return f"<h3>Profile: what this scene needs, by its own returns</h3>{table}"
+    return f"<h3>What the training scans prove</h3>{table}"
 
 
 def not_run(scene: SceneOutputs) -> str:

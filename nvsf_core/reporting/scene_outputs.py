@@ -102,8 +102,8 @@ class SceneOutputs:
     records: list[StageRecord] = field(default_factory=list)
     runs: list[FieldRun] = field(default_factory=list)
     """Newest first; only the newest has pictures."""
-    profile: dict[str, Any] = field(default_factory=dict)
-    """The scene's profile, by the stage `evidence`, and the needs of each recipe."""
+    proven: dict[str, Any] = field(default_factory=dict)
+    """Metadata of the stage `evidence`."""
     failure: str | None = None
     """Why its last run failed; outputs of earlier runs may still be shown."""
 
@@ -154,9 +154,7 @@ def collect_scene(
                 error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
             )
         )
-    return SceneOutputs(
-        name=name, records=list(records), runs=runs, profile=_profile(records), failure=failure
-    )
+    return SceneOutputs(name=name, records=list(records), runs=runs, proven=_proven(records), failure=failure)
 
 
 def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
@@ -184,15 +182,8 @@ def _metric_tables(root: Path) -> list[Path]:
     return [path for path in found if is_seed_folder(path.parent.name)]
 
 
-def _profile(records: Sequence[StageRecord]) -> dict[str, Any]:
-    """What each recipe needs, then the metadata of the stage `evidence`."""
-    needs = {
-        f"needs of {record.stage.removeprefix('field ')}": record.metadata["needs"]
-        for record in records
-        if record.stage.startswith("field") and "needs" in record.metadata
-    }
-    own = [record.metadata for record in records if record.stage == "evidence"]
-    return needs | (dict(own[0]) if own else {})
+def _proven(records: Sequence[StageRecord]) -> dict[str, Any]:
+    return next((dict(record.metadata) for record in records if record.stage == "evidence"), {})
 
 
 def _pictures(root: Path, recipe: str, seed: str) -> list[ViewPictures]:

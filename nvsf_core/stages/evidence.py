@@ -4,18 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.moving.object_box import boxes_on_way
-from nvsf_core.evidence.profile import scene_profile
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene
-from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
-from nvsf_core.stores.tables import read_rows, write_table
+from nvsf_core.stores.tables import write_table
 
 
 def _run(task: Task) -> StageOutput:
@@ -23,7 +20,7 @@ def _run(task: Task) -> StageOutput:
     if sweeps is None:
         write_arrays(task.folder / "evidence.zarr", {})
         write_table(task.folder / "moving.parquet", _moving_boxes(None, np.eye(4)))
-        return StageOutput(metadata={"profile": "cameras alone: nothing is proven, everything is learned"})
+        return StageOutput(metadata={"evidence": "cameras alone: nothing is proven, everything is learned"})
     if not sweeps.is_training.any():
         raise DataError(
             f"scene {task.scene.name}: expected at least one valid training scan, found none; see in the "
@@ -34,12 +31,12 @@ def _run(task: Task) -> StageOutput:
     scene_to_world = sweeps.trajectory.scene_to_world
     write_table(task.folder / "moving.parquet", _moving_boxes(evidence.dynamic, scene_to_world))
     surfels = evidence.surfels
-    profile = _profile(evidence, sweeps, task)
-    write_table(task.folder / "profile.parquet", {name: [value] for name, value in profile.items()})
     seen_through = float(surfels.hits[surfels.passes > surfels.hits].sum() / surfels.hits.sum())
     return StageOutput(
         metadata={
-            **profile,
+            "voxels": len(surfels.hits),
+            "voxel_m": surfels.index.voxel_m,
+            **_moving(evidence),
             **tried,
             "planar_share": float(surfels.is_planar.mean()),
             "seen_through_share": seen_through,
@@ -81,12 +78,17 @@ def _plane_thickness(surfels: Surfels) -> dict[str, float]:
     return {"median_plane_thickness_m": float(np.median(surfels.thickness_m[surfels.is_planar]))}
 
 
-def _profile(evidence: SceneEvidence, sweeps: Sweeps, task: Task) -> dict[str, Scalar]:
-    """The scene's profile: its properties in words and numbers."""
-    cameras = read_rows(task.store.require("frames") / "cameras.parquet")
-    names = sorted({row["camera"] for row in cameras if row["image_valid"]})
-    times_s = sweeps.arrays["time_s"][sweeps.is_training]
-    return scene_profile(evidence, names, float(times_s.max() - times_s.min()))
+def _moving(evidence: SceneEvidence) -> dict[str, float]:
+    """Metadata: how many objects move, how many of them bend, and their share of the returns."""
+    if evidence.dynamic is None:
+        return {"moving_objects": 0}
+    objects = evidence.dynamic.objects
+    hits = sum(int(one.rays.is_hit.sum()) for one in objects)
+    return {
+        "moving_objects": len(objects),
+        "moving_objects_with_flow": evidence.dynamic.flowing,
+        "moving_returns_share": hits / float(evidence.surfels.hits.sum()),
+    }
 
 
 STAGE = Stage(
@@ -94,7 +96,7 @@ STAGE = Stage(
     group="prepare",
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
-    "hit priors, the own vehicle, what moves and how, and what the scene needs.",
+    "hit priors, the own vehicle, and what moves and how.",
     version="15",
     run=_run,
 )

@@ -12,7 +12,7 @@ _HEAD = (
     "absent; `benchmark_report/` lies beside the scenes. Frames, axes and units:",
     "[conventions.md](conventions.md). Next to each output, `stage.json` holds its fingerprint, seconds,",
     "numbers, checks, and its files with sizes and checksums. Internal, and not described here:",
-    "`evidence/evidence.zarr`, `evidence/profile.parquet`, `frames/drive.json`.",
+    "`evidence/evidence.zarr`, `frames/drive.json`.",
     "",
     "A data set lies in `dataset/<view>/<version>/`: scans as KITTI's `velodyne_points/data/*.bin`",
     "(float32 x, y, z, intensity, laser by laser), `.ply`, images as PNG, and `manifest.json`; beside",

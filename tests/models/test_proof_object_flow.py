@@ -8,8 +8,7 @@ import pytest
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import objects_at
-from nvsf_core.evidence.profile import scene_profile
-from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
+from nvsf_core.evidence.scene_evidence import DynamicEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.proof import choose_flow
 from nvsf_core.rendering.reproject import reproject_rays
@@ -99,20 +98,6 @@ def test_only_the_flow_of_what_bends_is_stored(walking: Walk) -> None:
     back = DynamicEvidence.from_arrays(arrays)
     assert back is not None and back.flowing == 1 and back.objects[0].flow_m is None
     np.testing.assert_array_equal(back.objects[1].flow_m, shown.flow_m)
-
-
-def test_the_profile_says_whose_motion_no_rigid_one_explains(walking: Walk) -> None:
-    nobody = np.zeros((0, 0), np.float32)
-    prior = DropPrior(walking.evidence.path.time_s, nobody, nobody.astype(bool))
-    scene = SceneEvidence(
-        ANYTHING, prior, np.zeros(0, np.int16), np.zeros(0, np.int32), nobody, nobody,
-        DynamicEvidence(ANYTHING, (walking.evidence, walking.evidence.with_flow())),
-    )  # fmt: skip
-    said = scene_profile(scene, [], 1.0)
-    assert said["moving_objects"] == 2 and said["moving_objects_with_flow"] == 1
-    assert "each in its own frame, a flow for 1 that no rigid motion explains; LiDAR" in str(said["profile"])
-    rigid = scene_profile(replace(scene, dynamic=DynamicEvidence(ANYTHING, (walking.evidence,))), [], 1.0)
-    assert "1 moving object, each in its own frame, no flow; LiDAR" in str(rigid["profile"])
 
 
 def test_somebody_stiff_allocates_no_flow() -> None:

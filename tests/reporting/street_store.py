@@ -48,15 +48,14 @@ def write_street(home: Path, scene: str, *, recipe: str = "quick", seed: int = 0
         write_arrays(folder / "images.zarr", arrays)
         _record(folder, 0.8, {})
     with store.publish("evidence") as folder:
-        profile = {"occupied_voxels": 184_223, "moving_share": 0.021, "needs_dynamic_branch": False}
-        _record(folder, 4.1, profile)
+        _record(folder, 4.1, {"voxels": 184_223, "moving_objects": 2})
     with store.publish(f"field/{recipe}/{seed}") as folder:
         steps = list(range(0, 1250, 25))
         loss = [2.0 * math.exp(-step / 300.0) + 0.05 + 0.01 * math.sin(step) for step in steps]
         seconds = [step * 0.05 for step in steps]
         curve = {"step": steps, "seconds": seconds, "loss": loss, "depth": [0.6 * v for v in loss]}
         write_table(folder / "curve.parquet", {**curve, "rays_per_s": [9e4] * len(steps)})
-        _record(folder, 118.0, {"steps": 1250, "needs": "static street: no time branch; 1.9 M parameters"})
+        _record(folder, 118.0, {"steps": 1250})
     with store.publish(f"novel_views/{recipe}/{seed}") as folder:
         _write_view(folder, "test", recipe, ("model", *METHODS))
         _write_view(folder, "shift_1m", recipe, ("model",))

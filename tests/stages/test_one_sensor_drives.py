@@ -112,7 +112,7 @@ def test_a_camera_only_drive_passes_every_stage_and_ends_with_image_rows_alone(c
 
 
 def test_without_lidar_nothing_is_proven_and_only_the_camera_is_trained(camera_only: Run) -> None:
-    assert "nothing is proven" in str(camera_only.outcomes["evidence"].metadata["profile"])
+    assert "nothing is proven" in str(camera_only.outcomes["evidence"].metadata["evidence"])
     tensors, facts = load_tensors(camera_only.root / "field/smoke/0/weights.safetensors")
     assert facts["has_lidar"] is False and facts["has_camera"] is True
     assert tensors and all(name.startswith(("camera.", "depth_maps.image_00.")) for name in tensors)

@@ -1,15 +1,23 @@
 """The family `residual` (recipes `lean`, `quick`, `smoke`): trains and loads its parts; see `Family`."""
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import torch
+from torch import Tensor, nn
+
+from nvsf_core._types import Scalar
+from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.family import Trained, TrainedPart, Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, maps_from, train_camera
-from nvsf_core.models.residual.capacity import ResidualFields, make_fields, needs
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
+from nvsf_core.models.residual.pano_neighbours import pano_network
 from nvsf_core.models.residual.pose_refinement import corrections_from
 from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction, train_hits
+from nvsf_core.models.residual.raydrop_grid import hits_network
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer, unobserved_renderer
@@ -17,12 +25,52 @@ from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.training.session import TrainingSession
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualFields:
+    """The learned parts of one scene's model."""
+
+    lidar: LidarField | None
+    """None where the drive has no LiDAR."""
+    camera: CameraEnsemble | None
+    """None where the drive has no camera."""
+    hits: CellNetwork | None = None
+    """The raydrop network; None where the recipe has none."""
+    pano: CellNetwork | None = None
+    """Corrects panos; None where the recipe has none."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All weights on the CPU, named `<part>.<weight>`."""
+        parts: dict[str, nn.Module | None] = {
+            "lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano
+        }  # fmt: skip
+        return {
+            f"{part}.{name}": value.cpu()
+            for part, model in parts.items()
+            if model is not None
+            for name, value in model.state_dict().items()
+        }
+
+
+def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
+    """Untrained parts, each with weights from its own seed."""
+    lidar = camera = hits = pano = None
+    if recording.lidar is not None:
+        if recipe.hits is not None:
+            hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
+        if recipe.pano is not None and recipe.pano.training is not None:
+            pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
+        points_m = recording.lidar.evidence.surfels.mean_m
+        lidar = LidarField.around(points_m, recipe.lidar_field, torch.Generator().manual_seed(seed))
+    if recording.cameras:
+        camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
+    return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
+
+
 def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession) -> Trained:
     """Train all parts of a scene's model, resuming from the session's checkpoints."""
     started = time.perf_counter()
     fields = make_fields(recipe, recording, session.seed)
-    metadata = needs(fields, recipe, recording)
-    session.say("model", str(metadata["needs"]))
+    metadata: dict[str, Scalar] = {}
     seconds = time.perf_counter() - started
     parts: list[TrainedPart] = []
     if recording.lidar is not None:

@@ -9,7 +9,7 @@ import pytest
 
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.models.residual.capacity import make_fields
+from nvsf_core.models.residual.family import make_fields
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording

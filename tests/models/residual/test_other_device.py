@@ -13,7 +13,7 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
 from nvsf_core.models.residual.camera import LEARNED
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
-from nvsf_core.models.residual.capacity import make_fields
+from nvsf_core.models.residual.family import make_fields
 from nvsf_core.models.residual.family import train as train_scene
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pano import train_pano

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.models.residual.capacity import make_fields
+from nvsf_core.models.residual.family import make_fields
 from nvsf_core.models.residual.pano import train_pano
 from nvsf_core.models.residual.raydrop import (
     TrainedHits,
