@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from torch.nn.functional import linear
 
 from nvsf_core.encodings import SPHERICAL_HARMONICS_OUTPUTS, frequency_encode, frequency_outputs
-from nvsf_core.errors import RecipeError
 from nvsf_core.numerics import safe_exp
 from nvsf_core.recipe import HeadsSpec
 
@@ -90,13 +89,7 @@ def lidar_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
 
 
 def colour_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
-    """Head for red, green and blue, from spherical harmonics of the direction.
-
-    Raises:
-        RecipeError: The harmonics' degree is not 4, the only one there is.
-    """
-    if spec.camera_degree**2 != SPHERICAL_HARMONICS_OUTPUTS:
-        raise RecipeError(f"heads.camera_degree: expected 4, found {spec.camera_degree}; correct the recipe")
+    """Head for red, green and blue, from spherical harmonics of the direction."""
     return Head(SPHERICAL_HARMONICS_OUTPUTS, 3, spec, generator)
 
 

@@ -43,7 +43,7 @@ class Recipe:
         try:
             made: Self = _read(cls, {name: value for name, value in values.items() if name != "family"})
         except TypeError as error:
-            raise RecipeError(f"this is no recipe of this version: {error}") from error
+            raise RecipeError(f"this is no recipe of this version: {error}; train again") from error
         return made
 
     def identity(self) -> str:

@@ -96,8 +96,6 @@ class HeadsSpec:
     """Features passed from the density network to the heads."""
     lidar_frequencies: int = 12
     """Octaves of the frequency encoding of LiDAR directions."""
-    camera_degree: int = 4
-    """Degree of the spherical harmonics of camera directions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +152,7 @@ class GradientLossSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperLosses:
-    """Weights lambda_1 to lambda_6 of the paper's total, then the optional terms of the authors' code."""
+    """Weights lambda_1 to lambda_6 of the paper's total, then two more terms of the authors' code."""
 
     flow: float = 1.0
     """Chamfer distance of the moved cloud to the neighbours', squared scaled units."""
@@ -172,11 +170,6 @@ class PaperLosses:
     """Chamfer distance of the ray batch, m2; the authors' code 1, not in the paper."""
     flow_magnitude: float = 0.0
     """Mean absolute flow; the authors' code 1, not in the paper."""
-    camera_depth: float = 0.0
-    """Sum over camera rays that meet a return of the frame's scan of the absolute range error, scaled units;
-    the code has it off."""
-    line_of_sight: float = 0.0
-    """Weight outside a shrinking shell around the return (Rematas et al. 2022); the code has it off."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,8 +206,6 @@ class ReferenceQuirks:
     """Box around all points instead of all but the outermost 0.1 %."""
     half_precision_truth: bool = False
     """Round true ranges to float16 in scaled units."""
-    active_sensor: bool = False
-    """Double the optical depth, as for light that travels there and back."""
     identical_tables: bool = False
     """Initialise all grids of one shape with the same numbers (one seed)."""
 

@@ -24,10 +24,6 @@ Attributes = Callable[[Tensor, Tensor], Tensor]
 class VolumeRender:
     """r rendered rays of s samples each."""
 
-    weights: Tensor
-    """(r, s) w_i = T_i alpha_i."""
-    t: Tensor
-    """(r, s) range of the samples, scaled units."""
     range_scaled: Tensor
     """(r,) D of eq. 3, scaled units; not divided by the sum of the weights."""
     attributes: Tensor
@@ -124,7 +120,6 @@ def render_volume(
     samples: int,
     bound: float,
     generator: torch.Generator | None = None,
-    optical_factor: float = 1.0,
 ) -> VolumeRender:
     """The paper's eq. 3: D = sum_i T_i alpha_i t_i.
 
@@ -137,15 +132,14 @@ def render_volume(
         samples: Number of samples a ray, evenly spaced from near to far.
         bound: The unit cube is [-bound, bound]^3 in scaled units; points outside are clamped to its faces.
         generator: Jitters the samples in training; None = no jitter.
-        optical_factor: 2 for light that travels there and back (authors' switch `active_sensor`).
     """
     t, delta = uniform_samples(rays.near, rays.far, samples, generator)
     points = rays.origin[:, None, :] + rays.direction[:, None, :] * t[:, :, None]
     x01 = points.clamp(-bound, bound) / (2.0 * bound) + 0.5
     sigma, geometry = density(x01.reshape(-1, 3))
-    weights, passed = weights_from_optical_depth(optical_factor * sigma.reshape(t.shape) * delta)
+    weights, passed = weights_from_optical_depth(sigma.reshape(t.shape) * delta)
     composited = _composite(attributes, rays.direction, geometry, weights)
-    return VolumeRender(weights, t, (weights * t).sum(dim=1), composited, passed)
+    return VolumeRender((weights * t).sum(dim=1), composited, passed)
 
 
 def _composite(attributes: Attributes, direction: Tensor, geometry: Tensor, weights: Tensor) -> Tensor:

@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import nn
 
-from nvsf_core.errors import RecipeError
 from nvsf_core.fields.flow import applied
 from nvsf_core.fields.layers import Density, bias_free, colour_head, lidar_direction, lidar_head, network
 from nvsf_core.fields.lidar_field import grid_layout
@@ -54,14 +53,12 @@ def test_a_head_gives_probabilities_and_broadcasts_directions_over_samples() -> 
     torch.testing.assert_close(found, head(angles.expand(-1, 4, -1), geometry))
 
 
-def test_colours_have_three_channels_and_want_harmonics_of_degree_4() -> None:
+def test_colours_have_three_channels() -> None:
     spec = HeadsSpec()
     assert colour_head(spec, _seeded())(torch.zeros(2, 16), torch.zeros(2, spec.geometry_features)).shape == (
         2,
         3,
     )
-    with pytest.raises(RecipeError, match="camera_degree"):
-        colour_head(replace(spec, camera_degree=3), _seeded())
 
 
 def test_density_is_one_without_features_and_never_negative() -> None:

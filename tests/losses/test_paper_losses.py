@@ -1,8 +1,5 @@
 """The paper's terms against hand-computed numbers."""
 
-import math
-
-import numpy as np
 import pytest
 import torch
 
@@ -18,7 +15,6 @@ from nvsf_core.losses.chamfer import (
 from nvsf_core.losses.gradient import gradient_loss
 from nvsf_core.losses.image import squared_colour_error
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
-from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
 from nvsf_core.losses.total import total_loss
 
 INSIDE = torch.ones(1, 2, 3, dtype=torch.bool)
@@ -131,32 +127,6 @@ def test_the_true_flow_has_no_flow_loss_and_each_neighbour_its_own_term() -> Non
 
 def test_flow_magnitude_is_the_mean_absolute_component() -> None:
     assert float(flow_magnitude(torch.ones(2, 3), torch.full((2, 3), -3.0)).mean()) == 2.0
-
-
-def test_line_of_sight_wants_all_weight_in_the_shell() -> None:
-    t = torch.linspace(0.0, 1.0, 101)[None]
-    at = torch.tensor([0.4])
-    fits = torch.zeros(1, 101)
-    fits[0, 40] = 1.0
-    assert float(line_of_sight_loss(fits, t, at, 1e-3)) < 1e-10
-    assert float(line_of_sight_loss(fits.roll(-5, 1), t, at, 1e-3)) == pytest.approx(2.0)
-    assert float(line_of_sight_loss(torch.zeros(1, 101), t, at, 1e-3)) == pytest.approx(1.0)
-    assert float(line_of_sight_loss(fits, t, torch.zeros(1), 1e-3)) == 0.0
-    with pytest.raises(ShapeError):
-        line_of_sight_loss(fits, t, at, 0.0)
-
-
-def test_line_of_sight_spreads_a_wide_shell_as_a_normal_distribution() -> None:
-    t = torch.linspace(0.0, 1.0, 1001, dtype=torch.float64)[None]
-    sigma = 0.1 / 3
-    bell = np.exp(-0.5 * ((t.numpy() - 0.5) / sigma) ** 2) * (np.abs(t.numpy() - 0.5) <= 0.1)
-    weights = torch.from_numpy(bell / bell.sum())
-    assert float(line_of_sight_loss(weights, t, torch.tensor([0.5], dtype=torch.float64), 0.1)) < 1e-7
-
-
-def test_the_shell_shrinks_to_a_tenth() -> None:
-    assert shell_half_width(0, 100) == 0.02
-    assert math.isclose(shell_half_width(100, 100), 0.002)
 
 
 def test_total_adds_sums_and_means_as_named() -> None:

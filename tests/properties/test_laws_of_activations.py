@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from benchmarks.numerics.cases.tolerances import ELEMENTWISE_ULP, EPS, SUM_EPS
 from nvsf_core import numerics
 from nvsf_core.losses.lidar import CLAMP_M, depth_loss
-from nvsf_core.losses.line_of_sight import line_of_sight_loss
 from nvsf_core.rendering.reproject import weighted_median_index
 from nvsf_core.rendering.volume import uniform_samples, weights_from_optical_depth
 
@@ -127,14 +126,3 @@ def test_the_depth_loss_is_bounded_by_its_clamp(shares: list[float], true_m: flo
     ranges = torch.linspace(0.1, 120.0, len(shares), dtype=torch.float64)[None]
     loss = depth_loss(weights, ranges, torch.tensor([true_m], dtype=torch.float64)).item()
     assert -1e-12 <= loss <= CLAMP_M + 1e-12
-
-
-@LAW
-@given(st.floats(1e-30, 1.0), st.floats(0.01, 0.99))
-def test_a_shell_is_met_by_its_own_weights(epsilon: float, place: float) -> None:
-    t = torch.linspace(0.0, 1.0, 33, dtype=torch.float64)[None].requires_grad_()
-    weights = torch.full((1, 33), 1.0 / 33.0, dtype=torch.float64, requires_grad=True)
-    loss = line_of_sight_loss(weights, t, torch.tensor([place], dtype=torch.float64), epsilon)
-    loss.sum().backward()
-    assert 0.0 <= loss.item() <= 2.0
-    assert all(x.grad is not None and torch.isfinite(x.grad).all() for x in (weights, t))

@@ -61,6 +61,13 @@ def test_json_of_something_else_is_refused(change, message):
         recipe_from_json(preset("quick").to_json() | change)
 
 
+def test_a_stored_recipe_with_a_switch_that_is_gone_is_refused_by_its_name():
+    values = preset("paper").to_json()
+    values["slips"]["active_sensor"] = False
+    with pytest.raises(RecipeError, match=r"no recipe of this version.*active_sensor.*train again"):
+        recipe_from_json(values)
+
+
 def test_a_family_does_not_read_the_other_ones_json():
     with pytest.raises(RecipeError, match="family residual"):
         ResidualRecipe.from_json(preset("paper").to_json())

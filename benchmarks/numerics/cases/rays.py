@@ -16,7 +16,6 @@ from nvsf_core.errors import DataError, DivergedError
 from nvsf_core.fields.layers import Density
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.losses.lidar import CLAMP_M, depth_loss
-from nvsf_core.losses.line_of_sight import line_of_sight_loss
 from nvsf_core.recipe import HeadsSpec
 from nvsf_core.rendering.reproject import weighted_median_index
 from nvsf_core.rendering.scaled_rays import ScaledRays
@@ -214,21 +213,6 @@ def _depth_loss() -> Reading:
                    [weights, ranges], scale=CLAMP_M)  # fmt: skip
 
 
-def _line_of_sight() -> Reading:
-    """No return, a return between two samples, a shell thinner than float32 tells apart."""
-    rng = np.random.default_rng(2)
-    t = np.sort(rng.uniform(0.0, 1.5, (100, 96)), axis=1)
-    weights = rng.dirichlet(np.ones(96), 100)
-    true = rng.uniform(0.1, 1.4, 100)
-    true[:20] = np.where(np.arange(20) < 10, 0.0, 0.5 * (t[:20, 40] + t[:20, 41]))
-    w, s = (torch.from_numpy(a).float().requires_grad_() for a in (weights, t))
-    losses = [line_of_sight_loss(w, s, torch.from_numpy(true).float(), e) for e in (0.02, 1e-12, 1e-300)]
-    slope = max(finite_gradient(loss.sum(), w, s) for loss in losses)
-    most = max(loss.max().item() for loss in losses)
-    assert most <= 2.0 + 1e-5, f"a loss of {most}"
-    return Reading(gradient=slope, outcome=f"losses up to {most:.2g}, at most 2")
-
-
 def _sampled(near: float, far: float) -> object:
     return uniform_samples(torch.tensor([near]), torch.tensor([far]), 8)
 
@@ -264,5 +248,4 @@ CASES = (
          refused(DivergedError, lambda: weighted_median_index(torch.tensor([[0.1, -0.2]])))),
     Case("losses.lidar.depth_loss", "weights of sum 0, 1e-6, 1/2 and 1; errors 0 to 1e6 m", _depth_loss,
          ELEMENTWISE_ULP, "ulp of 3 m"),
-    Case("losses.line_of_sight.line_of_sight_loss", "half widths 0.02, 1e-12 and 1e-300", _line_of_sight),
 )  # fmt: skip

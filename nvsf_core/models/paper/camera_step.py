@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from nvsf_core.losses.image import squared_colour_error
-from nvsf_core.losses.lidar import absolute_range_error
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.paper.lidar_step import SUMS
 from nvsf_core.models.paper.training_frames import Images, PaperFrames, PaperTrainee
@@ -45,7 +44,6 @@ def camera_losses(
     origin = np.broadcast_to(pose[:3, 3], direction.shape)
     rays = camera_rays(frames.bounds, origin, direction, near_m=recipe.sampling.near_m).to(trainee.device)
     truth = torch.from_numpy(camera.images.rgb[row, rows, columns]).to(trainee.device) / 255.0
-    known = _known_range(camera, row, rows, columns, frames.bounds.half_m, trainee.device)
     error: list[Tensor] = []
     for first in range(0, len(rays), recipe.sampling.rays_at_once):
         part = slice(first, first + recipe.sampling.rays_at_once)
@@ -56,22 +54,9 @@ def camera_losses(
             samples=recipe.sampling.samples,
             bound=frames.bounds.bound,
             generator=generator,
-            optical_factor=2.0 if recipe.slips.active_sensor else 1.0,
         )
         colour = on_white(render)
         terms = {"colour": squared_colour_error(colour, truth[part])}
-        if known is not None:
-            # Rays without a return are not compared: a pixel between two lasers is not a dropped ray.
-            terms["camera_depth"] = absolute_range_error(render.range_scaled, known[part])
         error.append(terms["colour"].sum(dim=1).detach().cpu())
         yield total_loss(terms, asdict(recipe.losses), SUMS)
     errors.update(row, pixels.rows, pixels.columns, torch.cat(error))
-
-
-def _known_range(
-    camera: Images, row: int, rows: np.ndarray, columns: np.ndarray, half_m: float, device: torch.device
-) -> Tensor | None:
-    """LiDAR ranges (r,) in scaled units at pixels, 0 = none; None if no loss needs them."""
-    if camera.range_m is None:
-        return None
-    return torch.from_numpy(camera.range_m[row, rows, columns] / np.float32(half_m)).to(device)

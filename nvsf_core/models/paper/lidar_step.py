@@ -10,7 +10,6 @@ from torch import Tensor
 from nvsf_core.losses.chamfer import ray_batch_chamfer
 from nvsf_core.losses.gradient import gradient_loss, gradient_mask
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
-from nvsf_core.losses.line_of_sight import line_of_sight_loss, shell_half_width
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.paper.training_frames import Panos, PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
@@ -19,7 +18,7 @@ from nvsf_core.rendering.volume import VolumeRender, render_volume
 from nvsf_core.sampling.pixels import SampledPixels, sample_lidar_pixels
 from nvsf_core.sensors.linear_pano import LinearPano
 
-SUMS = ("depth", "intensity", "raydrop", "gradient", "colour", "camera_depth", "line_of_sight")
+SUMS = ("depth", "intensity", "raydrop", "gradient", "colour")
 """Terms that are summed over rays, as in the paper."""
 
 
@@ -45,7 +44,6 @@ def lidar_losses(
     frames: PaperFrames,
     panos: Panos,
     row: int,
-    step: int,
     epoch: int,
     generator: torch.Generator,
 ) -> Iterator[LossBreakdown]:
@@ -56,7 +54,6 @@ def lidar_losses(
         frames: All training data.
         panos: Of `frames`.
         row: Number of the pano.
-        step: From 0; decides the width of the line-of-sight loss.
         epoch: From 0; decides how rays are sampled.
         generator: Samples rays and points on them.
     """
@@ -76,9 +73,8 @@ def lidar_losses(
             samples=recipe.sampling.samples,
             bound=frames.bounds.bound,
             generator=generator,
-            optical_factor=2.0 if recipe.slips.active_sensor else 1.0,
         )
-        terms = _terms(recipe, render, part, true, frames.bounds.half_m, pixels.patch, step)
+        terms = _terms(recipe, render, part, true, frames.bounds.half_m, pixels.patch)
         if "chamfer" in terms:
             # A mean over the step's rays, of which this part is a share.
             terms["chamfer"] = terms["chamfer"] * (len(part) / len(rays))
@@ -116,7 +112,6 @@ def _terms(
     truth: _Truth,
     half_m: float,
     patch: tuple[int, int] | None,
-    step: int,
 ) -> dict[str, Tensor]:
     """Each term unreduced; only those with a weight are computed."""
     weights, true_scaled = recipe.losses, truth.range_m / half_m
@@ -139,9 +134,6 @@ def _terms(
         )
     if weights.chamfer:
         terms["chamfer"] = ray_batch_chamfer(rays.direction, range_m, truth.range_m)
-    if weights.line_of_sight:
-        epsilon = shell_half_width(step, recipe.optimiser.steps)
-        terms["line_of_sight"] = line_of_sight_loss(render.weights, render.t, true_scaled, epsilon)
     return terms
 
 

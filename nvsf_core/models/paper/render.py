@@ -127,7 +127,6 @@ class PaperModel:
                 rays.part(slice(first, first + at_once)).to(device),
                 samples=samples,
                 bound=self.bounds.bound,
-                optical_factor=2.0 if self.recipe.slips.active_sensor else 1.0,
             )
             parts.append(result(render).cpu())
         return torch.cat(parts)

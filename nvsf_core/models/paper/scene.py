@@ -11,15 +11,13 @@ from nvsf_core.errors import DataError
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
-from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
-from nvsf_core.metrics.depth import lidar_depth_images
+from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.models.family import Weights
 from nvsf_core.models.paper.flow_training import flow_cloud
 from nvsf_core.models.paper.render import PaperModel
 from nvsf_core.models.paper.training_frames import Images, Panos, PaperFrames
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
-from nvsf_core.recording.images import CameraRecording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.training.session import training_device
 
@@ -73,7 +71,6 @@ def training_frames(recipe: PaperRecipe, recording: Recording) -> PaperFrames:
             name=name,
             images=camera.training,
             frame=np.array([number(float(time_s)) for time_s in camera.training_time_s]),
-            range_m=_seen_by_lidar(camera, recording.lidar) if recipe.losses.camera_depth else None,
         )
         for name, camera in recording.cameras.items()
         if recipe.sampling.camera
@@ -107,22 +104,6 @@ def _panos(recipe: PaperRecipe, recording: Recording, bounds: Bounds) -> Panos:
         intensity=torch.from_numpy(recorded.intensity[row]),
         clouds=tuple(cloud.astype(np.float32) for cloud in clouds),
     )
-
-
-def _seen_by_lidar(camera: CameraRecording, lidar: LidarRecording | None) -> np.ndarray | None:
-    """Ray lengths (k, h, w) float32 of the returns of the scan at each image's time, in metres; 0 = none."""
-    if lidar is None:
-        return None
-    pinhole = camera.training.pinhole
-    found = np.zeros((len(camera.training.pose), pinhole.height, pinhole.width), np.float32)
-    scan_at = {float(lidar.sweeps.arrays["time_s"][scan]): int(scan) for scan in _training_scans(lidar)}
-    for k, (pose, time_s) in enumerate(zip(camera.training.pose, camera.training_time_s, strict=True)):
-        scan = scan_at.get(float(time_s))
-        if scan is not None:
-            inverse = invert_pose(pose)
-            points_m = _points(lidar, scan) @ inverse[:3, :3].T + inverse[:3, 3]
-            found[k] = lidar_depth_images(points_m, pinhole)[0]
-    return found
 
 
 def _training_scans(lidar: LidarRecording) -> np.ndarray:

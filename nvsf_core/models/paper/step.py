@@ -36,7 +36,7 @@ def paper_step(
     frame, epoch = frame_of_step(frames, seed, step)
     parts: list[Part] = []
     if frames.panos is not None:
-        parts.append(partial(_of_lidar, trainee, frames, frame, step, _own(generator)))
+        parts.append(partial(_of_lidar, trainee, frames, frame, epoch, _own(generator)))
     shown = [camera for camera in frames.cameras if camera.name in trainee.image_errors]
     shown = [camera for camera in shown if frame in camera.frame]
     if shown:
@@ -48,13 +48,13 @@ def paper_step(
 
 
 def _of_lidar(
-    trainee: PaperTrainee, frames: PaperFrames, frame: float, step: int, generator: torch.Generator
+    trainee: PaperTrainee, frames: PaperFrames, frame: float, epoch: int, generator: torch.Generator
 ) -> Iterator[LossBreakdown]:
     """Losses of the scans of a frame, each followed by that of the flow there."""
-    panos, epoch = frames.panos, step // len(frames.frames)
+    panos = frames.panos
     assert panos is not None
     for scan in np.flatnonzero(panos.frame == frame):
-        yield from lidar_losses(trainee, frames, panos, int(scan), step, epoch, generator)
+        yield from lidar_losses(trainee, frames, panos, int(scan), epoch, generator)
         if trainee.recipe.aggregate:
             flow, t = trainee.field.flow, trainee.field.time(frame)
             yield flow_loss(flow, trainee.recipe, panos.clouds, panos.frame, int(scan), t, generator)

@@ -38,8 +38,6 @@ class Images:
     images: CameraImages
     frame: np.ndarray
     """(k,) float64 frame coordinates."""
-    range_m: np.ndarray | None = None
-    """(k, h, w) float32 ray lengths of the frame's own returns, metres, 0 = none; None if not needed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from tests.other_device import OTHER, other_device
 
 SMOKE = preset("paper_smoke")
 assert isinstance(SMOKE, PaperRecipe)
-LOSSES = PaperLosses(chamfer=1.0, flow_magnitude=1.0, line_of_sight=0.1, camera_depth=1.0)
+LOSSES = PaperLosses(chamfer=1.0, flow_magnitude=1.0)
 # Three frames are an epoch; the second draws by the error map and in patches.
 EVERYTHING = replace(
     SMOKE, name="everything", losses=LOSSES, optimiser=replace(SMOKE.optimiser, steps=4),

@@ -87,12 +87,12 @@ def test_every_stage_runs_with_the_papers_recipe(drive, home):
 def test_the_training_curve_shows_every_term(drive, home):
     recipe = smoke(
         name="all_terms",
-        losses=PaperLosses(chamfer=1.0, flow_magnitude=1.0, line_of_sight=0.1, camera_depth=1.0),
+        losses=PaperLosses(chamfer=1.0, flow_magnitude=1.0),
         optimiser=replace(smoke().optimiser, steps=30),
     )
     curve = read_table(train(drive, home, recipe) / "curve.parquet")
     named = ("flow", "depth", "intensity", "raydrop", "gradient", "colour")
-    for term in (*named, "chamfer", "flow_magnitude", "line_of_sight", "camera_depth"):
+    for term in (*named, "chamfer", "flow_magnitude"):
         assert any(value is not None and value >= 0.0 for value in curve[term]), term
 
 
@@ -171,8 +171,6 @@ SWITCHES = {
     },
     "chamfer": {"losses": replace(smoke().losses, chamfer=1.0)},
     "flow_magnitude": {"losses": replace(smoke().losses, flow_magnitude=1.0)},
-    "camera_depth": {"losses": replace(smoke().losses, camera_depth=1.0)},
-    "line_of_sight": {"losses": replace(smoke().losses, line_of_sight=0.1)},
     **{
         slip: {"slips": ReferenceQuirks(**{slip: 2.0 if slip == "bound" else True})}
         for slip in ReferenceQuirks.__dataclass_fields__
@@ -224,7 +222,7 @@ def test_each_way_of_encoding_trains(drive, home, encoders):
 def test_the_authors_slips_train(drive, home):
     slips = ReferenceQuirks(
         flow_unit=True, neighbour_times=True, bound=2.0, minmax_box=True, half_precision_truth=True,
-        active_sensor=True, identical_tables=True,
+        identical_tables=True,
     )  # fmt: skip
     _, facts = load_tensors(train(drive, home, smoke(name="slips", slips=slips)) / "weights.safetensors")
     assert facts["bound"] == 2.0
