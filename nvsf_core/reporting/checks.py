@@ -27,7 +27,7 @@ def checks_section(scene: SceneOutputs) -> str:
     parts = [
         "<h3>Can these numbers be trusted?</h3>",
         f'<div class="note {"" if doubts else "good"}">{_in_words(doubts, len(judged))}</div>',
-        _table([one for one in judged if not one[1]["passed"]]),
+        _table([one for one in judged if not one[1]["passed"]]) if doubts else "",
         '<p class="soft">A check with a number compares it with the most that it may be. Limits of hit rates,'
         " intensities and greys come from the training scans and images of this drive, never from held-out"
         " ones. What breaks a check that makes an output unusable (NaN, out of limits, empty) is not"

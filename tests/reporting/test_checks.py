@@ -41,6 +41,12 @@ def test_what_could_not_be_run_says_why_and_is_no_doubt():
     assert "not run: one scan" in text and "Every check holds, 1 of 1" in text
 
 
+def test_where_every_check_holds_words_stand_in_place_of_a_table():
+    text = checks_section(_scene(_record("sweeps", HOLDS)))
+    assert "Every check holds, 1 of 1" in text
+    assert "<table" not in text[: text.index("<details>")]
+
+
 def test_older_runs_are_folded_away():
     text = checks_section(_scene(_record("field quick 0", HOLDS), _record("field lean 1", DOUBT)))
     assert "Every check holds, 1 of 1" in text
