@@ -107,8 +107,9 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         frames.append(_frame_row(source, facts, frame, float(times.time_s[index])))
         images += [_camera_row(source, facts, name, frame) for name in calibration.cameras]
     _require_something(source, facts, frames, images)
+    labelled = source.boxes()
     scene_to_world = _scene_to_world(frames)
-    boxes, far = _near_boxes(source.boxes(), scene_to_world[:3, 3])
+    boxes, far = _near_boxes(labelled, scene_to_world[:3, 3])
     notes = [*calibration.notes, *boxes.notes, *facts.notes]
     if calibration.lidar_is_assumed:
         notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")

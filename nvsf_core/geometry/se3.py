@@ -1,4 +1,4 @@
-"""Rigid motions as 4x4 float64 matrices: exponential, logarithm, inverse.
+"""Rigid motions as 4x4 float64 matrices: exponential, logarithm, inverse; rotations by yaw, pitch and roll.
 
 A twist is (rho, phi): rho (3,) the translational part, phi (3,) the rotation vector in radians.
 `exp_se3(twist)` is the motion after one unit of time at that constant twist (a screw motion).
@@ -128,3 +128,28 @@ def _checked(pose: np.ndarray) -> np.ndarray:
     if pose.shape[-2:] != (4, 4):
         raise ShapeError(f"expected poses (..., 4, 4), found {pose.shape}; pass 4x4 matrices")
     return pose
+
+
+def rotation_of(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
+    """Rotation (3, 3) float64: yaw to the left, then pitch downwards, then roll to the right, in degrees.
+
+    R = R_z(yaw) R_y(pitch) R_x(roll): each is about the axes that those before it gave; x forward, y left,
+    z up.
+    """
+    yaw, pitch, roll = np.deg2rad([yaw_deg, pitch_deg, roll_deg])
+    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array(
+        [[np.cos(pitch), 0.0, np.sin(pitch)], [0.0, 1.0, 0.0], [-np.sin(pitch), 0.0, np.cos(pitch)]]
+    )
+    about_x = np.array(
+        [[1.0, 0.0, 0.0], [0.0, np.cos(roll), -np.sin(roll)], [0.0, np.sin(roll), np.cos(roll)]]
+    )
+    turned: np.ndarray = about_z @ about_y @ about_x
+    return turned
+
+
+def pose_of_angles(
+    position_m: tuple[float, float, float], yaw_deg: float, pitch_deg: float, roll_deg: float
+) -> np.ndarray:
+    """Pose (4, 4) float64 at a position, metres, with the rotation of `rotation_of`."""
+    return pose_from_parts(rotation_of(yaw_deg, pitch_deg, roll_deg), np.array(position_m, np.float64))

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.geometry.angles import rotation_of
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.geometry.se3 import pose_from_parts, rotation_of
 from nvsf_core.rendering.rendered import RenderedImage
 
 _MOST_IMAGES = 40

@@ -15,8 +15,7 @@ from nvsf_core.drives.view_checks import moments_s
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.errors import DataError, MissingFrameError
-from nvsf_core.geometry.angles import pose_of_angles
-from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3, pose_from_parts
+from nvsf_core.geometry.se3 import exp_se3, invert_pose, log_se3, pose_from_parts, pose_of_angles
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import LaserTable, sensor_table
 

@@ -16,7 +16,7 @@ from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
-from nvsf_core.sensors.sweep import compensate, trajectory_of
+from nvsf_core.sensors.sweep import Trajectory, compensate, trajectory_of
 from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, SENSOR_TABLES, LaserTable, sensor_table, table_facts
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
 from nvsf_core.stages.inputs import scene_frame
@@ -59,13 +59,17 @@ def _run(task: Task) -> StageOutput:
     frames_dir = task.store.require("frames")
     rows = read_rows(frames_dir / "frames.parquet")
     drive: dict[str, Any] = read_document(frames_dir / "drive.json")
+    scene_to_world = scene_frame(drive)
     posed = [row for row in rows if row["pose_valid"]]
     table, found, scans = _read_scans(task, [row for row in posed if row["scan_valid"]], drive)
     sources = Counter(scan.timing.source for scan in scans)
     source = sources.most_common(1)[0][0] if scans else UNKNOWN
     correction_rad = 0.0 if source == UNKNOWN else table.elevation_correction_rad
-    rays = _placed(task, table, posed, scans, drive, correction_rad)
-    arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, scene_frame(drive)))
+    # A period of 0 puts a whole scan at its pose's instant, as the papers do.
+    period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
+    # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
+    rays = _placed(task, table, scans, trajectory_of(posed, scene_to_world), period_s, correction_rad)
+    arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, scene_to_world))
     arrays |= _mirrored(table, scans)
     arrays |= _laser_errors(table, scans, arrays)
     evidence = found + _evidence(scans, sources)
@@ -122,19 +126,13 @@ def _table(sensor: str, scans: list[Scan]) -> tuple[LaserTable, str]:
 def _placed(
     task: Task,
     table: LaserTable,
-    posed: list[dict[str, Any]],
     scans: list[_Scan],
-    drive: dict[str, Any],
+    trajectory: Trajectory,
+    period_s: float,
     correction_rad: float,
 ) -> list[_Rays]:
     """The scans' returns as rays in the scene, compensated for ego-motion."""
-    if not scans:
-        return []
-    # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
-    trajectory = trajectory_of(posed, scene_frame(drive))
     say = sparse(task.progress)
-    # A period of 0 puts a whole scan at its pose's instant, as the papers do.
-    period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
     rays: list[_Rays] = []
     for scan in scans:
         time_s = scan.row["time_s"] + scan.timing.sweep_fraction * period_s

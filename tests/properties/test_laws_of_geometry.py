@@ -10,12 +10,12 @@ from hypothesis.extra import numpy as arrays
 
 from benchmarks.numerics.cases.geometry import KITTI_360
 from benchmarks.numerics.cases.tolerances import LENGTH_M, SHIFTED_POSE_M
-from nvsf_core.geometry.angles import pose_of_angles
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import (
     exp_se3,
     invert_pose,
     log_se3,
+    pose_of_angles,
     transform_points,
 )
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, wrap_angle

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError, ShapeError
-from nvsf_core.geometry.angles import pose_of_angles
-from nvsf_core.geometry.se3 import exp_se3, invert_pose, transform_points
+from nvsf_core.geometry.se3 import exp_se3, invert_pose, pose_of_angles, transform_points
 from nvsf_core.sensors.beam_table import corrected_rays, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
 from nvsf_core.sensors.tables import HDL_64E

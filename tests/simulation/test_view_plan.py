@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.drives.view_parts import PoseFile, SensorEntry, Waypoint
 from nvsf_core.errors import MissingFrameError
-from nvsf_core.geometry.angles import pose_of_angles, rotation_of
+from nvsf_core.geometry.se3 import pose_of_angles, rotation_of
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.view_plan import plan_sweeps, plan_view

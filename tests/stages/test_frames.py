@@ -9,8 +9,7 @@ from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.errors import CheckFailedError, DataError
-from nvsf_core.geometry.angles import pose_of_angles
-from nvsf_core.geometry.se3 import pose_from_parts
+from nvsf_core.geometry.se3 import pose_from_parts, pose_of_angles
 from nvsf_core.recipe import preset
 from nvsf_core.stages.frames import STAGE
 from nvsf_core.stages.inputs import scene_frame

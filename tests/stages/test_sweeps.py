@@ -6,8 +6,7 @@ import pytest
 
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.geometry.angles import pose_of_angles
-from nvsf_core.geometry.se3 import exp_se3, invert_pose
+from nvsf_core.geometry.se3 import exp_se3, invert_pose, pose_of_angles
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
-from nvsf_core.geometry.angles import rotation_of
+from nvsf_core.geometry.se3 import rotation_of
 
 _STEP_DEG = 1.0
 _WITHIN_PERCENT = (0.5, 99.5)

@@ -14,11 +14,12 @@ from nvsf_core.models.family import Trained, TrainedPart, Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, maps_from, train_camera
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
-from nvsf_core.models.residual.pano_neighbours import pano_network
+from nvsf_core.models.residual.pano_neighbours import FEATURES as PANO_FEATURES
+from nvsf_core.models.residual.pano_neighbours import PARTS
 from nvsf_core.models.residual.pose_refinement import corrections_from
 from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction, train_hits
-from nvsf_core.models.residual.raydrop_grid import hits_network
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.models.residual.raydrop_grid import FEATURES as HITS_FEATURES
+from nvsf_core.recipe import HitsSpec, PanoSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer, unobserved_renderer
 from nvsf_core.simulation.scene_model import SceneModel
@@ -64,6 +65,16 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
     if recording.cameras:
         camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
     return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
+
+
+def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
+    """The untrained raydrop network, with weights from `generator`."""
+    return CellNetwork(HITS_FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
+
+
+def pano_network(spec: PanoSpec, generator: torch.Generator) -> CellNetwork:
+    """The untrained network that corrects panos, with weights from `generator`."""
+    return CellNetwork(PANO_FEATURES, len(PARTS), generator, channels=spec.channels, layers=spec.layers)
 
 
 def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession) -> Trained:

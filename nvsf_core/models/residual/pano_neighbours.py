@@ -10,7 +10,6 @@ from torch import Tensor
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.models.residual.pano_estimate import PanoEstimate
 from nvsf_core.numerics import probability_logit
-from nvsf_core.recipe import PanoSpec
 from nvsf_core.sensors.beam_table import turn_up
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
@@ -132,11 +131,6 @@ FEATURES = 16
 """Input channels of the network."""
 _HIT_LIMIT = 0.01
 _INTENSITY_LIMIT = 0.01
-
-
-def pano_network(spec: PanoSpec, generator: torch.Generator) -> CellNetwork:
-    """The untrained network that corrects panos, with weights from `generator`."""
-    return CellNetwork(FEATURES, len(PARTS), generator, channels=spec.channels, layers=spec.layers)
 
 
 def cell_features(estimate: PanoEstimate, neighbours: Neighbours) -> Tensor:

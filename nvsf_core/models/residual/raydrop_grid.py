@@ -17,7 +17,6 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH
 from nvsf_core.numerics import probability_logit
-from nvsf_core.recipe import HitsSpec
 from nvsf_core.recording.drive import NEAREST, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.tables import LaserTable
@@ -27,11 +26,6 @@ from nvsf_core.simulation.scan import SweepRays
 FEATURES = 14
 """Input channels of the network."""
 _PRIOR_LIMIT, _HIT_LIMIT = 0.02, 0.003
-
-
-def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
-    """The untrained raydrop network, with weights from `generator`."""
-    return CellNetwork(FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 
 from nvsf_core.drives.view_parts import CameraEntry
-from nvsf_core.geometry.angles import rotation_of
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import rotation_of
 from nvsf_core.models.baselines.copy_nearest import nearest_earlier
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.rendered import RenderedImage

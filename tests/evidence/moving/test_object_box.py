@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.moving.object_box import smallest_box
-from nvsf_core.geometry.angles import rotation_of
+from nvsf_core.geometry.se3 import rotation_of
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 100.0, -135.0])

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.models.residual.family import pano_network
 from nvsf_core.models.residual.pano_estimate import PanoEstimate
 from nvsf_core.models.residual.pano_neighbours import (
     PARTS,
     Neighbours,
     cell_features,
     corrected_pano,
-    pano_network,
     phases_alone,
 )
 from nvsf_core.recipe import PanoSpec

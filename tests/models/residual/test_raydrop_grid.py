@@ -8,7 +8,8 @@ import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, hits_network, sweep_cells
+from nvsf_core.models.residual.family import hits_network
+from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, sweep_cells
 from nvsf_core.recipe import HitsSpec, TrainingSpec
 from nvsf_core.recording.drive import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nvsf_core.geometry.angles import pose_of_angles
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import pose_of_angles
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
 
 COUNT, POINTS, PERIOD_S = 3, 400, 0.1
