@@ -3,8 +3,8 @@
 ``python -m benchmarks.way_of_a_return`` trains `lean` and `paper`, cut to a few steps, on a short drive of a
 LiDAR alone, and notes each function of the core when it is first entered, in the stages that a return passes.
 It prints how many files were entered, how often the next file lies in another folder than the one before, and
-how often that folder belongs to a higher layer (a climb). What only names, stores, weighs on the disk, records,
-checks or draws is not counted, nor are the baselines that are exported beside the model.
+how often that folder belongs to a higher layer (a climb). What only names, stores, asks for room on the disk,
+records, checks or draws is not counted, nor are the baselines that are exported beside the model.
 """
 
 import itertools

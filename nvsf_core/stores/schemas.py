@@ -273,15 +273,6 @@ CONTRACT: tuple[FileSpec, ...] = (
 )  # fmt: skip
 
 
-def spec_of(path: str) -> FileSpec:
-    """The contract of a file, by its path in CONTRACT.
-
-    Raises:
-        KeyError: The contract has no such file.
-    """
-    return {spec.path: spec for spec in CONTRACT}[path]
-
-
 def spec_at(path: Path) -> FileSpec | None:
     """The contract of a published file, by its path on disk; None if it has none."""
     for spec in CONTRACT:

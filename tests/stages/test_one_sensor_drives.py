@@ -18,8 +18,10 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.views.plan import held_out_view
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.checkpoints import load_tensors
-from nvsf_core.stores.schemas import spec_of, violations
+from nvsf_core.stores.schemas import CONTRACT, violations
 from nvsf_core.stores.tables import read_rows
+
+SPECS = {spec.path: spec for spec in CONTRACT}
 
 VIEWS = (
     ViewEntry(name="shift_1m", shift_m=(0.0, 1.0, 0.0), frames=(1,)),
@@ -36,7 +38,7 @@ SMOKE = replace(
 """The recipe `smoke` with smaller tables, for speed."""
 METHODS = ("copy_nearest", "model", "reproject")
 SCANNED = ("points", "intensity", "pano", "ray", "grid", "lidar_render")
-VIEW_SPEC = spec_of("novel_views/<recipe>/<seed>/<view>/<method>.zarr")
+VIEW_SPEC = SPECS["novel_views/<recipe>/<seed>/<view>/<method>.zarr"]
 
 
 @dataclass(frozen=True)

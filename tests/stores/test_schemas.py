@@ -6,7 +6,9 @@ import pytest
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stores.contract_page import as_markdown
-from nvsf_core.stores.schemas import CONTRACT, spec_of, violations
+from nvsf_core.stores.schemas import CONTRACT, violations
+
+SPECS = {spec.path: spec for spec in CONTRACT}
 
 
 def test_the_document_is_what_the_code_says(repo):
@@ -18,7 +20,7 @@ def test_the_contract_speaks_of_stages_only():
 
 
 def test_metric_columns_are_those_of_the_metrics():
-    spec = spec_of("scene_metrics/<recipe>/<seed>/metrics.parquet")
+    spec = SPECS["scene_metrics/<recipe>/<seed>/metrics.parquet"]
     assert tuple(entry.name for entry in spec.fields) == COLUMNS
 
 
@@ -34,7 +36,7 @@ def _images(**changes):
 
 
 def test_what_keeps_the_contract_breaks_nothing():
-    assert violations(spec_of("undistorted/images.zarr"), _images()) == []
+    assert violations(SPECS["undistorted/images.zarr"], _images()) == []
 
 
 @pytest.mark.parametrize(
@@ -46,8 +48,8 @@ def test_what_keeps_the_contract_breaks_nothing():
     ],
 )
 def test_a_breach_is_named(changes, word):
-    assert any(word in line for line in violations(spec_of("undistorted/images.zarr"), _images(**changes)))
+    assert any(word in line for line in violations(SPECS["undistorted/images.zarr"], _images(**changes)))
 
 
 def test_an_absent_array_is_named():
-    assert violations(spec_of("pano/pano.zarr"), {})[0].startswith("frame: expected i8")
+    assert violations(SPECS["pano/pano.zarr"], {})[0].startswith("frame: expected i8")

@@ -19,7 +19,9 @@ from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
 from nvsf_core.stages.views.plan import plan_arrays, plan_attrs
 from nvsf_core.stores.arrays import read_arrays, write_arrays
-from nvsf_core.stores.schemas import spec_of, violations
+from nvsf_core.stores.schemas import CONTRACT, violations
+
+SPECS = {spec.path: spec for spec in CONTRACT}
 
 SIZE = replace(DemoSize.tiny(), frames=3, cameras=("image_00", "image_01"), fisheye_side=96)
 CAMERAS = ("image_00", "image_01", "image_02")
@@ -126,5 +128,5 @@ def test_the_truth_is_stored_as_the_contract_has_it(street: Street, tmp_path: Pa
     truths = street.true_images(ViewEntry(name="ahead", shift_m=(1.0, 0.0, 0.0)), 0.0, tmp_path)
     write_truth(tmp_path, list(truths.values()))
     arrays = read_arrays(tmp_path / "truth.zarr")
-    assert violations(spec_of("scene_metrics/<recipe>/<seed>/<view>/truth.zarr"), arrays) == []
+    assert violations(SPECS["scene_metrics/<recipe>/<seed>/<view>/truth.zarr"], arrays) == []
     assert (arrays["image_02_rgb"] == truths["image_02"].rgb).all()
