@@ -8,6 +8,7 @@ import dagster as dg
 
 from nvsf_core.errors import MissingLibraryError, RecipeError
 from nvsf_core.kernels.threads import thread_count
+from pipelines.step_processes import step_processes
 
 _THREADS_A_STEP = 4
 """With fewer, a second step at once gains nothing: a step uses all threads itself."""
@@ -29,7 +30,7 @@ def executor_from_environment() -> dg.ExecutorDefinition:
     if name == "in_process":
         return dg.in_process_executor
     if name == "multiprocess":
-        return _processes(_local_steps())
+        return step_processes(_local_steps())
     # The other two are extras (`pip install -e .[ray]`, `.[k8s]`), imported only if chosen.
     if name == "ray":
         with _extra(name):
@@ -65,13 +66,7 @@ def _extra(name: str) -> Iterator[None]:
 
 def timing_executor() -> dg.ExecutorDefinition:
     """An executor for measurements: one step at a time, in its own process, so time and memory are exact."""
-    return _processes(1)
-
-
-def _processes(most_steps: int) -> dg.ExecutorDefinition:
-    # forkserver imports everything once; spawn would import torch again for every step.
-    start = {"forkserver": {"preload_modules": ["pipelines.definitions"]}}
-    return dg.multiprocess_executor.configured({"max_concurrent": most_steps, "start_method": start})
+    return step_processes(1)
 
 
 def _local_steps() -> int:

@@ -16,7 +16,7 @@ from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Outcome, Progress
 from nvsf_core.stages.versions import VERSIONS, Version, made_s, versions_lock, versions_of
 from nvsf_core.stores.checksums import checksum_of
-from nvsf_core.stores.documents import read_document, write_document
+from nvsf_core.stores.documents import read_document, remove_left_documents, write_document
 from nvsf_core.stores.removal import (
     KEEP_VARIABLE,
     PIN_NAME,
@@ -85,6 +85,7 @@ def keep_newest(store: SceneStore, own: Collection[str], progress: Progress) -> 
 
 def _keep(store: SceneStore, number: int | None, own: Collection[str], progress: Progress) -> None:
     """Note the order of the versions, and remove those that are beyond the number; the lock is held."""
+    remove_left_documents(store.path(_ORDER))
     views: dict[str, list[Version]] = {}
     for version in versions_of(store):
         views.setdefault(version.view, []).append(version)

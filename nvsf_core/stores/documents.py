@@ -1,5 +1,6 @@
 """JSON documents and PNG pictures on disk; documents are replaced atomically."""
 
+import contextlib
 import json
 import os
 from collections.abc import Mapping
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from nvsf_core.errors import StoreError
+from nvsf_core.stores.writers import leftovers, temporary_of
 
 MOST_BYTES = 64 << 20
 """Largest document that is read; stages write smaller ones."""
@@ -36,8 +38,12 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def write_document(path: Path, values: Mapping[str, Any]) -> None:
-    """Write a JSON object atomically: a reader sees the old file or the new one, also after a power cut."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    """Write a JSON object atomically: a reader sees the old file or the new one, also after a power cut.
+
+    What killed writers left of documents in this folder is removed.
+    """
+    remove_left_documents(path.parent)
+    temporary = temporary_of(path)
     try:
         with temporary.open("w") as handle:
             handle.write(json.dumps(dict(values), indent=1))
@@ -47,6 +53,13 @@ def write_document(path: Path, values: Mapping[str, Any]) -> None:
     except OSError:  # a full disk
         temporary.unlink(missing_ok=True)
         raise
+
+
+def remove_left_documents(folder: Path) -> None:
+    """Remove what killed writers left of documents in a folder; a disk that refuses keeps it."""
+    for left in leftovers(folder):
+        with contextlib.suppress(OSError):
+            left.unlink()
 
 
 _Value = TypeVar("_Value")

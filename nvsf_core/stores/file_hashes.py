@@ -89,8 +89,6 @@ class FileHashes:
     def _remember(self) -> None:
         self.document.parent.mkdir(parents=True, exist_ok=True)
         with _locked(self.document.with_name(f".{self.document.name}.lock")):
-            for left in self.document.parent.glob(f".{self.document.name}.[0-9]*"):
-                left.unlink(missing_ok=True)  # by a writer that was killed: here is only one at a time
             # Read again: another process may have written since.
             merged = _load(self.document) | self._new
             write_document(self.document, {"files": merged})

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nvsf_core.errors import DataError, StoreError
-from nvsf_core.stores.documents import read_document, write_document
+from nvsf_core.stores.documents import read_document, remove_left_documents, write_document
 from nvsf_core.stores.scene_store import SceneStore, flush, hide, published
 
 KEEP_VARIABLE = "NVSF_KEEP_VERSIONS"
@@ -107,8 +107,10 @@ def removals(store: SceneStore, pattern: str) -> Iterator[Removal]:
 
 
 def noted_places(store: SceneStore, pattern: str) -> list[str]:
-    """Sorted places with a note, gone or not, that match a glob pattern."""
+    """Sorted places with a note, gone or not, that match a glob pattern; half-written notes are removed."""
     root = store.root / _NOTES
+    for folder in published(store.root, f"{_NOTES}/{Path(pattern).parent}"):
+        remove_left_documents(folder)
     paths = published(store.root, f"{_NOTES}/{pattern}.json")
     return [path.relative_to(root).as_posix().removesuffix(".json") for path in paths]
 

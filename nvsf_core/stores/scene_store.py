@@ -17,9 +17,8 @@ from pathlib import Path
 
 from nvsf_core.errors import StoreError
 from nvsf_core.names import RESERVED_SCENES, name_fault
-from nvsf_core.stores.writers import is_left, mark_of, own_mark
+from nvsf_core.stores.writers import TEMPORARY, leftovers, temporary_of
 
-_TEMPORARY = ".publishing-"
 _RETIRED = ".retired-"
 _REMOVING = ".removing-"
 """Of an output that is being deleted: never restored."""
@@ -163,7 +162,7 @@ def _is_plain(path: Path, place: Path) -> bool:
 
 def published(root: Path, pattern: str) -> list[Path]:
     """Sorted paths below `root` that match a glob pattern; without links and leftovers of killed writers."""
-    hidden = (_TEMPORARY, _RETIRED, _REMOVING, ".work")
+    hidden = (TEMPORARY, _RETIRED, _REMOVING, ".work")
     return [
         path
         for path in sorted(root.glob(pattern))
@@ -190,7 +189,7 @@ def publish_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder to fill; without an error it replaces `target` as a whole."""
     target.parent.mkdir(parents=True, exist_ok=True)
     _sweep_leftovers(target)
-    temporary = target.parent / f"{_TEMPORARY}{target.name}-{own_mark()}"
+    temporary = temporary_of(target)
     temporary.mkdir()
     try:
         yield temporary
@@ -251,10 +250,8 @@ def _sweep_leftovers(target: Path) -> None:
         else:
             _put_back(retired, target)
     # Of every output in the folder: what was left of a version that is never made again would stay for ever.
-    for temporary in target.parent.glob(f"{_TEMPORARY}*"):
-        mark = mark_of(temporary.name)
-        if mark is not None and is_left(mark, temporary):
-            _remove(temporary)
+    for temporary in leftovers(target.parent):
+        _remove(temporary)
 
 
 def _retired(target: Path) -> list[Path]:

@@ -9,9 +9,12 @@ import os
 import re
 import time
 import uuid
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+TEMPORARY = ".publishing-"
+"""Beginning of the name of what is not yet published, a folder or a file."""
 FORGOTTEN_S = 86_400.0
 """Age after which what a writer elsewhere left counts as left by a dead one."""
 _MARK = re.compile(r"([0-9a-f]{8})-(\d{1,10})-(\d{1,20})-[0-9a-f]{8}$")
@@ -24,6 +27,19 @@ _DEAD_STATES = ("Z", "X")
 def own_mark() -> str:
     """A mark of this process that no other call gives."""
     return f"{_machine()}-{os.getpid()}-{_process(os.getpid())[1]}-{uuid.uuid4().hex[:8]}"
+
+
+def temporary_of(target: Path) -> Path:
+    """Where this process writes what is renamed to `target` once it is whole: a new path beside it."""
+    return target.with_name(f"{TEMPORARY}{target.name}-{own_mark()}")
+
+
+def leftovers(folder: Path) -> Iterator[Path]:
+    """What dead writers left in a folder, of whatever was to be published there."""
+    for temporary in folder.glob(f"{TEMPORARY}*"):
+        mark = mark_of(temporary.name)
+        if mark is not None and is_left(mark, temporary):
+            yield temporary
 
 
 def mark_of(name: str) -> str | None:

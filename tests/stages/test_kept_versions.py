@@ -237,9 +237,11 @@ def test_a_process_that_dies_while_it_removes_loses_nothing(
         (home / "tiny/.removed/dataset/shift_1m").glob("W0*.json")
     )
     store = _plan(home, 0).store
+    assert any((home / "tiny/.removed").rglob(".publishing-*")) != is_noted, "half a note"
     left = {one.location for one in versions_of(store) if damage_of_version(one) is None}
     gone = {one.place for one in removals(store, "dataset/*/*")}
     assert len(left) + len(gone) == 6 and not left & gone, "each is whole or noted"
+    assert not any((home / "tiny/.removed").rglob(".publishing-*")), "a reader removes it"
     monkeypatch.setenv(KEEP_VARIABLE, "1")
     _make(home, 2)
     assert all(_labels(home, view) == ["W2"] for view in VIEWS) and _is_whole(home, 0, 1, 2)

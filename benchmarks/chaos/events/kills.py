@@ -9,7 +9,7 @@ from nvsf_core.stores.removal import KEEP_VARIABLE
 
 _A_RUN_S = 45.0
 _A_BARE_RUN_S = 1.5
-_GOES_ON = r"dagster/job|died twice|report  |RUN_SUCCESS|next: open the report"
+_GOES_ON = r"dagster/job|died twice|report  |RUN_SUCCESS|next: open the report|Run again"
 _DRAWS = """
 from nvsf_core.stages import find_scene, plan_run, run_named_stage
 from nvsf_core.stages.runner.run import say_on_stderr

@@ -32,6 +32,8 @@ POINT = np.dtype([
 _KINDS = {"<f4": 7, "<u2": 4, "|u1": 2}
 """PointField's numbers of types."""
 _UNKNOWN = 255
+_LATCHED = "/tf_static"
+"""Topic whose only message reaches those who subscribe later, too."""
 
 
 def require_rosbags() -> Any:
@@ -75,7 +77,7 @@ def _write(folder: Path, storage: str, data: DataSet) -> None:
         first_s = float(data.stamp_s[0])
         mounts = [("lidar", name, camera.in_lidar) for name, camera in data.cameras.items()]
         if mounts:
-            out.write("/tf_static", out.transforms(first_s, mounts), first_s)
+            out.write(_LATCHED, out.transforms(first_s, mounts), first_s)
         for index, stamp_s in enumerate(data.stamp_s.tolist()):
             out.write(
                 "/tf", out.transforms(stamp_s, [("world", "lidar", data.lidar_to_world[index])]), stamp_s
@@ -106,9 +108,24 @@ class _Bag:
     def write(self, topic: str, message: Any, stamp_s: float) -> None:
         kind = message.__msgtype__
         if topic not in self._topics:
-            self._topics[topic] = self._bag.add_connection(topic, kind, typestore=self._store)
+            offered = [self._latched()] if topic == _LATCHED else []
+            self._topics[topic] = self._bag.add_connection(
+                topic, kind, typestore=self._store, offered_qos_profiles=offered
+            )
         time_ns = _nanoseconds(stamp_s)
         self._bag.write(self._topics[topic], time_ns, self._store.serialize_cdr(message, kind))
+
+    @staticmethod
+    def _latched() -> Any:
+        """What listeners of fixed transforms ask for; `ros2 bag play` offers what stands in the bag."""
+        kinds = importlib.import_module("rosbags.interfaces")
+        unset = kinds.QosTime(0, 0)
+        return kinds.Qos(
+            history=kinds.QosHistory.KEEP_LAST, depth=1, reliability=kinds.QosReliability.RELIABLE,
+            durability=kinds.QosDurability.TRANSIENT_LOCAL, deadline=unset, lifespan=unset,
+            liveliness=kinds.QosLiveliness.SYSTEM_DEFAULT, liveliness_lease_duration=unset,
+            avoid_ros_namespace_conventions=False,
+        )  # fmt: skip
 
     def _new(self, kind: str, **values: Any) -> Any:
         return self._store.types[kind](**values)

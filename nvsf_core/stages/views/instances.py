@@ -1,5 +1,6 @@
 """Objects in a view, labelled or found to move: their boxes at its instants, and pixels that show them."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -22,6 +23,13 @@ _GROWN_M = 0.1
 """Surfaces lie on their boxes' faces, and a pixel's range is off by centimetres."""
 _SAME_OBJECT_M = 0.3
 """A found object is a labelled one if its middle lies in that one's box, grown by so much on all sides."""
+_CAN_MOVE = frozenset({
+    "bicycle", "bus", "car", "caravan", "motorcycle", "person", "rider", "trailer", "train", "truck",
+    "unknown vehicle", "cyclist", "pedestrian", "person sitting", "tram", "van", "human", "vehicle",
+})  # fmt: skip
+"""Classes of things that move: KITTI-360's, those of KITTI's tracklets, and nuScenes' by their first word.
+Others, such as buildings, fences and hedges, have boxes that things move through."""
+_WORD = re.compile(r"[A-Z]?[a-z]+")
 _MOST_OBJECTS = 65_535
 _SAME_S = 1e-6
 
@@ -59,7 +67,8 @@ def boxes_of(store: SceneStore, time_s: np.ndarray) -> Callable[[int], list[BoxR
     """Gives the boxes of a drive at one of the instants (n,) of a view.
 
     These are the labelled ones, and those of what was found to move without a label, as `dynamic`; their
-    numbers come after the labelled ones'.
+    numbers come after the labelled ones'. A found object has a label if it lies in the box of one that moves,
+    or in a static box of a class of things that can: somebody in front of a house may lie in the house's box.
     """
     labelled = _labelled(store)
     found = read_rows(store.require("evidence") / "moving.parquet")
@@ -69,11 +78,11 @@ def boxes_of(store: SceneStore, time_s: np.ndarray) -> Callable[[int], list[BoxR
 def _without_label(
     found: Sequence[Mapping[str, Any]], labelled: Sequence[Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Boxes of found objects whose middle lies in labelled boxes less than half of the time."""
+    """Boxes of found objects whose middle lies in boxes of labelled ones less than half of the time."""
     if not found:
         return []
     middles_m = np.stack([_matrix(row)[:3, 3] for row in found])
-    static = [_matrix(row) for row in labelled if not row["dynamic"]]
+    static = [_matrix(row) for row in labelled if not row["dynamic"] and _can_move(row["label"])]
     # A drive has hundreds of static boxes and few that move: the static ones are asked once.
     is_labelled = inside_any(middles_m, np.array(static).reshape(-1, 4, 4), _SAME_OBJECT_M)
     at = boxes_at(
@@ -90,6 +99,12 @@ def _without_label(
         for row in found
         if np.mean(inside[row["object_id"]]) < 0.5
     ]
+
+
+def _can_move(label: str) -> bool:
+    """Whether a label, such as `unknownVehicle`, `person (sitting)` or `vehicle.car`, is of what can move."""
+    name = label.partition(".")[0]
+    return " ".join(_WORD.findall(name)).lower() in _CAN_MOVE
 
 
 def _labelled(store: SceneStore) -> list[dict[str, Any]]:

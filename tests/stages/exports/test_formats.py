@@ -1,5 +1,6 @@
 """Each format, read back by another reader than its writer."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from nvsf_core.drives.kitti360.timestamps import frame_times
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.records import DataSet
 from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
 from nvsf_core.stages.views.instances import boxes_at
 from tests.stages.exports import small_data_set as small
@@ -130,6 +132,20 @@ def test_a_rosbag2_is_read_by_any_reader_of_rosbags(tmp_path: Path) -> None:
                 assert (points["ring"] == scan.ring).all() and (points["support"] == scan.support).all()
     assert len(stamps) == 7
     assert stamps["/tf"] == [EPOCH_S * 10**9 + round(one * 1e9) for one in small.STAMPS]
+
+
+@pytest.mark.parametrize(
+    ("write", "name"), [(write_mcap, "mcap"), (write_rosbag2, "rosbag2")], ids=["mcap", "rosbag2"]
+)
+def test_fixed_transforms_reach_who_subscribes_after_they_were_played(
+    write: Callable[[Path, DataSet], None], name: str, tmp_path: Path
+) -> None:
+    reading = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    write(tmp_path, small.data_set())
+    with reading.AnyReader([tmp_path / name]) as bag:
+        offered = {one.topic: one.ext.offered_qos_profiles for one in bag.connections}
+    assert [(one.durability.name, one.depth) for one in offered.pop("/tf_static")] == [("TRANSIENT_LOCAL", 1)]
+    assert not any(offered.values()), "others are as `ros2 bag play` plays them"
 
 
 def test_laz_holds_ring_time_and_support(tmp_path: Path) -> None:

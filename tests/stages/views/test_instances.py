@@ -92,11 +92,10 @@ def _track(object_id: int, x_m: float, side_m: float, **other: object) -> list[d
     return rows
 
 
-def test_what_moves_without_a_label_has_a_box_and_what_has_one_is_not_doubled(tmp_path: Path) -> None:
-    store = SceneStore(tmp_path, "street")
+def _boxes(home: Path, labelled: list[dict], found: list[dict], time_s: list[float]) -> list[list[BoxRecord]]:
+    """Boxes of a drive of four frames at some instants."""
+    store = SceneStore(home, "street")
     frames = [{"frame": frame, "time_s": 0.1 * frame} for frame in range(4)]
-    labelled = _track(26_004, 0.0, 2.0, label="car", dynamic=True)
-    found = _track(1, 0.3, 1.8) + _track(2, 9.0, 0.6)
     with store.publish("frames") as folder:
         write_rows(folder / "frames.parquet", frames, ["frame", "time_s"])
         write_rows(
@@ -105,9 +104,30 @@ def test_what_moves_without_a_label_has_a_box_and_what_has_one_is_not_doubled(tm
     with store.publish("evidence") as folder:
         rows = [{**row, "time_s": 0.1 * row["frame"] + 0.01} for row in found]
         write_rows(folder / "moving.parquet", rows, ["object_id", "time_s", "box_to_world"])
-    at = boxes_of(store, np.array([0.16, 0.0]))
-    assert [(one.object_id, one.label, one.is_dynamic) for one in at(0)] == [
+    at = boxes_of(store, np.array(time_s))
+    return [list(at(number)) for number in range(len(time_s))]
+
+
+def test_what_moves_without_a_label_has_a_box_and_what_has_one_is_not_doubled(tmp_path: Path) -> None:
+    labelled = _track(26_004, 0.0, 2.0, label="car", dynamic=True)
+    found = _track(1, 0.3, 1.8) + _track(2, 9.0, 0.6)
+    later, first = _boxes(tmp_path, labelled, found, [0.16, 0.0])
+    assert [(one.object_id, one.label, one.is_dynamic) for one in later] == [
         (26_004, "car", True), (26_006, "dynamic", True),
     ]  # fmt: skip
-    np.testing.assert_allclose(at(0)[1].box_to_world[:3, 3], [9.0, 1.5, 0.5])
-    assert [one.object_id for one in at(1)] == [26_004], "before its first scan nothing is known of it"
+    np.testing.assert_allclose(later[1].box_to_world[:3, 3], [9.0, 1.5, 0.5])
+    assert [one.object_id for one in first] == [26_004], "before its first scan nothing is known of it"
+
+
+@pytest.mark.parametrize("label", ["car", "unknownVehicle", "Person (sitting)", "vehicle.bus.rigid"])
+def test_what_moves_in_a_static_box_of_what_can_move_is_that_object(tmp_path: Path, label: str) -> None:
+    parked = _track(26_004, 0.0, 9.0, label=label, dynamic=False)[0] | {"frame": -1}
+    (boxes,) = _boxes(tmp_path, [parked], _track(1, 0.3, 0.6), [0.16])
+    assert [one.object_id for one in boxes] == [26_004]
+
+
+@pytest.mark.parametrize("label", ["building", "fence", "vegetation", "trafficSign", "bus stop", "unknown"])
+def test_what_moves_in_a_static_box_of_what_cannot_keeps_its_own(tmp_path: Path, label: str) -> None:
+    house = _track(11_004, 0.0, 9.0, label=label, dynamic=False)[0] | {"frame": -1}
+    (boxes,) = _boxes(tmp_path, [house], _track(1, 0.3, 0.6), [0.16])
+    assert [(one.object_id, one.label) for one in boxes] == [(11_004, label), (11_005, "dynamic")]
