@@ -35,8 +35,8 @@ class Finding:
 def examine(environ: Mapping[str, str]) -> list[Finding]:
     """Examine everything; nothing is written but a temporary folder."""
     return [
-        _machine(), _gpu(), _home(environ), _catalogue(environ), _versions(environ), _open3d(), _lpips(),
-        _executors(),
+        _machine(), _threads(), _gpu(), _home(environ), _catalogue(environ), _versions(environ), _open3d(),
+        _lpips(), _executors(),
         Finding("Dagster instance", *examine_instance(environ)),
     ]  # fmt: skip
 
@@ -46,6 +46,15 @@ def _machine() -> Finding:
     if platform.system() != "Linux":
         return Finding("machine", False, f"{words}; only Linux is tested: locks may not hold elsewhere")
     return Finding("machine", True, words)
+
+
+def _threads() -> Finding:
+    from nvsf_core.kernels.threads import kernels_bear_threads
+
+    if kernels_bear_threads():
+        return Finding("threads", True, "parts of a step and views run at once")
+    words = "no OpenMP: parts of a step and views run one after the other; apt-get install libgomp1"
+    return Finding("threads", False, words)
 
 
 def _gpu() -> Finding:

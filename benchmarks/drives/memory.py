@@ -1,8 +1,8 @@
 """Peak memory of long drives: ``python -m benchmarks.drives.memory [FRAMES ...]`` (default 32 400).
 
 Writes a demo drive of so many frames, then, each in a process of its own, reads it into the stages up to
-`undistorted` in parts of 32 frames that share 8, converts it by `nvsf import`, and prints the highest
-resident memory of each. What grows with the drive would show.
+`undistorted` in parts of 32 frames that share 8, runs the stage `evidence` of all parts, converts it by
+`nvsf import`, and prints the highest resident memory of each. What grows with the drive would show.
 """
 
 import resource
@@ -16,12 +16,20 @@ STAGES = ("frames", "sweeps", "pano", "undistorted")
 
 
 def _ingest(root: Path, frames: int) -> None:
+    _run(root, frames, STAGES)
+
+
+def _evidence(root: Path, frames: int) -> None:
+    _run(root, frames, ("evidence",))
+
+
+def _run(root: Path, frames: int, stages: tuple[str, ...]) -> None:
     from nvsf_core.drives.cuts import cut_scene
     from nvsf_core.stages import plan_run, run_named_stage
 
     for part in cut_scene(_entry(root, frames)):
         run = plan_run(part, root.parent / "home", recipe="smoke")
-        for stage in STAGES:
+        for stage in stages:
             run_named_stage(stage, run, lambda line: None)
 
 
@@ -55,7 +63,7 @@ def _write(root: Path, frames: int) -> None:
     write_demo(root, size=size)
 
 
-WAYS = {"ingest": _ingest, "import": _import, "write": _write}
+WAYS = {"ingest": _ingest, "evidence": _evidence, "import": _import, "write": _write}
 
 
 def peak_mb(way: str, root: Path, frames: int) -> float:
@@ -71,13 +79,14 @@ def main(words: list[str]) -> None:
         WAYS[words[0][2:]](Path(words[1]), int(words[2]))
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
         return
-    print("| frames | ingested in parts of 32, peak MB | imported, peak MB |\n| --- | --- | --- |")
+    print("| frames | ingested in parts of 32, peak MB | evidence of all parts | imported |")
+    print("| --- | --- | --- | --- |")
     for frames in [int(word) for word in words] or [32, 400]:
         with tempfile.TemporaryDirectory() as folder:
             root = Path(folder) / "drive"
             peak_mb("write", root, frames)
-            ingested_mb, imported_mb = (peak_mb(way, root, frames) for way in ("ingest", "import"))
-            print(f"| {frames} | {ingested_mb:.0f} | {imported_mb:.0f} |", flush=True)
+            peaks_mb = [peak_mb(way, root, frames) for way in ("ingest", "evidence", "import")]
+            print(f"| {frames} | {' | '.join(f'{one:.0f}' for one in peaks_mb)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ any number. Threads of torch also spin while they wait, and take the time of wha
 """
 
 import functools
+import importlib
 import os
 import threading
 from collections.abc import Callable
@@ -53,7 +54,7 @@ def use_threads() -> None:
 def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = None) -> list[_Part]:
     """The results of ``work(0)`` to ``work(parts - 1)``, in order; `thread_count()` of them at once.
 
-    A part's own parts are done one after the other.
+    A part's own parts are done one after the other, and all parts where `kernels_bear_threads` is false.
 
     Args:
         work: Mostly operations that release the interpreter's lock, as those of torch, numpy and numba do.
@@ -61,7 +62,7 @@ def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = Non
         at_once: Most parts at once, where each takes much memory.
     """
     threads = min(thread_count(), parts, parts if at_once is None else at_once)
-    if threads <= 1 or getattr(_local, "is_part", False):
+    if threads <= 1 or getattr(_local, "is_part", False) or not kernels_bear_threads():
         return [work(part) for part in range(parts)]
     has_gradients = torch.is_grad_enabled()  # a setting of each thread
 
@@ -70,6 +71,19 @@ def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = Non
             return work(part)
 
     return list(_pool(threads).map(one, range(parts)))
+
+
+@functools.cache
+def kernels_bear_threads() -> bool:
+    """Whether several threads may call our kernels at once: whether numba finds OpenMP, that is, libgomp1.
+
+    Without it numba ends a process whose second thread calls a kernel.
+    """
+    try:
+        importlib.import_module("numba.np.ufunc.omppool")
+    except ImportError:
+        return False
+    return True
 
 
 _local = threading.local()

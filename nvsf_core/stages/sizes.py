@@ -12,7 +12,6 @@ from typing import Self
 import numpy as np
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE
-from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.drives.view_checks import moments_s
 from nvsf_core.drives.view_entry import NO_SENSOR
@@ -20,6 +19,7 @@ from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.simulation.view_plan import table_of
+from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.arrays import array_layouts, read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
@@ -49,10 +49,9 @@ _MODEL_PIXEL_BYTES = 2 + 3 + 1
 
 
 def sweeps_bytes(task: Task) -> int:
-    """Estimated bytes of the returns of all scans that are files of four float32 a return; 0 of others."""
-    files = [path for path in drive_of(task.scene).section().files if path.suffix == ".bin"]
-    recorded = sum(path.stat().st_size for path in files if path.is_file())
-    return recorded // BYTES_A_RETURN["bin"] * _SWEEP_RETURN_BYTES
+    """Estimated bytes of the returns that `frames` counted, in whatever format they are recorded."""
+    record = read_record(task.store.require("frames")) or {}
+    return int(record.get("metadata", {}).get("returns", 0)) * _SWEEP_RETURN_BYTES
 
 
 def novel_views_bytes(task: Task) -> int:

@@ -1,5 +1,6 @@
 """Parallel kernels may be called from several threads, and their first call does not warn of open3d's TBB."""
 
+import os
 import subprocess
 import sys
 
@@ -26,6 +27,29 @@ with ThreadPoolExecutor(4) as pool:
     together = list(pool.map(lambda one: hash_grid_encode(one, table, layout), points * 4))
 print(all(torch.equal(found, alone[i % 8]) for i, found in enumerate(together)))
 """
+
+
+WITHOUT_OPENMP = """
+import sys
+sys.modules["numba.np.ufunc.omppool"] = None  # as on a machine without libgomp1: its import fails
+import numba, torch
+from nvsf_core.kernels import GridLayout, hash_grid_encode
+from nvsf_core.kernels.threads import in_parts
+
+layout = GridLayout(levels=4, features=2, log2_table=12, base_resolution=4, finest_resolution=64)
+table, points = torch.rand(layout.entries, 2), torch.rand(20_000, 3)
+alone = hash_grid_encode(points, table, layout)
+parts = in_parts(lambda _: hash_grid_encode(points, table, layout), 64)
+print(numba.threading_layer(), all(torch.equal(one, alone) for one in parts))
+"""
+
+
+def test_without_openmp_parts_are_done_one_after_the_other_instead_of_ending_the_process():
+    environment = {**os.environ, "NVSF_THREADS": "4", "NUMBA_THREADING_LAYER_PRIORITY": "omp workqueue tbb"}
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_OPENMP], capture_output=True, text=True, check=False, env=environment
+    )
+    assert (done.returncode, done.stdout) == (0, "workqueue True\n"), done.stderr
 
 
 def test_threads_that_encode_at_once_get_what_one_gets_and_nobody_is_warned():

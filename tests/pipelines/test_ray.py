@@ -1,4 +1,4 @@
-"""The job on a Ray cluster of this machine: a head and a worker, each with one core."""
+"""The job on a Ray cluster of this machine: a head and two workers, each with one core."""
 
 import contextlib
 import os
@@ -26,7 +26,7 @@ def _free_port() -> int:
 
 @pytest.fixture
 def cluster() -> Iterator[str]:
-    """Address of the job server of a cluster of two nodes; both are stopped after the test."""
+    """Address of the job server of a cluster of three nodes; all are stopped after the test."""
     pytest.importorskip("dagster_ray", reason="the extra `ray` is not installed: pip install -e '.[ray]'")
     port, jobs = _free_port(), _free_port()
     ray = [
@@ -45,6 +45,7 @@ def cluster() -> Iterator[str]:
         for more in (
             ("--head", f"--port={port}", f"--dashboard-port={jobs}", "--include-dashboard=true"),
             (f"--address=127.0.0.1:{port}",),
+            (f"--address=127.0.0.1:{port}",),
         )
     ]  # fmt: skip
     try:
@@ -62,7 +63,7 @@ def _wait_for_jobs(port: int) -> None:
     until_s = time.monotonic() + 120.0
     while time.monotonic() < until_s:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-            time.sleep(5.0)  # the second node joins
+            time.sleep(5.0)  # the other nodes join
             return
         time.sleep(0.5)
     raise TimeoutError(f"no job server on port {port}")
@@ -88,4 +89,4 @@ def test_every_step_runs_on_ray_and_the_data_sets_are_there(
     steps = {job.metadata.get("dagster/op", "").split("[")[0] for job in jobs}
     assert {"choose_scenes", "field_of_scene", "report_all"} <= steps
     nodes = {job.driver_node_id for job in jobs}
-    assert len(nodes) == 2, "both nodes had steps"
+    assert len(nodes) >= 2, "not all steps ran on the head"

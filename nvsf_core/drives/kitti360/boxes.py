@@ -10,6 +10,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
+from nvsf_core.drives.kitti360.classes import class_of
 from nvsf_core.drives.kitti360.layout import LAST_FRAME
 from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, parse_numbers, require_regular
 from nvsf_core.errors import DataError
@@ -40,7 +41,7 @@ class Box:
     frame: int
     """Frame number, or -1 for a static box."""
     object_id: int
-    """semanticId * 1000 + instanceId: the same number is the same object."""
+    """Cityscapes' number of its class * 1000 + instanceId, as in images: one number is one object."""
     label: str
     dynamic: bool
     box_to_world: np.ndarray
@@ -156,10 +157,11 @@ def _box(element: Element) -> Box:
     if element.find("dynamic") is not None:
         is_dynamic = bool(_integer(element, "dynamic", 0, 1))
     semantic, instance = (_integer(element, name, 0, _MOST_ID) for name in ("semanticId", "instanceId"))
+    label = (element.findtext("label") or "unknown").strip()
     return Box(
         frame=frame,
-        object_id=semantic * 1000 + instance,
-        label=(element.findtext("label") or "unknown").strip(),
+        object_id=class_of(label, semantic) * 1000 + instance,
+        label=label,
         dynamic=is_dynamic,
         box_to_world=_opencv_matrix(element, "transform", (4, 4)) @ _unit_cube_to_vertices(element),
     )

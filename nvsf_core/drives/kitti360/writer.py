@@ -9,6 +9,8 @@ from typing import Self
 import cv2
 import numpy as np
 
+from nvsf_core.drives.kitti360.classes import number_in_boxes
+from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
@@ -18,8 +20,6 @@ _CUBE = (
     "-0.5 0.5 -0.5 -0.5 0.5 0.5 -0.5 -0.5 -0.5 -0.5 -0.5 0.5"
 )
 _CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6 1 6 3"
-_SEMANTIC_IDS = {"car": 26, "rider": 25, "person": 24, "bicycle": 33}
-"""Semantic numbers of Cityscapes' labels, which KITTI-360 uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class WrittenBox:
     object_id: int
     """Number of the object; a moving object has one box a frame."""
     label: str
-    """`car`, `rider`, `person`, `bicycle`; others are written without a semantic number."""
+    """One of KITTI-360's classes; others are written as unknown objects, with their name."""
     dynamic: bool
     """Whether it moves."""
     frame: int
@@ -150,8 +150,13 @@ def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows
 
 
 def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None:
-    """Write `calib_cam_to_pose.txt`: in each line a name and the unrectified camera's mounting, of (4, 4)."""
-    _write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in cam_to_pose.items()))
+    """Write `calib_cam_to_pose.txt`: in each line a name and the unrectified camera's mounting, of (4, 4).
+
+    The data set's own scripts want four lines: cameras that are not there are given the first one's.
+    """
+    any_pose = next(iter(cam_to_pose.values()))
+    known = {**dict.fromkeys(CAMERAS, any_pose), **cam_to_pose}
+    _write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in known.items()))
 
 
 def write_pose(path: Path, pose: np.ndarray) -> None:
@@ -221,7 +226,7 @@ def _box_xml(index: int, box: WrittenBox) -> str:
         "index": index,
         "label": box.label,
         "category": "vehicle" if box.label in ("car", "bicycle") else "human",
-        "semanticId": _SEMANTIC_IDS.get(box.label, 0),
+        "semanticId": number_in_boxes(box.label),
         "instanceId": box.object_id,
         "timestamp": box.frame,
         "dynamic": int(box.dynamic),

@@ -1,6 +1,7 @@
 """Joins the data sets of a cut drive's parts into one, file by file."""
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Sequence
@@ -13,19 +14,24 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
+from nvsf_core.stages.exports.one_drive import on_one_clock, with_shared_objects
 from nvsf_core.stages.exports.write import WHOLE, finish_data_set
 from nvsf_core.stores.scene_store import published
 
-_OF_A_PART = ("scene", "value", "n_frames", "n_defined")
+_COUNTS = ("n_frames", "n_defined")
+_COSTS = ("train_seconds", "parameters", "model_mb")
+"""Of each part's own model: those of the drive are their sums."""
+_OF_A_PART = ("scene", "value", "render_seconds", *_COUNTS, *_COSTS)
 """Columns of a mean error that differ between parts."""
 _SAME = ("recipe", "seed", "draw_seed", "cameras", "schema_version")
 """What the parts' data sets must have in common."""
+_ROUNDING = 1e-6
 
 
 def join_data_sets(
     name: str, parts: Sequence[tuple[SceneEntry, range]], folders: Sequence[Path], out: Path
 ) -> Path:
-    """Write one data set of the frames that are each part's own.
+    """Write one data set of the frames that are each part's own, on the clock of the first part.
 
     Scans, images and the files beside them are joined; whole trees in one (`kitti`, `mcap` ...) are
     not, and are named in the manifest.
@@ -53,7 +59,7 @@ def join_data_sets(
             )
     manifests = [_manifest(folder) for folder in folders]
     for (part, _), manifest in zip(parts, manifests, strict=True):
-        differing = [key for key in _SAME if manifest.get(key) != manifests[0].get(key)]
+        differing = [key for key in _SAME if not _agree(manifest.get(key), manifests[0].get(key))]
         if differing:
             raise DataError(
                 f"{part.name}: expected the {differing[0]} of {parts[0][0].name}, found another; make all "
@@ -61,7 +67,8 @@ def join_data_sets(
             )
     part_folder = out.with_name(f".{out.name}.part-{os.getpid()}")
     try:
-        joined = _joined(name, parts, manifests, folders, part_folder)
+        of_one_drive = with_shared_objects(on_one_clock(manifests))
+        joined = _joined(name, parts, of_one_drive, folders, part_folder)
         finish_data_set(part_folder, joined)
         part_folder.rename(out)
     except OSError as error:
@@ -69,6 +76,17 @@ def join_data_sets(
     finally:
         shutil.rmtree(part_folder, ignore_errors=True)
     return out
+
+
+def _agree(one: Any, other: Any) -> bool:
+    """Whether entries are the same but for rounding: each part places cameras in a frame of its own."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_agree(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_agree, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
+    return bool(one == other)
 
 
 def _joined(
@@ -148,12 +166,24 @@ def _means(name: str, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         grouped.setdefault(key, []).append(row)
     found = []
     for group in grouped.values():
-        weighed = [(row["value"], row["n_defined"]) for row in group if row["value"] is not None]
-        count = sum(weight for _, weight in weighed)
-        mean = sum(value * weight for value, weight in weighed) / count if count else None
-        sums = {column: sum(row[column] for row in group) for column in ("n_frames", "n_defined")}
-        found.append({**group[0], "scene": name, "value": mean, **sums})
+        means = {
+            column: _mean([(row.get(column), row[count]) for row in group])
+            for column, count in (("value", "n_defined"), ("render_seconds", "n_frames"))
+        }
+        sums = {column: _sum([row.get(column) for row in group]) for column in (*_COUNTS, *_COSTS)}
+        found.append({**group[0], "scene": name, **means, **sums})
     return found
+
+
+def _mean(weighed: Sequence[tuple[float | None, int]]) -> float | None:
+    known = [(value, weight) for value, weight in weighed if value is not None]
+    count = sum(weight for _, weight in known)
+    return sum(value * weight for value, weight in known) / count if count else None
+
+
+def _sum(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) if known else None
 
 
 def newest_data_set(home: Path, scene: str, view: str, recipe: str | None, seed: int) -> Path:

@@ -1,4 +1,4 @@
-"""Poses of a drive that has none: KISS-ICP on its scans, and how well they agree."""
+"""Poses of a drive that has none: KISS-ICP on its scans, refined, and how well they agree."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from nvsf_core.clouds.odometry import odometry_path
+from nvsf_core.clouds.path_refinement import FARTHEST_REACH, RefinedPath, refine_path
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.errors import DataError
@@ -31,8 +32,7 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
         DataError: Fewer than two scans can be read, or one has too few points.
         MissingLibraryError: KISS-ICP is not installed.
     """
-    frames: list[int] = []
-    kept: list[np.ndarray] = []
+    kept: dict[int, np.ndarray] = {}
     period_s = source.times().sweep_period_s
 
     def scans() -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -41,31 +41,47 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
             if scan is None:
                 continue
             progress(f"odometry: frame {frame}")
-            frames.append(frame)
             points_m = scan.points[:, :3]
-            kept.append(points_m[:: max(1, len(points_m) // _COMPARED)])
+            kept[frame] = points_m[:: max(1, len(points_m) // _COMPARED)]
             yield points_m, _fraction(scan, period_s)
 
+    found = path_of_scans(scans)
+    moments = [source.instant_s(frame) for frame in kept]
+    time_s = np.array([0.0 if one is None else one for one in moments])
+    lidar_to_pose = source.calibration().lidar_to_pose
+    path = PosePath(time_s, found.poses @ np.linalg.inv(lidar_to_pose), source.scene.root)
+    return path, f"{_quality(list(kept.values()), found.poses, time_s)}; {_refinement(found)}"
+
+
+def path_of_scans(scans: Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]]) -> RefinedPath:
+    """KISS-ICP's path through consecutive scans, refined by what several of them saw.
+
+    Args:
+        scans: Begins to read them: points (m, 3) in metres, times (m,) in sweeps. It is called three times.
+
+    Raises:
+        DataError: There are fewer than two scans, or one has too few points.
+        MissingLibraryError: KISS-ICP is not installed.
+    """
+    return refine_path(scans(), kiss_path(scans))
+
+
+def kiss_path(scans: Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]]) -> np.ndarray:
+    """KISS-ICP's path (n, 4, 4); arguments and errors as `path_of_scans`'s."""
     # KISS-ICP takes a sensor to stand at first. One that drives already is lost for some scans, so the motion
     # after these is what the path is started with.
     start = odometry_path(itertools.islice(scans(), _START_SCANS))
-    frames.clear()
-    kept.clear()
-    poses = odometry_path(scans(), _last_step(start))
-    if len(frames) < 2:
-        raise DataError(
-            f"{source.scene.root}: expected two or more scans to find poses from, found {len(frames)}"
-        )
-    moments = [source.instant_s(frame) for frame in frames]
-    time_s = np.array([0.0 if one is None else one for one in moments])
-    lidar_to_pose = source.calibration().lidar_to_pose
-    path = PosePath(time_s, poses @ np.linalg.inv(lidar_to_pose), source.scene.root)
-    return path, _quality(kept, poses, time_s)
+    if len(start) < 2:
+        raise DataError(f"expected two or more scans to find poses from, found {len(start)}")
+    return odometry_path(scans(), np.linalg.inv(start[-2]) @ start[-1])
 
 
-def _last_step(poses: np.ndarray) -> np.ndarray | None:
-    """(4, 4) motion between the last two of poses (n, 4, 4)."""
-    return np.asarray(np.linalg.inv(poses[-2]) @ poses[-1]) if len(poses) > 1 else None
+def _refinement(found: RefinedPath) -> str:
+    return (
+        f"refined by scans up to {FARTHEST_REACH} frames apart: their points lie {found.after_m:.3f} m from "
+        f"each other's planes in the median, {found.before_m:.3f} m before, with all rays turned up by "
+        f"{np.degrees(found.elevation_rad):.2f} degrees"
+    )
 
 
 def _readable(source: AbstractPosedDrive, frame: int) -> Scan | None:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from nvsf_core.drives.kitti360.boxes import read_boxes
+from nvsf_core.drives.kitti360.classes import class_of, number_in_boxes
+from nvsf_core.drives.kitti360.writer import write_cam_to_pose
 from nvsf_core.errors import DataError
 from tests.conftest import SHARED
 
@@ -88,3 +90,20 @@ def test_the_real_drive_has_a_van_and_a_cyclist_in_every_frame_and_a_parked_van(
     assert moving == {(frame, label) for frame in range(10, 40) for label in ("car", "rider")}
     assert [b.frame for b in boxes if not b.dynamic] == [-1]
     assert all(1.0 < np.linalg.norm(b.box_to_world[:3, 0]) < 7.0 for b in boxes)
+
+
+def test_numbers_of_classes_are_those_of_images_whatever_numbers_a_file_has() -> None:
+    # kitti360Scripts turns a box's 13 (car) into the 26 of instance images, 21 (a pole) into 17.
+    assert class_of("car", 13) == 26 and class_of("bigPole", 21) == 17
+    assert class_of("car", 26) == 26, "as writers that know of one numbering only have it"
+    assert class_of("van", 0) == 27 and class_of("lorry", 99) == 99
+    assert [number_in_boxes(name) for name in ("car", "unknownVehicle", "traffic sign")] == [13, 36, 24]
+    assert number_in_boxes("dynamic") == 37, "an unknown object"
+
+
+def test_the_data_sets_own_scripts_find_all_four_cameras(tmp_path: Path) -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = 1.0, 2.0, 3.0
+    write_cam_to_pose(tmp_path / "calib_cam_to_pose.txt", {"image_02": pose})
+    lines = (tmp_path / "calib_cam_to_pose.txt").read_text().splitlines()
+    assert [line.split(":")[0] for line in lines] == ["image_00", "image_01", "image_02", "image_03"]

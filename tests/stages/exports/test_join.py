@@ -13,7 +13,9 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.join import join_data_sets, newest_data_set
+from nvsf_core.stages.exports.one_drive import on_one_clock
 from nvsf_core.stages.exports.write import finish_data_set
+from nvsf_core.stages.views.instances import FOUND
 from nvsf_core.stores.checksums import damaged_file
 from tests.stages.exports.test_card import _manifest
 
@@ -21,6 +23,13 @@ ENTRY = SceneEntry(
     name="long", root=Path("/d"), sequence="s", first_frame=0, last_frame=11, test_frames=(3,), cut_frames=8,
     overlap_frames=3,
 )  # fmt: skip
+
+
+def _box(object_id: int, label: str, frame: int | None, x_m: float) -> dict:
+    pose = np.eye(4)
+    pose[0, 3] = x_m
+    values = {"object_id": object_id, "label": label, "dynamic": frame is not None, "number": frame}
+    return values | {"box_to_world": pose.ravel().tolist()}
 
 
 def _made(home: Path, part: SceneEntry, number: int, **other: object) -> Path:
@@ -33,7 +42,8 @@ def _made(home: Path, part: SceneEntry, number: int, **other: object) -> Path:
                       f"image_00/data_rect/{frame:010d}.png"):  # fmt: skip
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
             np.full(4, number, np.uint8).tofile(folder / place)
-        row = {"number": frame, "nearest_frame": frame, "time_s": 0.1 * frame}
+        time_s = 0.1 * (frame - part.first_frame)
+        row = {"number": frame, "nearest_frame": frame, "time_s": time_s, "stamp_s": time_s}
         files = {
             "bin": f"velodyne_points/data/{frame:010d}.bin",
             "ring": f"velodyne_points/ring/{frame:010d}.bin",
@@ -43,15 +53,22 @@ def _made(home: Path, part: SceneEntry, number: int, **other: object) -> Path:
         write_numbers(folder / instance, np.array([[0, 1]], np.uint16))
         shown = {"file": f"image_00/data_rect/{frame:010d}.png", "instance": instance}
         images.append(row | {"camera": "image_00", **shown})
-    boxes = [{"object_id": 7, "number": None}, *({"object_id": 8, "number": frame} for frame in frames)]
+    boxes = [_box(7, "building", None, 0.0), *(_box(8, "car", frame, float(frame)) for frame in frames)]
+    # Two were found to move without a label: one in both parts, and one in each part's own frames.
+    shared, own = (9, 10) if number == 0 else (10, 9)
+    boxes += [_box(shared, FOUND, frame, 100.0 + frame + 0.2 * number) for frame in frames]
+    boxes += [_box(own, FOUND, frame, 200.0 + 50.0 * number) for frame in frames]
     (folder / "kitti360").mkdir()
-    metrics = [{**row, "n_defined": number + 1} for row in _manifest()["field_metrics"][:1]]
+    costs = {"train_seconds": 10.0 + number, "parameters": 5.0, "model_mb": 1.0, "render_seconds": 0.2}
+    metrics = [{**row, "n_defined": number + 1, **costs} for row in _manifest()["field_metrics"][:1]]
     metrics[0]["value"] = float(number)
+    # The parts' frames of the scene differ, and with them the last digits.
+    cameras = {"image_00": {"kind": "pinhole", "fx": 50.0, "camera_in_lidar": [0.5 + 1e-12 * number, 1.0]}}
     values = {
         "scans": scans,
         "images": images,
         "boxes": boxes,
-        "cameras": {},
+        "cameras": cameras,
         "instances": [{"value": 1, "object_id": 26_005 - number, "label": "car", "dynamic": True}],
         "field_metrics": metrics,
         **other,
@@ -72,15 +89,45 @@ def test_each_frame_is_of_the_part_in_whose_middle_it_lies(tmp_path):
     for place in ("velodyne_points/data", "velodyne_points/ring", "image_00/data_rect"):
         files = sorted((out / place).iterdir())
         assert [int(np.fromfile(file, np.uint8)[0]) for file in files] == [0] * 6 + [1] * 6
-    assert [row["number"] for row in manifest["boxes"]].count(None) == 1 and len(manifest["boxes"]) == 13
+    for kind in ("scans", "images"):
+        times_s = [[row["time_s"], row["stamp_s"]] for row in manifest[kind]]
+        np.testing.assert_allclose(times_s, 0.1 * np.arange(12)[:, None] * [1.0, 1.0])
+    assert [row["number"] for row in manifest["boxes"]].count(None) == 1 and len(manifest["boxes"]) == 37
     assert damaged_file(out, manifest["checksums"]) is None
     # Each part's first object is another one: in the joined data set each has a value of its own.
     assert [(row["value"], row["object_id"]) for row in manifest["instances"]] == [(1, 26_004), (2, 26_005)]
     values = [read_numbers(out / row["instance"]).tolist() for row in manifest["images"]]
     assert values == [[[0, 2]]] * 6 + [[[0, 1]]] * 6
     assert manifest["not_joined"] == ["kitti360"] and (out / "card.md").is_file()
-    # 0 in one frame and 1 in two: frames count alike, not parts.
-    assert manifest["field_metrics"][0]["value"] == pytest.approx(2 / 3)
+    # 0 in one frame and 1 in two: frames count alike, not parts. A drive's model is all parts'.
+    (error,) = manifest["field_metrics"]
+    assert error["value"] == pytest.approx(2 / 3) and error["n_defined"] == 3
+    assert [error[name] for name in ("train_seconds", "model_mb", "render_seconds")] == [21.0, 2.0, 0.2]
+
+
+def test_what_two_parts_found_is_one_object_where_it_is_at_one_place(tmp_path):
+    parts = parts_of("long", cut_scene(ENTRY))
+    folders = [_made(tmp_path, part, number) for number, (part, _) in enumerate(parts)]
+    out = join_data_sets("long", parts, folders, tmp_path / "joined")
+    boxes = json.loads((out / "manifest.json").read_text())["boxes"]
+    ways: dict[int, list[tuple[int, float]]] = {}
+    for box in boxes:
+        if box["label"] == FOUND:
+            ways.setdefault(box["object_id"], []).append((box["number"], box["box_to_world"][3]))
+    assert min(ways) > 8, "after all labelled ones"
+    through = [(frame, 100.0 + frame + 0.2 * (frame > 5)) for frame in range(12)]
+    assert sorted(map(sorted, ways.values())) == [
+        through, [(frame, 200.0) for frame in range(6)], [(frame, 250.0) for frame in range(6, 12)],
+    ]  # fmt: skip
+
+
+def test_parts_without_a_shared_frame_follow_each_other_in_time():
+    def part(first: int) -> dict:
+        rows = [{"number": first + k, "time_s": 0.1 * k} for k in range(4)]
+        return {"scans": rows, "images": []}
+
+    times_s = [row["time_s"] for one in on_one_clock([part(0), part(4), part(9)]) for row in one["scans"]]
+    np.testing.assert_allclose(times_s, 0.1 * np.array([0, 1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12]))
 
 
 def test_parts_of_two_seeds_are_not_joined_and_nothing_is_left_behind(tmp_path):

@@ -1,0 +1,105 @@
+"""Parts of a cut drive as sections of one: one clock, and objects that were found in two parts are one.
+
+Each part counts seconds from its own first frame, and numbers what it found to move by itself.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from nvsf_core.stages.views.instances import FOUND
+
+_WITH_OBJECTS = ("boxes", "instances")
+_SAME_OBJECT_M = 1.0
+"""Boxes of one object that two parts found lie so near to each other, in the median of the shared frames."""
+
+
+def on_one_clock(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The manifests with times of scans and images since the first part's first frame.
+
+    Parts are placed by the frames that they share; without any, by the frames' usual distance.
+    """
+    found = list(manifests[:1])
+    for manifest in manifests[1:]:
+        later_s = _later_s(found[-1], manifest)
+        rows = {
+            kind: [{**row, **{name: row[name] + later_s for name in _times(row)}} for row in manifest[kind]]
+            for kind in ("scans", "images")
+        }
+        found.append({**manifest, **rows})
+    return found
+
+
+def _times(row: Mapping[str, Any]) -> list[str]:
+    return [name for name in ("time_s", "stamp_s") if name in row]
+
+
+def _later_s(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
+    """Seconds from the beginning of one part's clock to that of the next."""
+    sooner, later = _seconds(before), _seconds(after)
+    shared = sorted(set(sooner) & set(later))
+    if shared:
+        return float(np.median([sooner[number] - later[number] for number in shared]))
+    numbers = sorted(sooner)
+    first = min(later, default=0)
+    if not numbers:
+        return 0.0
+    span_s = sooner[numbers[-1]] - sooner[numbers[0]]
+    step_s = span_s / max(1, numbers[-1] - numbers[0])
+    return sooner[numbers[-1]] + step_s * (first - numbers[-1]) - later.get(first, 0.0)
+
+
+def _seconds(manifest: Mapping[str, Any]) -> dict[int, float]:
+    """Time of each frame; of its scan where there is one."""
+    return {row["number"]: row["time_s"] for kind in ("images", "scans") for row in manifest[kind]}
+
+
+def with_shared_objects(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The manifests with numbers of found objects that hold over the drive.
+
+    An object that two neighbours found in the frames that they share has one number; all found objects'
+    come after those of all labelled ones.
+    """
+    free = 1 + max(
+        (box["object_id"] for one in manifests for box in one["boxes"] if box["label"] != FOUND), default=0
+    )
+    done: list[dict[str, Any]] = []
+    for manifest in manifests:
+        known = _places(done[-1]) if done else {}
+        new: dict[int, int] = {}
+        for own, places in _places(manifest).items():
+            same = _nearest(places, {one: at for one, at in known.items() if one not in new.values()})
+            new[own], free = (free, free + 1) if same is None else (same, free)
+        done.append(
+            {
+                **manifest,
+                **{kind: [_numbered(row, new) for row in manifest.get(kind, [])] for kind in _WITH_OBJECTS},
+            }
+        )
+    return done
+
+
+def _numbered(row: dict[str, Any], new: Mapping[int, int]) -> dict[str, Any]:
+    return {**row, "object_id": new[row["object_id"]]} if row["object_id"] in new else row
+
+
+def _places(manifest: Mapping[str, Any]) -> dict[int, dict[int, np.ndarray]]:
+    """Middle (3,) of each found object at each frame, metres."""
+    found: dict[int, dict[int, np.ndarray]] = {}
+    for box in manifest["boxes"]:
+        if box["label"] == FOUND and box["number"] is not None:
+            pose = np.array(box["box_to_world"], np.float64).reshape(4, 4)
+            found.setdefault(box["object_id"], {})[box["number"]] = pose[:3, 3]
+    return found
+
+
+def _nearest(places: Mapping[int, np.ndarray], known: Mapping[int, Mapping[int, np.ndarray]]) -> int | None:
+    """The known object that is at the same places; None if there is none."""
+    apart_m = {}
+    for one, there in known.items():
+        shared = sorted(set(places) & set(there))
+        if shared:
+            apart_m[one] = float(np.median([np.linalg.norm(places[k] - there[k]) for k in shared]))
+    best = min(apart_m, key=lambda one: apart_m[one], default=None)
+    return None if best is None or apart_m[best] > _SAME_OBJECT_M else best
