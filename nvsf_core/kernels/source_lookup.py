@@ -15,6 +15,8 @@ _U0 = np.uint64(0)
 """Indices are unsigned, so that numba need not ask whether they count from the end."""
 _NEAREST_Z = np.float32(1e-3)
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
+_OUTSIDE = np.float32(-1e9)
+"""Column of a point that is behind the source."""
 _RIM_PX = np.float32(0.01)
 """An image shows points that lie outside its outermost pixel centres by no more than rounding may do."""
 _ALMOST = np.float32(0.999)
@@ -93,41 +95,67 @@ def _flat(where: LookUp) -> tuple[Any, ...]:
 
 
 @njit(inline="always")
-def _between(image, at, beside, below, channel, down, right):  # type: ignore[no-untyped-def]
-    """Bilinear value of a channel between four pixels, `at` that of the upper left one."""
-    here = at + channel
-    upper = image[here] * (_ONE - right) + image[here + beside] * right
-    lower = image[here + below] * (_ONE - right) + image[here + below + beside] * right
-    return upper * (_ONE - down) + lower * down
+def _starts(motions, label, rays, row, k, starts, steps):  # type: ignore[no-untyped-def]
+    """Write what places of a row's pixels in image k begin with, (3, w), and their steps by inverse depth."""
+    for i in range(3):
+        for c in range(rays.shape[1]):
+            motion = motions[label[row, c], k]
+            starts[i, c] = motion[i, 0] * rays[row, c, 0] + motion[i, 1] * rays[row, c, 1] + motion[i, 2]
+            steps[i, c] = motion[i, 3]
 
 
 @njit(inline="always")
-def _place(image, size, motion, x, y, q, is_static, share, per_m):  # type: ignore[no-untyped-def]
-    """Whether an image (flat) of a size shows a point; its place: upper left value, rests; its scale 1/z."""
-    nowhere = (False, _U0, _ZERO, _ZERO, _ZERO)
-    z = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] + q * motion[2, 3]
-    if not z > _NEAREST_Z:
-        return nowhere
-    scale = _ONE / z
-    u = (motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] + q * motion[0, 3]) * scale
-    v = (motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] + q * motion[1, 3]) * scale
+def _project(starts, steps, inverse, place):  # type: ignore[no-untyped-def]
+    """Write column, row and scale 1/z (3, w) of a row's points; far outside if behind the source."""
+    # No branches: this loop is computed eight pixels at a time.
+    for c in range(len(inverse)):
+        q = inverse[c]
+        z = starts[2, c] + q * steps[2, c]
+        in_front = z > _NEAREST_Z
+        scale = _ONE / (z if in_front else _ONE)
+        place[0, c] = (starts[0, c] + q * steps[0, c]) * scale if in_front else _OUTSIDE
+        place[1, c] = (starts[1, c] + q * steps[1, c]) * scale
+        place[2, c] = scale
+
+
+@njit(inline="always")
+def _corner(size, u, v):  # type: ignore[no-untyped-def]
+    """Whether an image of a size has column u and row v; the upper left of four pixels, and the rests."""
     rows, columns, channels = size
     right_most, lowest = np.float32(columns - 1), np.float32(rows - 1)
     if not (u >= -_RIM_PX and v >= -_RIM_PX and u <= right_most + _RIM_PX and v <= lowest + _RIM_PX):
-        return nowhere
+        return False, _U0, _ZERO, _ZERO
     u, v = min(max(u, _ZERO), right_most), min(max(v, _ZERO), lowest)
     row, column = min(int(v), rows - 2), min(int(u), columns - 2)
-    down, right = v - np.float32(row), u - np.float32(column)
     at = np.uint64((row * columns + column) * channels)
-    beside, below = np.uint64(channels), np.uint64(columns * channels)
-    if not _between(image, at, beside, below, _SHOWN, down, right) > _ALMOST:
-        return nowhere
-    hiding = q * scale * (_ONE + share) + per_m
-    if _between(image, at, beside, below, _DEPTH, down, right) > hiding:
-        return nowhere
-    if is_static and channels > _MOVING and _between(image, at, beside, below, _MOVING, down, right) > _HALF:
-        return nowhere
-    return True, at, down, right, scale
+    return True, at, v - np.float32(row), u - np.float32(column)
+
+
+@njit(inline="always")
+def _weights(down, right):  # type: ignore[no-untyped-def]
+    """Of four pixels in a bilinear value: upper left, upper right, lower left, lower right."""
+    upper = _ONE - down
+    return upper * (_ONE - right), upper * right, down * (_ONE - right), down * right
+
+
+@njit(inline="always")
+def _between(image, at, beside, below, channel, weights):  # type: ignore[no-untyped-def]
+    """Bilinear value of a channel between four pixels, `at` that of the upper left one."""
+    here = at + channel
+    return (
+        weights[0] * image[here] + weights[1] * image[here + beside]
+        + weights[2] * image[here + below] + weights[3] * image[here + below + beside]
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def _shows(image, at, beside, below, weights, hiding, asks_moving):  # type: ignore[no-untyped-def]
+    """Whether an image (flat) shows a point that only inverse depths above `hiding` hide."""
+    return (
+        _between(image, at, beside, below, _SHOWN, weights) > _ALMOST
+        and not _between(image, at, beside, below, _DEPTH, weights) > hiding
+        and not (asks_moving and _between(image, at, beside, below, _MOVING, weights) > _HALF)
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -136,32 +164,43 @@ def _look_up(  # type: ignore[no-untyped-def]
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    wide, has_slope = inverse.shape[1] > 1, len(slope) > 0
+    has_moving, has_slope = size[2] > _MOVING, len(slope) > 0
+    starts = np.empty((3, columns), np.float32)
+    steps, place = np.empty_like(starts), np.empty_like(starts)
     for k in range(len(chosen)):
         image = images[chosen[k]]
-        for d in range(len(inverse)):
-            for r in range(rows):
+        for r in range(rows):
+            _starts(motions, label, rays, r, k, starts, steps)
+            for d in range(len(inverse)):
+                depths = _row_of(inverse, d, r, columns)
+                _project(starts, steps, depths, place)
                 for c in range(columns):
-                    motion = motions[label[r, c], k]
-                    q = inverse[d, r, c] if wide else inverse[d, 0, 0]
-                    is_seen, at, down, right, scale = _place(
-                        image, size, motion, rays[r, c, 0], rays[r, c, 1], q, label[r, c] == 0, share, per_m
-                    )
+                    is_seen, at, down, right = _corner(size, place[0, c], place[1, c])
+                    scale = place[2, c]
+                    weights = _weights(down, right)
+                    if is_seen:
+                        hiding = depths[c] * scale * (_ONE + share) + per_m
+                        asks_moving = has_moving and label[r, c] == 0
+                        is_seen = _shows(image, at, beside, below, weights, hiding, asks_moving)
                     seen[k, d, r, c] = is_seen
                     for i in range(3):
                         colour[k, i, d, r, c] = _ZERO
                         if is_seen:
-                            colour[k, i, d, r, c] = _between(
-                                image, at, beside, below, np.uint64(i), down, right
-                            )
+                            colour[k, i, d, r, c] = _between(image, at, beside, below, np.uint64(i), weights)
                     if has_slope:
-                        u_by_q = (motion[0, 3] - _column(at, size, right) * motion[2, 3]) * scale
-                        v_by_q = (motion[1, 3] - _row(at, size, down) * motion[2, 3]) * scale
+                        u_by_q = (steps[0, c] - _column(at, size, right) * steps[2, c]) * scale
+                        v_by_q = (steps[1, c] - _row(at, size, down) * steps[2, c]) * scale
                         for i in range(3):
                             slope[k, i, d, r, c] = _ZERO
                             if is_seen:
                                 by_u, by_v = _slopes(image, at, beside, below, np.uint64(i), down, right)
                                 slope[k, i, d, r, c] = by_u * u_by_q + by_v * v_by_q
+
+
+@njit(inline="always")
+def _row_of(inverse, d, r, columns):  # type: ignore[no-untyped-def]
+    """Inverse depths (w,) of a row's pixels on plane d of (d, h, w), or of (d, 1, 1)."""
+    return inverse[d, r] if inverse.shape[1] > 1 else np.full(columns, inverse[d, 0, 0])
 
 
 @njit(inline="always")
@@ -188,21 +227,29 @@ def _agree(  # type: ignore[no-untyped-def]
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    wide, count = inverse.shape[1] > 1, len(chosen)
+    count, has_moving = len(chosen), size[2] > _MOVING
+    starts = np.empty((count, 3, columns), np.float32)
+    steps, place = np.empty_like(starts), np.empty_like(starts)
     found, is_seen = np.zeros((count, 3), np.float32), np.zeros(count, np.bool_)
     for r in range(rows):
+        for k in range(count):
+            _starts(motions, label, rays, r, k, starts[k], steps[k])
         for d in range(len(inverse)):
+            depths = _row_of(inverse, d, r, columns)
+            for k in range(count):
+                _project(starts[k], steps[k], depths, place[k])
             for c in range(columns):
-                q = inverse[d, r, c] if wide else inverse[d, 0, 0]
+                asks_moving = has_moving and label[r, c] == 0
                 for k in range(count):
                     image = images[chosen[k]]
-                    is_seen[k], at, down, right, _ = _place(
-                        image, size, motions[label[r, c], k], rays[r, c, 0], rays[r, c, 1], q,
-                        label[r, c] == 0, share, per_m,
-                    )  # fmt: skip
-                    if is_seen[k]:
+                    is_inside, at, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
+                    is_seen[k] = False
+                    if is_inside:
+                        weights = _weights(down, right)
+                        hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
+                        is_seen[k] = _shows(image, at, beside, below, weights, hiding, asks_moving)
                         for i in range(3):
-                            value = _between(image, at, beside, below, np.uint64(i), down, right)
+                            value = _between(image, at, beside, below, np.uint64(i), weights)
                             found[k, i] = min(gain * value, _ONE)
                 _compare(found, is_seen, unseen, weight, agreed[d, r, c], colour[d, r, c])
 

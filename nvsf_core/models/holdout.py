@@ -78,14 +78,12 @@ def compare(
         candidates: For each name, a function that scores one of them, in the order of the metrics.
     """
     kept_out = list(validation)
-    means = {
-        name: tuple(np.mean(_scores(score, kept_out), axis=0).tolist()) for name, score in candidates.items()
-    }
+    # All together: threads wait for the last of them once, not once a candidate.
+    work = [(score, one) for score in candidates.values() for one in kept_out]
+    scores = in_parts(lambda number: work[number][0](work[number][1]), len(work), MOST_VIEWS)
+    by_candidate = np.reshape(scores, (len(candidates), len(kept_out), len(metrics))).mean(axis=1)
+    means = dict(zip(candidates, (tuple(row) for row in by_candidate.tolist()), strict=True))
     return Comparison(tuple(metrics), tuple(metrics.values()), means)
-
-
-def _scores(score: Callable[[Left], Sequence[float]], kept_out: Sequence[Left]) -> list[Sequence[float]]:
-    return in_parts(lambda number: score(kept_out[number]), len(kept_out), MOST_VIEWS)
 
 
 def validation_numbers(count: int, every: int, first: int) -> range:

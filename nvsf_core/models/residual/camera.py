@@ -1,5 +1,6 @@
 """The camera networks of the residual family: training, comparison with `reproject`, rendering."""
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +25,7 @@ from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.image_depths import image_depths
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
-from nvsf_core.recipe import CameraSpec, ResidualRecipe
+from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
 from nvsf_core.rendering.image_alignment import PoseCorrection
@@ -44,6 +45,8 @@ ALIGNED = "camera_corrections"
 """Name of the fact: corrections of the images' poses, see `facts_of`."""
 _FEWEST_IMAGES = 3
 """With fewer, an image that is left out has no two others to be rendered from."""
+_WINDOWS_A_VIEW = 8
+"""At least so many windows are drawn of each view that is prepared to learn from."""
 _MAPS = "depth_maps"
 """First part of the names of the stored depth maps."""
 
@@ -62,14 +65,15 @@ def train_camera(
         for name in usable
     }
     wanted = [(name, index) for name in usable for index in cameras[name].training]
-    examples = _each(wanted, lambda name, index: cameras[name].itself(index))
+    compared = _spread(wanted, _most_views(recipe.depth_training))
+    examples = _each(compared, lambda _, name, index: cameras[name].itself(index))
     if not examples:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
             states={}, preparation_seconds=time.perf_counter() - started, metadata=few,
             facts={LEARNED: [], ALIGNED: {}},
         )  # fmt: skip
-    session.say("camera", f"{len(examples)} images to learn from")
+    session.say("camera", f"{len(wanted)} images to learn from")
     depths = nn.ModuleList(one.depth for one in networks)
     depth = fresh_state(depths, recipe.depth_training, session.seed * 3 + 1)
     preparation = time.perf_counter() - started
@@ -81,14 +85,16 @@ def train_camera(
             [partial(depth_step, one.depth, examples, recipe) for one in networks],
         ),
     )  # fmt: skip
-    count = len(examples)
     # They hold all images without depths.
     examples.clear()
     placing = time.perf_counter()
     maps = {name: image_depths(networks, one) for name, one in cameras.items()}
     cameras = {name: one.with_depths(maps[name]) for name, one in cameras.items()}
-    views = _each(wanted, lambda name, index: cameras[name].left_out(index)) + _each(
-        wanted, lambda name, index: cameras[name].left_out_in_block(index)
+    # As many without one image as without a block, and of other images where not all are drawn.
+    each = math.ceil(_most_views(recipe.camera_training) / 2)
+    one_out, block_out = _spread(wanted, each), _spread(wanted, each, 0.5)
+    views = _each(one_out, lambda _, name, index: cameras[name].left_out(index)) + _each(
+        block_out, lambda place, name, index: cameras[name].left_out_in_block(index, place)
     )
     preparation += time.perf_counter() - placing
     both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
@@ -104,15 +110,27 @@ def train_camera(
     preparation += time.perf_counter() - validating
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
-        metadata={"left_out_images": count} | verdict,
+        metadata={"left_out_images": len(wanted)} | verdict,
         facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
         tensors={key: value for name, one in maps.items() for key, value in stored_maps(name, one).items()},
     )  # fmt: skip
 
 
-def _each(wanted: Sequence[tuple[str, int]], example: Callable[[str, int], LeftOut]) -> list[LeftOut]:
-    """An example of each image, given by its camera and number."""
-    return in_parts(lambda number: example(*wanted[number]), len(wanted))
+def _each(wanted: Sequence[tuple[str, int]], example: Callable[[int, str, int], LeftOut]) -> list[LeftOut]:
+    """An example of each image, given by its place among them, its camera and its number."""
+    return in_parts(lambda place: example(place, *wanted[place]), len(wanted))
+
+
+def _spread(wanted: Sequence[tuple[str, int]], most: int, phase: float = 0.0) -> Sequence[tuple[str, int]]:
+    """At most so many of them, evenly spread; another phase in 0..1 takes others."""
+    if most >= len(wanted):
+        return wanted
+    return [wanted[int((place + phase) * len(wanted) / most)] for place in range(most)]
+
+
+def _most_views(training: TrainingSpec) -> int:
+    """Views that a training prepares; one that few windows are drawn of costs more than it teaches."""
+    return max(1, training.steps * training.parts // _WINDOWS_A_VIEW)
 
 
 def _of_members(

@@ -59,9 +59,9 @@ class ShownCamera:
         """An image rendered from all others."""
         return self._with_truth(self.view(index, {index}), index)
 
-    def left_out_in_block(self, index: int) -> LeftOut:
-        """An image rendered from those beyond a distance that depends on its number."""
-        block = self._block(index, _BLOCKS_M[index % len(_BLOCKS_M)])
+    def left_out_in_block(self, index: int, turn: int) -> LeftOut:
+        """An image rendered from those beyond a distance; the distances take turns."""
+        block = self._block(index, _BLOCKS_M[turn % len(_BLOCKS_M)])
         return self._with_truth(self.view(index, block), index)
 
     def view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
