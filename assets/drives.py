@@ -23,7 +23,7 @@ _DESCRIPTIONS = {
     DRIVE: "The recorded drive: every file that the scene reads, by content, and its entry in the catalogue.",
     ASKED_VIEWS: "The views that the catalogue asks for, and the content of their true images.",
 }
-_KINDS = {DRIVE: {"kitti360"}, ASKED_VIEWS: {"toml"}}
+_KINDS = {DRIVE: {"file"}, ASKED_VIEWS: {"toml"}}
 
 
 def versions_of(entry: SceneEntry, workspace: Workspace, most_s: float = float("inf")) -> dict[str, str]:
