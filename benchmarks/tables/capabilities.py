@@ -89,11 +89,6 @@ CAPABILITIES = (
         "k360_street: 20.4 (reproject) to 21.7 dB; kitti0005: 20.7 to 23.6; three for one network + .27",
     ),
     Capability(
-        "training images varied in colour, light and mirror",
-        ("rendering/variation.py",),
-        "left-out images: + .2 dB (14d72fa)",
-    ),
-    Capability(
         "views by depth maps of the images; pixels that nothing shows are known",
         ("models/residual/image_depths.py", "rendering/view_depth_maps.py", "rendering/hole_filling.py",
          "rendering/pixel_support.py", "kernels/depth_splat.py"),
@@ -108,7 +103,7 @@ CAPABILITIES = (
     Capability(
         "moving objects where they are at the image's instant",
         ("models/residual/dynamic_masks.py",),
-        "kitti0005, left-out images: 21.0 to 22.5 dB together with the loss of structure",
+        "kitti0005, left-out images: 21.0 to 22.5 dB together with a loss of structure, which is gone",
     ),
     Capability(
         "above the recorded lasers: images",

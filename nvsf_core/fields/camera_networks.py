@@ -66,42 +66,6 @@ class DepthNetwork(nn.Module):
         return (_by_plane(self.logit, full) + _by_plane(self.prior, volume))[:, 0]
 
 
-class RefineNetwork(nn.Module):
-    """Probabilities of the depths around each hypothesis, from how well the source images agree there.
-
-    Before training each hypothesis keeps its probability, spread evenly over its depths.
-    """
-
-    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Sample all weights from `generator`."""
-        super().__init__()
-        count, w = spec.refinements, spec.refined_channels
-        self.first = _layer(generator, nn.Conv2d, 2 * count + 3, w, 3, padding=1)
-        self.wide = _layer(generator, nn.Conv2d, w, w, 3, padding=2, dilation=2)
-        self.out = _layer(generator, nn.Conv2d, w, count, 3, padding=1)
-        with torch.no_grad():
-            self.out.weight.zero_()
-
-    def forward(self, spread: Tensor, pair: Tensor, shown: Tensor, share: Tensor) -> Tensor:
-        """Probabilities (c, h, w) of all hypotheses' depths, c = hypotheses x refinements; their sum is 1.
-
-        Args:
-            spread: (c, h, w) mean distance of the sources' colours to their mean.
-            pair: (c, h, w) distance of the two colours that are most alike.
-            shown: (c, h, w) share of the sources that show the point.
-            share: (3, h, w) probability of each hypothesis, 0..1.
-        """
-        believed = (share + _OFFSET.to(share)[:, None, None])[:, None]
-        is_lidar = torch.zeros_like(believed)
-        is_lidar[-1] = 1.0
-        spread, pair, shown = (x.reshape(HYPOTHESES, -1, *x.shape[1:]) for x in (spread, pair, shown))
-        x = torch.cat([4.0 * spread, 4.0 * pair, shown.mean(dim=1, keepdim=True), believed, is_lidar], dim=1)
-        x = x.contiguous(memory_format=torch.channels_last)
-        x = functional.relu(self.wide(functional.relu(self.first(x))))
-        logits = self.out(x) + believed.log()
-        return logits.flatten(0, 1).softmax(dim=0)
-
-
 class BlendNetwork(nn.Module):
     """A pixel's colour: a weighted mean of the sources' colours at its hypotheses, plus a small residual.
 
@@ -176,7 +140,6 @@ class CameraNetworks(nn.Module):
         super().__init__()
         self.depth = DepthNetwork(spec, generator)
         self.blend = BlendNetwork(spec, generator)
-        self.refine = RefineNetwork(spec, generator) if spec.refinements else None
 
 
 class CameraEnsemble(nn.Module):

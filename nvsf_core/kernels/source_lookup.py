@@ -68,14 +68,11 @@ def look_up_points(where: LookUp, *, with_slope: bool) -> tuple[np.ndarray, np.n
     return colour, seen, slope
 
 
-def agreement(
-    where: LookUp, gain: float, unseen_difference: float, weight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def agreement(where: LookUp, unseen_difference: float, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How well k images agree at d depths of each pixel.
 
     Args:
         where: Images and points.
-        gain: Factor on all colours, which are at most 1 after it.
         unseen_difference: Difference of two colours where fewer than two images show the point.
         weight: (k,) float32 of the images in the colour that is returned.
 
@@ -84,7 +81,7 @@ def agreement(
         share of the images that show the point, mean colour; and the weighted mean colour (d, h, w, 3).
     """
     agreed, colour = np.empty((*where.shape, 6), np.float32), np.empty((*where.shape, 3), np.float32)
-    _agree(*_flat(where), np.float32(gain), np.float32(unseen_difference), weight, agreed, colour)
+    _agree(*_flat(where), np.float32(unseen_difference), weight, agreed, colour)
     return agreed, colour
 
 
@@ -223,7 +220,7 @@ def _slopes(image, at, beside, below, channel, down, right):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _agree(  # type: ignore[no-untyped-def]
-    images, size, chosen, motions, rays, label, inverse, share, per_m, gain, unseen, weight, agreed, colour
+    images, size, chosen, motions, rays, label, inverse, share, per_m, unseen, weight, agreed, colour
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
@@ -249,8 +246,7 @@ def _agree(  # type: ignore[no-untyped-def]
                         hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
                         is_seen[k] = _shows(image, at, beside, below, weights, hiding, asks_moving)
                         for i in range(3):
-                            value = _between(image, at, beside, below, np.uint64(i), weights)
-                            found[k, i] = min(gain * value, _ONE)
+                            found[k, i] = _between(image, at, beside, below, np.uint64(i), weights)
                 _compare(found, is_seen, unseen, weight, agreed[d, r, c], colour[d, r, c])
 
 

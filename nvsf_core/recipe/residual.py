@@ -58,17 +58,9 @@ class CameraSpec:
     """Channels of the network over planes, at its two resolutions."""
     blend_channels: tuple[int, int] = (24, 32)
     """Channels of the blending network, at half resolution and below."""
-    refinements: int = 0
-    """Number of depths around a view's surfaces that are compared at twice the planes' resolution, to refine
-    them; odd, 0 = no refinement."""
-    refined_channels: int = 24
-    """Channels of the refining network."""
     aligned: bool = False
     """Correct camera poses so that LiDAR returns have similar colours in neighbouring images. Networks are
     trained with uncorrected poses, because a requested view's pose has the same kind of error."""
-    varied: bool = False
-    """Augment training images: random colours and brightness, half of them mirrored. With few images this
-    delays overfitting in long trainings; it gains nothing in short ones."""
     members: int = 1
     """Networks in the ensemble, trained independently and averaged; training and rendering times grow in
     proportion."""
@@ -117,8 +109,6 @@ class LossWeights:
     """Of the squared colour error of the mean over all depth planes of an image."""
     plane: float = 0.15
     """Of the absolute colour error of each depth plane, weighted by the plane's probability."""
-    structure: float = 0.0
-    """Of 1 - SSIM in small windows, in which blur costs as much in dark foliage as at bright edges."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,12 +39,10 @@ WHOLE: Window = (slice(None), slice(None))
 
 @dataclass(frozen=True, slots=True)
 class ShownImages:
-    """All j images of a camera in three sizes, with the channels of `Sources.images`."""
+    """All j images of a camera in two sizes, with the channels of `Sources.images`."""
 
     full: Tensor
     """(j, c, H, W) float32, as recorded."""
-    middle: Tensor
-    """(j, c, h, w) float32, shrunk by `middle_factor`: depths are refined on these."""
     small: Tensor
     """(j, c, h, w) float32, shrunk by `shrinking`: depth planes are compared on these."""
     depths: DepthMaps | None = None
@@ -68,7 +66,7 @@ class ShownImages:
         if self.moving is not None:
             nothing_static = nothing_static | self.moving
         fronts = torch.where(nothing_static, _IN_FRONT, full[:, _DEPTH]).cpu()
-        return ShownImages(full, with_it(self.middle), with_it(self.small), maps, fronts)
+        return ShownImages(full, with_it(self.small), maps, fronts)
 
     @property
     def moving(self) -> Tensor | None:
@@ -77,9 +75,7 @@ class ShownImages:
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
-        return ShownImages(
-            self.full.to(device), self.middle.to(device), self.small.to(device), self.depths, self.fronts
-        )
+        return ShownImages(self.full.to(device), self.small.to(device), self.depths, self.fronts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,11 +130,6 @@ class CameraView:
         """Intrinsics of the images on which planes are compared."""
         return shrunk(self.pinhole, self.factor)
 
-    @property
-    def middle(self) -> Pinhole:
-        """Intrinsics of the images on which depths are refined."""
-        return shrunk(self.pinhole, middle_factor(self.factor))
-
     def sources(self, images: Tensor) -> Sources:
         """The chosen ones of all images (j, c, h, w), of any size, as sources of this view."""
         return Sources(images, self.chosen, self.motion, self.nearness, self.moved)
@@ -159,15 +150,10 @@ def shrinking(pinhole: Pinhole, spec: CameraSpec) -> int:
     return max(1, 2 * round(0.5 * (pinhole.width * pinhole.height / spec.plane_px) ** 0.5))
 
 
-def middle_factor(factor: int) -> int:
-    """By how much images are shrunk for the refinement of depths: half of `factor`, at least 1."""
-    return max(1, factor // 2)
-
-
 def shown_images(
     images: np.ndarray, valid: np.ndarray, factor: int, moving: np.ndarray | None = None
 ) -> ShownImages:
-    """Convert recorded images to source images of three sizes.
+    """Convert recorded images to source images of two sizes.
 
     Args:
         images: (j, H, W, 3) uint8.
@@ -181,8 +167,7 @@ def shown_images(
         parts.append(torch.from_numpy(moving).float()[:, None])
     # A pixel's channels beside each other, as looked up.
     full = torch.cat(parts, dim=1).contiguous(memory_format=torch.channels_last)
-    middle, small = (functional.avg_pool2d(full, by) for by in (middle_factor(factor), factor))
-    return ShownImages(full, middle, small)
+    return ShownImages(full, functional.avg_pool2d(full, factor))
 
 
 # Wide: the view (pose, pinhole), its returns and the source images are independent inputs.
@@ -265,15 +250,10 @@ def _near_maps(
     return NearMaps(near, inverse, [place[one] for one in mover], [fronts[k] for k in numbers])
 
 
-def places_of(view: CameraView, factor: int, shrunk_by: int, part: Window = WHOLE) -> Tensor:
-    """Places of pixels of the view shrunk by `factor`, in a window of the view shrunk by `shrunk_by`.
-
-    Returns:
-        (h, w, 2) in grid_sample's coordinates of the window.
-    """
+def places_in_small(view: CameraView) -> Tensor:
+    """Places (H, W, 2) of all pixels of the view in its shrunk images, in grid_sample's coordinates."""
     sides = []
-    for length, side in zip((view.pinhole.height, view.pinhole.width), part, strict=True):
-        first, last, _ = side.indices(length // shrunk_by)
-        place = (torch.arange(length // factor, device=view.device) + 0.5) * factor / shrunk_by - first
-        sides.append(place * 2.0 / (last - first) - 1.0)
+    for length in (view.pinhole.height, view.pinhole.width):
+        place = (torch.arange(length, device=view.device) + 0.5) / view.factor
+        sides.append(place * 2.0 / (length // view.factor) - 1.0)
     return torch.stack(torch.meshgrid(*sides, indexing="ij")[::-1], dim=-1)

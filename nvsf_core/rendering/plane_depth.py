@@ -6,10 +6,9 @@ from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraEnsemble, DepthNetwork
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_of
+from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.plane_volume import Agreement, agreement
 from nvsf_core.rendering.sources import SeenPoints
-from nvsf_core.rendering.variation import AS_RECORDED, Variation
 from nvsf_core.rendering.warping import plane_rays, sample
 
 _WINDOW_PX = 5
@@ -38,7 +37,6 @@ def planes_of(
     view: CameraView,
     spec: CameraSpec,
     window: Window = WHOLE,
-    shown_as: Variation = AS_RECORDED,
 ) -> tuple[Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of a recorded image's d depth planes, at shrunk pixels.
 
@@ -47,20 +45,18 @@ def planes_of(
         view: Of the image.
         spec: Recipe of the camera networks.
         window: Part of the shrunk image.
-        shown_as: Variation of all images.
     """
-    features, colour = compared_planes(view, spec, window, shown_as)
-    return probabilities(network, features, shown_as), colour
+    features, colour = compared_planes(view, spec, window)
+    return probabilities(network, features), colour
 
 
-def probabilities(network: DepthNetwork, features: Tensor, shown_as: Variation = AS_RECORDED) -> Tensor:
+def probabilities(network: DepthNetwork, features: Tensor) -> Tensor:
     """Probability (d, h, w) of depth planes by their features, see `plane_features`."""
-    return shown_as.turned(network(shown_as.turned(features))).softmax(dim=0)
+    logits: Tensor = network(features)
+    return logits.softmax(dim=0)
 
 
-def compared_planes(
-    view: CameraView, spec: CameraSpec, window: Window = WHOLE, shown_as: Variation = AS_RECORDED
-) -> tuple[Tensor, Tensor]:
+def compared_planes(view: CameraView, spec: CameraSpec, window: Window = WHOLE) -> tuple[Tensor, Tensor]:
     """Features of a recorded image's depth planes, see `plane_features`, and their colours (d, 3, h, w).
 
     The image itself is the first source: planes are compared with it, but their colours are the others'.
@@ -69,13 +65,12 @@ def compared_planes(
         view: Of the image.
         spec: Recipe of the camera networks.
         window: Part of the shrunk image.
-        shown_as: Variation of all images.
     """
     inverses, small = plane_inverses(spec, view.device), view.small
     points = SeenPoints(
         plane_rays(small, view.device)[window], inverses[:, None, None], view.label_of(view.factor, window)
     )
-    agreed = agreement(view.sources(view.images.small), points, small, shown_as, first=1)
+    agreed = agreement(view.sources(view.images.small), points, small, first=1)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
     return plane_features(agreed, prior, gap_px / view.factor, inverses), agreed.colour
 
@@ -137,7 +132,7 @@ def image_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: Camera
         spec: Recipe of the camera networks.
     """
     trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
-    inverses, places = plane_inverses(spec, view.device), places_of(view, 1, view.factor)
+    inverses, places = plane_inverses(spec, view.device), places_in_small(view)
     features, _ = compared_planes(view, spec)
     depths = []
     for member in networks:

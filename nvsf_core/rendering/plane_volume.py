@@ -8,7 +8,6 @@ from torch import Tensor
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.source_lookup import agreement as cpu_agreement
 from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look_up
-from nvsf_core.rendering.variation import AS_RECORDED, Variation
 
 _UNSEEN_DIFFERENCE = 0.25
 """Colour difference that is assumed where fewer than two sources show a point."""
@@ -35,34 +34,30 @@ class Agreement:
 
 
 @torch.no_grad()
-def agreement(
-    sources: Sources, points: SeenPoints, pinhole: Pinhole, shown_as: Variation = AS_RECORDED, first: int = 0
-) -> Agreement:
+def agreement(sources: Sources, points: SeenPoints, pinhole: Pinhole, first: int = 0) -> Agreement:
     """Compare the sources at points of a view.
 
     Args:
         sources: Source images of the view.
         points: What is compared.
         pinhole: Intrinsics of the source images.
-        shown_as: Variation of all colours.
         first: The first source that counts for the colour.
     """
     weight = torch.full((len(sources.chosen),), _FARTHER_WEIGHT)
     weight[: first + _NEAREST] = 1.0
     weight[:first] = 0.0
     if sources.images.device.type != "cpu":
-        return _agreement(*look_up(sources, points, pinhole), weight, shown_as)
+        return _agreement(*look_up(sources, points, pinhole), weight)
     agreed, colour = cpu_agreement(
-        kernel_inputs(sources, points, pinhole), shown_as.gain, _UNSEEN_DIFFERENCE, weight.numpy()
+        kernel_inputs(sources, points, pinhole), _UNSEEN_DIFFERENCE, weight.numpy()
     )
     found, blended = (torch.from_numpy(x).permute(3, 0, 1, 2) for x in (agreed, colour))
-    mean, blended = (torch.stack([x[i] for i in shown_as.channels], dim=1) for x in (found[3:], blended))
+    mean, blended = found[3:].transpose(0, 1), blended.transpose(0, 1)
     return Agreement(found[0], found[1], found[2], mean, blended)
 
 
-def _agreement(colour: Tensor, seen: Tensor, weight: Tensor, shown_as: Variation) -> Agreement:
+def _agreement(colour: Tensor, seen: Tensor, weight: Tensor) -> Agreement:
     """The same, from colours (k, 3, d, h, w) and whether they are shown (k, d, h, w), on any device."""
-    colour = shown_as.colours(colour.transpose(1, 2)).transpose(1, 2)
     shown = seen[:, None].float()
     count = shown.sum(dim=0)
     mean = (colour * shown).sum(dim=0) / count.clamp_min(1e-6)

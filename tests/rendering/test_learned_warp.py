@@ -10,14 +10,11 @@ from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraEnsemble, Ca
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import (
-    WHOLE,
     CameraView,
     camera_view,
-    middle_factor,
     shown_images,
-    shrinking,
 )
-from nvsf_core.rendering.learned_warp import blend_sources, coarse_colour, hypotheses, refine, render_view
+from nvsf_core.rendering.learned_warp import blend_sources, coarse_colour, render_view
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view, moving_pixels
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_features, plane_inverses, resized
 from nvsf_core.rendering.plane_volume import agreement
@@ -101,7 +98,7 @@ def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surfa
 @pytest.mark.parametrize("points", [NOTHING, wall_points()])
 def test_untrained_networks_show_the_wall_where_the_depths_of_images_are_known(points: np.ndarray) -> None:
     networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
-    shown = render_view(networks, view(points, depths=wall_maps()), SPEC)
+    shown = render_view(networks, view(points, depths=wall_maps()))
     assert shown.support is not None and (shown.support == Support.SEEN)[8:-8, 16:-16].all()
     error = np.abs(shown.rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
     assert np.median(error) < 12.0
@@ -121,8 +118,8 @@ def test_a_view_is_the_mean_of_what_its_members_show() -> None:
     for member in networks:
         single = CameraEnsemble(SPEC, torch.Generator())
         single.members[0].load_state_dict(member.state_dict())
-        alone.append(render_view(single, one, SPEC))
-    together = render_view(networks, one, spec)
+        alone.append(render_view(single, one))
+    together = render_view(networks, one)
     colours = np.stack([shown.rgb for shown in alone]).astype(float)
     assert np.abs(colours[0] - colours[2]).max() > 3.0
     # Members are rounded to whole levels here, their mean once.
@@ -137,43 +134,9 @@ def test_a_window_shows_what_the_whole_view_shows_there() -> None:
     one = view(wall_points(), depths=wall_maps())
     window = (slice(8, 40), slice(16, 80))
     coarse = coarse_colour(one)
-    part = blend_sources(networks, one, coarse, SPEC, window).colour
-    whole = blend_sources(networks, one, coarse, SPEC).colour
+    part = blend_sources(networks, one, coarse, window).colour
+    whole = blend_sources(networks, one, coarse).colour
     torch.testing.assert_close(part, whole[:, *window])
-
-
-@torch.no_grad()
-def test_untrained_refinement_leaves_depths_and_shares_as_they_were() -> None:
-    spec = replace(SPEC, refinements=3)
-    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
-    one = view(wall_points(), depths=wall_maps())
-    before = hypotheses(one, 1, WHOLE)
-    assert networks.refine is not None
-    after = refine(networks.refine, one, before, spec)
-    torch.testing.assert_close(after.hypotheses.inverse, before.inverse, atol=1e-6, rtol=0.0)
-    torch.testing.assert_close(after.probability.sum(dim=0), torch.ones(64, 128))
-
-
-@torch.no_grad()
-def test_refined_depths_are_none_that_lie_behind_infinity() -> None:
-    spec = replace(SPEC, refinements=3)
-    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
-    one = view(wall_points(), depths=wall_maps())
-    assert networks.refine is not None
-    far = hypotheses(one, 1, WHOLE)
-    far = replace(far, inverse=torch.zeros_like(far.inverse))
-    assert (refine(networks.refine, one, far, spec).hypotheses.inverse >= 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("width", "height", "planes", "middle"),
-    [(1408, 376, 4, 2), (1242, 375, 4, 2), (640, 480, 4, 2), (1440, 1080, 6, 3), (192, 96, 1, 1)],
-)
-def test_depths_are_refined_at_twice_the_planes_resolution(
-    width: int, height: int, planes: int, middle: int
-) -> None:
-    pinhole = replace(CAMERA, width=width, height=height)
-    assert shrinking(pinhole, CameraSpec()) == planes and middle_factor(planes) == middle
 
 
 def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:
@@ -224,7 +187,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     one = camera_view(pose(0.0), CAMERA, lidar, shown, PLACES, SPEC, leave_out=(1,), moving=moving)
     assert one.label is not None and (one.label.numpy() > 0)[28:36, 60:68].all()
     networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
-    error = np.abs(render_view(networks, one, SPEC).rgb.astype(float) - images[1]).max(axis=-1)
+    error = np.abs(render_view(networks, one).rgb.astype(float) - images[1]).max(axis=-1)
     middle = (slice(28, 36), slice(60, 68))
     assert error[middle].max() < 30.0
     # The plate stands at another place of every source: none may leave a ghost on the wall.

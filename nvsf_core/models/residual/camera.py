@@ -209,7 +209,7 @@ def camera_renderer(
         moving = world.moving(time_s, one.training_time_s, from_m=pose[:3, 3])
         lidar = lidar_view(at, pinhole, world.static_points(place_s), moving)
         view = camera_view(at, pinhole, lidar, shown[camera], one.training.pose, spec, moving=moving)
-        return render_view(networks, view.to(device), spec)
+        return render_view(networks, view.to(device))
 
     return render
 
@@ -235,7 +235,7 @@ def _by_networks(networks: CameraEnsemble, camera: ShownCamera) -> Callable[[int
     """Scores a left-out image as the networks render it."""
 
     def score(index: int) -> list[float]:
-        shown = render_view(networks, camera.view(index, {index}), camera.spec)
+        shown = render_view(networks, camera.view(index, {index}))
         return _scores(camera.drive.given, camera.name, index, shown)
 
     return score

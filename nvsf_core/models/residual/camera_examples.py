@@ -11,7 +11,7 @@ from nvsf_core.models.holdout import validation_numbers
 from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view, middle_factor
+from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
 from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
 from nvsf_core.rendering.view_depth_maps import DepthMaps
@@ -59,9 +59,9 @@ class ShownCamera:
         """An image rendered from all others."""
         return self._with_truth(self.view(index, {index}), index)
 
-    def left_out_in_block(self, index: int, turn: int) -> LeftOut:
-        """An image rendered from those beyond a distance; the distances take turns."""
-        block = self._block(index, _BLOCKS_M[turn % len(_BLOCKS_M)])
+    def left_out_in_block(self, index: int, place: int) -> LeftOut:
+        """An image rendered from those beyond a distance, another one at each place among the views."""
+        block = self._block(index, _BLOCKS_M[place % len(_BLOCKS_M)])
         return self._with_truth(self.view(index, block), index)
 
     def view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
@@ -96,12 +96,9 @@ class ShownCamera:
 
     def _with_truth(self, view: CameraView, index: int) -> LeftOut:
         truth = self.drive.given.cameras[self.name].training.rgb[index]
-        middle, small = (
-            functional.avg_pool2d(to_float(truth[None]), by)[0]
-            for by in (middle_factor(view.factor), view.factor)
-        )
+        small = functional.avg_pool2d(to_float(truth[None]), view.factor)[0]
         coarse = None if view.surfaces is None else coarse_colour(view)
-        example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), middle, small, coarse)
+        example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), small, coarse)
         return example.to(self.images.full.device)
 
     def _block(self, index: int, radius_m: float) -> set[int]:

@@ -8,14 +8,12 @@ import torch
 from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork
-from nvsf_core.losses.image import structure
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.residual.left_out import LeftOut
-from nvsf_core.recipe import CameraSpec, ResidualRecipe
-from nvsf_core.rendering.camera_view import Window, middle_factor
-from nvsf_core.rendering.learned_warp import blend_sources, scaled
+from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.rendering.camera_view import Window
+from nvsf_core.rendering.learned_warp import blend_sources
 from nvsf_core.rendering.plane_depth import planes_of
-from nvsf_core.rendering.variation import AS_RECORDED, Variation, random_variation
 
 _MARGIN = 6
 """Shrunk pixels at a window's border that are not compared: the networks lack their surroundings."""
@@ -25,11 +23,11 @@ def depth_step(
     network: DepthNetwork, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
     """The loss of an image's depth planes by the other images, weighted by their probability, in a window."""
-    example, shown_as = _sampled(examples, recipe.camera, generator)
+    example = _sampled(examples, generator)
     shape = (example.view.small.height, example.view.small.width)
     window = sample_window(shape, recipe.depth_training.rays // recipe.depth_training.parts, generator)
-    probability, colour = planes_of(network, example.view, recipe.camera, window, shown_as)
-    truth = shown_as.colours(example.small_truth[:, *window])
+    probability, colour = planes_of(network, example.view, recipe.camera, window)
+    truth = example.small_truth[:, *window]
     shown = _shown(example.view.images.small, window)
     terms = {
         "coarse": ((probability[:, None] * colour).sum(dim=0) - truth).square().mean(dim=0)[shown],
@@ -42,30 +40,20 @@ def camera_step(
     networks: CameraNetworks, examples: Sequence[LeftOut], recipe: ResidualRecipe, generator: torch.Generator
 ) -> LossBreakdown:
     """The loss of a window of a left-out image, rendered from the other images and their depths."""
-    example, shown_as = _sampled(examples, recipe.camera, generator)
+    example = _sampled(examples, generator)
     view = example.view
     assert example.coarse is not None
     shape = (view.small.height, view.small.width)
     around = sample_window(shape, recipe.camera_training.rays // recipe.camera_training.parts, generator)
     window = _full_size(around, shape, view.factor)
-    blend = blend_sources(networks, view, example.coarse, recipe.camera, window, around, shown_as)
-    shown, refinement = blend.colour, blend.refinement
-    truth = shown_as.colours(example.truth[:, *window].float() / 255.0)
-    difference = shown - truth
+    shown = blend_sources(networks, view, example.coarse, window).colour
+    difference = shown - example.truth[:, *window].float() / 255.0
     is_valid = _shown(view.images.full, window)
     terms = {
         "colour": difference.square().mean(dim=0)[is_valid],
         "colour_distance": difference.abs().mean(dim=0)[is_valid],
     }
-    if refinement is not None:
-        middle = scaled(around, view.factor // middle_factor(view.factor))
-        finer_truth = shown_as.colours(example.middle_truth[:, *middle])
-        finer = _believed_error(refinement.probability, refinement.colour, finer_truth)
-        terms["refined"] = finer[_shown(view.images.middle, middle)]
-    if recipe.losses.structure > 0.0:
-        blank = is_valid.logical_not().float()[None]
-        terms["structure"] = structure(shown * (1.0 - blank), truth * (1.0 - blank))
-    return total_loss(terms, asdict(recipe.losses) | {"refined": recipe.losses.plane})
+    return total_loss(terms, asdict(recipe.losses))
 
 
 def _believed_error(probability: Tensor, colour: Tensor, truth: Tensor) -> Tensor:
@@ -93,11 +81,8 @@ def sample_window(shape: tuple[int, int], pixels: int, generator: torch.Generato
     return slice(row, row + height), slice(column, column + width)
 
 
-def _sampled(
-    examples: Sequence[LeftOut], spec: CameraSpec, generator: torch.Generator
-) -> tuple[LeftOut, Variation]:
-    example = examples[int(torch.randint(len(examples), (), generator=generator))]
-    return example, random_variation(generator) if spec.varied else AS_RECORDED
+def _sampled(examples: Sequence[LeftOut], generator: torch.Generator) -> LeftOut:
+    return examples[int(torch.randint(len(examples), (), generator=generator))]
 
 
 def _shown(images: Tensor, window: Window) -> Tensor:

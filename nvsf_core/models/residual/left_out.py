@@ -16,8 +16,6 @@ class LeftOut:
     """The inputs of the view, without the scan of its instant, and to draw it without the image itself."""
     truth: Tensor
     """(3, H, W) uint8."""
-    middle_truth: Tensor
-    """(3, h, w) float32 in 0..1, at the size at which depths are refined."""
     small_truth: Tensor
     """(3, h, w) float32 in 0..1, at the size at which depth planes are compared."""
     coarse: Tensor | None = None
@@ -25,6 +23,6 @@ class LeftOut:
 
     def to(self, device: torch.device) -> "LeftOut":
         """The same example on `device`."""
-        truth, middle, small = (x.to(device) for x in (self.truth, self.middle_truth, self.small_truth))
+        truth, small = self.truth.to(device), self.small_truth.to(device)
         coarse = None if self.coarse is None else self.coarse.to(device)
-        return LeftOut(self.view.to(device), truth, middle, small, coarse)
+        return LeftOut(self.view.to(device), truth, small, coarse)
