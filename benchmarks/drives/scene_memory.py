@@ -52,8 +52,7 @@ class Variant:
 
 
 VARIANTS = (
-    Variant(16, 3, 9.0), Variant(32, 3, 9.0), Variant(64, 3, 9.0), Variant(32, 1, 9.0), Variant(64, 1, 9.0),
-    Variant(32, 3, 2.25), Variant(64, 3, 2.25),
+    Variant(16, 3, 9.0), Variant(32, 3, 9.0), Variant(32, 1, 9.0), Variant(64, 1, 9.0), Variant(32, 3, 2.25),
 )  # fmt: skip
 
 
