@@ -103,8 +103,6 @@ def _fisheye(**values: object) -> Callable[[DriveLayout], None]:
         layout.fisheye_path("image_02").write_text(
             FISHEYE.format(**({"model": "MEI", "width": 64, "k1": 0.01} | values))
         )
-        with layout.cam_to_pose_path.open("a") as handle:
-            handle.write(layout.cam_to_pose_path.read_text().replace("image_00", "image_02"))
 
     return done
 
