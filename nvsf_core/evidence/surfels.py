@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.evidence.voxels import VoxelIndex, index_points, voxel_moments
+from nvsf_core.geometry.voxels import VoxelIndex, index_points, voxel_moments
 from nvsf_core.kernels.voxel_march import (
     VoxelSurfaces,
     WalkLimits,

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.moving.object_box import boxes_on_way
+from nvsf_core.evidence.moving.object_evidence import boxes_on_way
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene

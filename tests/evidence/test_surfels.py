@@ -5,7 +5,7 @@ import pytest
 
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.surfels import build_surfels, candidates_of
-from nvsf_core.evidence.voxels import index_points
+from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.voxel_march import count_passes
 from nvsf_core.rendering.reproject import reproject_rays
 
