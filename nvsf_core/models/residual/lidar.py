@@ -22,13 +22,7 @@ from nvsf_core.fields.lidar_field import (
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.family import TrainedPart
-from nvsf_core.models.holdout import compare
-from nvsf_core.models.left_out_scans import (
-    SCAN_METRICS,
-    left_out_renderer,
-    recorded_pano,
-    score_left_out,
-)
+from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, recorded_pano, score_left_out
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar

@@ -13,8 +13,7 @@ from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart
-from nvsf_core.models.holdout import compare
-from nvsf_core.models.left_out_scans import fire_left_out
+from nvsf_core.models.holdout import compare, fire_left_out
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import learned_scans
 from nvsf_core.models.residual.raydrop_grid import (
