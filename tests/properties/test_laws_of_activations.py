@@ -102,7 +102,7 @@ def test_the_median_does_not_depend_on_the_scale_of_the_weights(values: list[flo
     index = weighted_median_index(weights)
     assert 0 <= index.item() < len(values)
     assert weighted_median_index(weights * 2.0**power).item() == index.item()
-    sums = weights.cumsum(dim=1)[0]
+    sums = weights.cumsum(axis=1)[0]
     assert sums[index] >= 0.5 * sums[-1]
     assert index == 0 or sums[index - 1] <= 0.5 * sums[-1]
 
