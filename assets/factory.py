@@ -7,6 +7,7 @@ import dagster as dg
 
 from assets.automation import KEPT, follows_its_scene
 from assets.drives import ASKED_VIEWS, DRIVE
+from assets.json_lines import log_as_json
 from assets.metadata import outcome_metadata
 from assets.origin import say_whose_run_it_is
 from assets.scenes import DATA_VERSION, OWNERS, SCENES, key_of
@@ -65,6 +66,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> Iterator[_AssetEvent]:
         scene = context.partition_key
         say_whose_run_it_is(context.instance, context.run.run_id)
+        log_as_json(context)
         try:
             plan = workspace.plan(scene, keep=KEPT in context.run.tags)
             outcome = run_named_stage(stage.name, plan, context.log.info, stages=stages)
