@@ -92,20 +92,23 @@ def _observed_by(stage: Stage) -> list[str]:
 
 
 def events_of(
-    stage: Stage, outcome: Outcome, scene: str
+    stage: Stage, outcome: Outcome, scene: str, instance: dg.DagsterInstance
 ) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
-    """Events that an op logs so that Dagster counts the scene's partition as made, with its checks."""
+    """Events that an op logs, one by one, so that Dagster counts the scene's partition as made and checked.
+
+    The verdicts name the first event, which must have been logged before the next one is asked for.
+    """
     yield dg.AssetMaterialization(
         asset_key=key_of(outcome.stage),
         partition=scene,
         metadata=outcome_metadata(outcome),
         tags={DATA_VERSION: outcome.content},
     )
-    yield from evaluations(stage.name, scene, verdicts(stage, outcome, scene))
+    yield from evaluations(stage.name, scene, verdicts(stage, outcome, scene), instance)
 
 
 def failed_checks(
-    stage: Stage, scene: str, error: Exception, reason: str
+    stage: Stage, scene: str, error: Exception, reason: str, instance: dg.DagsterInstance
 ) -> Iterable[dg.AssetCheckEvaluation]:
     """Events that an op logs for a stage that failed with `error` and published nothing."""
-    yield from evaluations(stage.name, scene, failed_verdicts(stage, scene, error, reason))
+    yield from evaluations(stage.name, scene, failed_verdicts(stage, scene, error, reason), instance)
