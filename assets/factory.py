@@ -110,5 +110,13 @@ def events_of(
 def failed_checks(
     stage: Stage, scene: str, error: Exception, reason: str, instance: dg.DagsterInstance
 ) -> Iterable[dg.AssetCheckEvaluation]:
-    """Events that an op logs for a stage that failed with `error` and published nothing."""
+    """Events that an op logs for a stage that failed and published nothing.
+
+    Args:
+        stage: The stage.
+        scene: Name of the scene.
+        error: What it failed with.
+        reason: The error in words, without scene and stage.
+        instance: Has the events of earlier outputs.
+    """
     yield from evaluations(stage.name, scene, failed_verdicts(stage, scene, error, reason), instance)

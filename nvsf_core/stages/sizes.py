@@ -122,10 +122,11 @@ def _grid_bytes(spec: Any) -> int:
     """Of the hash grids of a recipe or a part of one, float32."""
     if not is_dataclass(spec):
         return 0
-    tables = getattr(spec, "log2_tables", (spec.log2_table,) if hasattr(spec, "log2_table") else ())
-    entries = getattr(spec, "slices", 1) * sum(2**log2 for log2 in tables)
-    own = 4 * spec.levels * spec.features * entries if entries else 0
-    parts = sum(_grid_bytes(getattr(spec, one.name)) for one in fields(spec))
+    part: Any = spec
+    tables = getattr(part, "log2_tables", (part.log2_table,) if hasattr(part, "log2_table") else ())
+    entries = getattr(part, "slices", 1) * sum(2**log2 for log2 in tables)
+    own = 4 * part.levels * part.features * entries if entries else 0
+    parts = sum(_grid_bytes(getattr(part, one.name)) for one in fields(part))
     # The LiDAR and the cameras have an encoding each.
     return own + parts * (2 if isinstance(spec, EncoderSpec) else 1)
 
