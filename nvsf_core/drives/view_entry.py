@@ -94,7 +94,7 @@ class ViewEntry:
     """Whether beams have the width that the sensor's table states: the strongest return of five rays
     counts."""
     hits: str = "sampled"
-    """Which rays of a data set return: `sampled` by their hit probability, or those of one half and more:
+    """Which rays of a data set return: `sampled` by their hit probability, or those of 0.4 and more:
     `threshold`."""
     range_noise_m: float | str | None = None
     """Range noise of a data set, one sigma in metres; 0 = off; `measured` = that of the drive's own scans.

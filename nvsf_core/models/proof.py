@@ -1,7 +1,7 @@
 """Builds the evidence of a drive from its training scans: static surfaces, moving objects, hit priors.
 
-Two choices are made by the range error on scans that are left out: the voxel size of `reproject`, and which
-moving objects get a flow besides their rigid motion.
+Three choices are made by the errors on scans that are left out: the voxel size of `reproject`, which moving
+objects get a flow besides their rigid motion, and whether scans are copied where the sensor rested.
 """
 
 from dataclasses import dataclass
@@ -27,8 +27,9 @@ from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.evidence.unobserved import unobserved_beside
 from nvsf_core.models.holdout import is_sure
+from nvsf_core.models.stationary_choice import choose_copying
 from nvsf_core.recipe import EvidenceSpec
-from nvsf_core.recording.drive import Sweeps, training_returns
+from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.simulation.scan import sweep_rays
 
@@ -154,7 +155,8 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
     for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
         tried[f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm"] = error_m
-    return evidence, tried
+    chosen, stationary = choose_copying(LidarRecording(sweeps=sweeps, evidence=evidence))
+    return chosen.evidence, tried | stationary
 
 
 def _unit_gaps(sweeps: Sweeps, prior: DropPrior, surfels: Surfels) -> np.ndarray | None:

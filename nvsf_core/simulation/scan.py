@@ -230,7 +230,7 @@ def sample_scan(
             firing time.
         generator: Source of all randomness.
         range_noise_m: Standard deviation of the range.
-        by_threshold: Rays of a hit probability of one half and more return, and nothing is sampled but noise.
+        by_threshold: Rays of a hit probability of 0.4 and more return, and nothing is sampled but noise.
 
     Returns:
         (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees;

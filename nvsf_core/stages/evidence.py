@@ -98,7 +98,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="15",
+    version="16",
     run=_run,
     estimate_bytes=proof_bytes,
 )

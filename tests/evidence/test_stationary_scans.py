@@ -1,5 +1,7 @@
 """Laws of what is measured again and again where the sensor stands or crawls."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
@@ -28,7 +30,9 @@ def measured(range_m: np.ndarray) -> tuple[StationaryScans, DropPrior]:
     count = len(TRAINING)
     ranges = np.broadcast_to(range_m[:, None, None], (count, 1, FIRINGS)).astype(np.float32)
     prior = DropPrior(TRAINING * FRAME_S, np.tile(FRACTION, (count, 1)), ranges > 0)
-    return StationaryScans(np.arange(count, dtype=np.int32), ranges.copy(), np.full_like(ranges, 0.5)), prior
+    return StationaryScans(
+        np.arange(count, dtype=np.int32), ranges.copy(), np.full_like(ranges, 0.5), np.array(False)
+    ), prior
 
 
 def surfaces(range_m: float, hit: float = 1.0) -> FiredRays:
@@ -108,6 +112,21 @@ def test_a_scan_that_is_left_out_is_not_asked() -> None:
     np.testing.assert_allclose(range_m, 20.0)
     range_m, hit, _ = answer(scans, surfaces(np.inf, hit=0.0), leave_out=2)
     assert np.isinf(range_m).all() and hit.max() == 0.0
+
+
+def test_copied_scans_answer_what_the_nearest_one_measured_or_that_it_had_no_return() -> None:
+    for nearest_m in (12.0, 0.0):
+        range_m = np.full(len(TRAINING), 20.0)
+        range_m[np.flatnonzero(TRAINING < HELD_OUT)[-1]] = nearest_m
+        stationary, prior = measured(range_m)
+        found_m, hit, intensity = look_up_stationary(
+            replace(stationary, is_copied=np.array(True)), prior, surfaces(20.0),
+            HELD_OUT * FRAME_S, driving(0.0), FRAME_S,
+        )  # fmt: skip
+        assert (hit == (nearest_m > 0.0)).all()
+        if nearest_m > 0.0:
+            assert (found_m == nearest_m).all()
+            assert (intensity == 0.5).all()
 
 
 def test_it_comes_back_from_the_store_as_it_went_in() -> None:

@@ -3,7 +3,6 @@
 import time
 from dataclasses import asdict
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,35 +12,25 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.fields.surface_batch import SurfaceBatch, surface_batch
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.metrics.point_cloud import point_cloud_metrics
-from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.holdout import compare
+from nvsf_core.models.left_out_scans import (
+    SCAN_METRICS,
+    left_out_renderer,
+    recorded_pano,
+    score_left_out,
+)
 from nvsf_core.models.residual.training_rays import LidarRays, training_rays
-from nvsf_core.recipe import EvidenceSpec, ResidualRecipe
+from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
-from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.reproject import NEAR_M
-from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.simulation.ray_renderers import evidence_renderer, field_renderer
-from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.scan import RenderedSweep, SweepRays
-from nvsf_core.simulation.scene_model import RayRenderer, SceneModel, SweepCorrector
-from nvsf_core.simulation.sweep_simulation import fire_sweep
-from nvsf_core.simulation.view_plan import recorded_sweep
+from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.training.loop import fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit, training_device
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
-_METRICS = {
-    "chamfer_m2": False, "f_score": True, "range_psnr_db": True, "intensity_psnr_db": True,
-    "hit_accuracy": True,
-}  # fmt: skip
-"""As in the protocol `lidar4d_scan`, and whether higher is better. But hit accuracy is that of the firings:
-in a pano's cells false returns are hidden behind nearer ones."""
-_PANO = LinearPano(reference_quirks=True)
 
 
 def train_lidar(
@@ -89,70 +78,25 @@ def choose(
     if left_out is None:
         return True, {"lidar_shows": "field: too few scans to compare it on"}
 
-    numbers, far_m = left_out.validation.tolist(), lidar.far_m
-    moving = {number: lidar.moving(leave_out=number) for number in numbers}
+    numbers, votes = left_out.validation.tolist(), recipe.evidence.votes
     truth = {number: recorded_pano(lidar, number) for number in numbers}
 
     def by_field(number: int) -> list[float]:
-        most = recipe.evidence.lidar_candidates
-        render = field_renderer(field, left_out.static, moving[number], most=most, far_m=far_m)
-        return _score(render, recipe, lidar, number, truth[number])
+        render = field_renderer(
+            field, left_out.static, lidar.moving(leave_out=number),
+            most=recipe.evidence.lidar_candidates, far_m=lidar.far_m,
+        )  # fmt: skip
+        return score_left_out(render, votes, lidar, number, truth[number])
 
     def by_evidence(number: int) -> list[float]:
-        most = EvidenceSpec().lidar_candidates
-        render = evidence_renderer(left_out.for_rendering, moving[number], most=most, far_m=far_m)
-        return _score(render, recipe, lidar, number, truth[number])
+        render = left_out_renderer(lidar, left_out, number)
+        return score_left_out(render, votes, lidar, number, truth[number])
 
-    found = compare(_METRICS, numbers, {"field": by_field, "reproject": by_evidence})
+    found = compare(SCAN_METRICS, numbers, {"field": by_field, "reproject": by_evidence})
     shows_field = found.wins("field", "reproject")
     figures = found.figures({"field": "lidar_judged_", "reproject": "lidar_judged_reproject_"})
     shown = "field" if shows_field else "reproject: learning did not beat it"
     return shows_field, {"lidar_shows": shown, **figures}
-
-
-def recorded_pano(lidar: LidarRecording, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Range in metres and intensity (66, 1030) float32 of a training scan, projected as the papers do."""
-    sweeps, a = lidar.sweeps, lidar.sweeps.arrays
-    part = sweeps.returns_of(int(np.flatnonzero(sweeps.is_training)[number]))
-    return _PANO.project(a["points_m"][part], a["intensity"][part])
-
-
-def _score(
-    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int,
-    truth: tuple[np.ndarray, np.ndarray],
-) -> list[float]:  # fmt: skip
-    """The values of `_METRICS` of a training scan that is simulated as if it were held out."""
-    prior = lidar.evidence.prior
-    rays, rendered = fire_left_out(render, recipe, lidar, number)
-    points_m, intensity, _ = RenderedSweep.of(rays, rendered).scan()
-    shown = _PANO.project(points_m, intensity)
-    found = {
-        **point_cloud_metrics(_PANO.points(shown[0]), _PANO.points(truth[0])),
-        **range_image_metrics(shown[0], truth[0]),
-        **intensity_image_metrics(shown[1], truth[1]),
-    }
-    expected = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
-    returned = prior.is_hit[number, rays.laser, prior.nearest_firing(number, rays.fraction)]
-    return [*(found[name].value for name in list(_METRICS)[:-1]), float((expected == returned).mean())]
-
-
-def fire_left_out(
-    render: RayRenderer, recipe: ResidualRecipe, lidar: LidarRecording, number: int,
-    correct: SweepCorrector | None = None,
-) -> tuple[SweepRays, RenderedRays]:  # fmt: skip
-    """Simulate a training scan as if it were held out.
-
-    Args:
-        render: Without that scan's returns.
-        recipe: Says how many scans give the hit prior.
-        lidar: The recording.
-        number: Of the scan among the training scans.
-        correct: Corrects the rendered sweep, if any.
-    """
-    time_s = float(lidar.evidence.prior.time_s[number])
-    plan = recorded_sweep(lidar.sweeps.table, time_s)
-    model = SceneModel(lidar=render, camera=None, prior_scans=recipe.evidence.votes, correct=correct)
-    return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
 
 
 def lidar_step(

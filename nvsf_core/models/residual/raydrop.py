@@ -14,8 +14,8 @@ from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.holdout import compare
+from nvsf_core.models.left_out_scans import fire_left_out
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
-from nvsf_core.models.residual.lidar import fire_left_out
 from nvsf_core.models.residual.raydrop_grid import (
     SweepCells,
     SweepRaydrop,
@@ -225,4 +225,4 @@ def _fire(
     """A training scan rendered by the field as if it were held out, but for what of it is in `static`."""
     moving = lidar.moving(leave_out=number)
     render = field_renderer(field, static, moving, most=recipe.evidence.lidar_candidates, far_m=lidar.far_m)
-    return fire_left_out(render, recipe, lidar, number, correct)
+    return fire_left_out(render, recipe.evidence.votes, lidar, number, correct)

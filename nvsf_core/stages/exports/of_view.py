@@ -11,14 +11,14 @@ from nvsf_core.drives.view_entry import MEASURED, ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
+from nvsf_core.simulation.raydrop import HIT_THRESHOLD, SAMPLING_SHARPNESS
 from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stages.views.files import cameras_of, file_numbers
 from nvsf_core.stages.views.instances import camera_models, depth_m, object_ids
 
-_BY_THRESHOLD = "as rendered (probability of one half and more)"
+_BY_THRESHOLD = f"as rendered (probability of {HIT_THRESHOLD:g} and more)"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -62,7 +62,7 @@ class RenderedView:
         if "points_m" not in self.arrays:
             return {"hits": "nothing: no LiDAR", "range_noise_m": 0.0}
         if not self.has_grid:
-            return {"hits": "as rendered (probability above one half)", "range_noise_m": 0.0}
+            return {"hits": _BY_THRESHOLD, "range_noise_m": 0.0}
         if self.entry.hits == "threshold":
             return {"hits": _BY_THRESHOLD, "range_noise_m": self.range_noise_m}
         return {

@@ -33,7 +33,6 @@ from nvsf_core.metrics.range_and_intensity import ray_intensity_metrics, ray_ran
 from nvsf_core.rendering.rendered import SUPPORTED, Support
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.tables import sensor_table
-from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.view_plan import ViewPlan, table_of
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Task
@@ -48,6 +47,7 @@ _VIEW = (
     *_GRID,
 )  # fmt: skip
 _COPY = "copy_nearest"
+_EVEN_CHANCE = 0.5
 _SAMPLE = 4000
 _LARGEST_GAP_M = 0.05
 _LARGEST_TURN_RAD = 1e-3
@@ -170,7 +170,7 @@ class _Rays:
             truth.world, table, lasers, theta_rad, np.broadcast_to(time_s, theta_rad.shape), mount=plan.mount,
             own_vehicle=is_recorded, path_to_world=path_to_world,
         )  # fmt: skip
-        self.returns = rays_return(self.exact.chance)
+        self.returns = self.exact.chance >= _EVEN_CHANCE
         movers = [mover.object_id for mover in truth.world.street.movers]
         self.meets_mover = self.returns & np.isin(self.exact.instance, movers)
 
@@ -217,7 +217,7 @@ def _along_rays(rays: _Rays, grid: Mapping[str, np.ndarray], chosen: np.ndarray)
     predicted_m = rays.along(grid["grid_range_m"])
     answered = np.isfinite(predicted_m[there])
     hits = hit_image_metrics(
-        rays_return(grid["grid_hit"][chosen]).astype(np.float64), rays.returns[chosen]
+        (grid["grid_hit"][chosen] >= _EVEN_CHANCE).astype(np.float64), rays.returns[chosen]
     )  # fmt: skip
     return {
         **ray_range_metrics(predicted_m[there], rays.exact.range_m[there]),
