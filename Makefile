@@ -84,9 +84,10 @@ gpu: install ## on a machine with a GPU: its tests, kernels and `paper`, measure
 contract: install ## write docs/data_contract.md from nvsf_core/stores/schemas.py
 	$(BIN)/python -m nvsf_core.stores.contract_page > docs/data_contract.md
 
-# With DAGSTER_MODULE_NAME set, Dagster refuses -w.
+# With DAGSTER_MODULE_NAME set, Dagster refuses -w. Where the machine is busy, to launch a run takes longer than the
+# minute that Dagster waits for; it then counts as failed.
 ui: install $(DAGSTER_HOME)/dagster.yaml ## the Dagster UI on localhost, PORT=3000
-	env -u DAGSTER_MODULE_NAME $(BIN)/dagster dev -w workspace.yaml -h 127.0.0.1 -p $(PORT)
+	env -u DAGSTER_MODULE_NAME DAGSTER_GRPC_TIMEOUT_SECONDS=600 $(BIN)/dagster dev -w workspace.yaml -h 127.0.0.1 -p $(PORT)
 
 clean: ## remove .venv and caches; outputs under NVSF_HOME stay
 	rm -rf .venv site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

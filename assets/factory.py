@@ -7,6 +7,7 @@ import dagster as dg
 
 from assets.automation import KEPT, follows_its_scene
 from assets.drives import ASKED_VIEWS, DRIVE
+from assets.json_lines import log_as_json
 from assets.metadata import outcome_metadata
 from assets.origin import say_whose_run_it_is
 from assets.scenes import DATA_VERSION, OWNERS, SCENES, key_of
@@ -65,6 +66,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
     def run(context: dg.AssetExecutionContext, workspace: Workspace) -> Iterator[_AssetEvent]:
         scene = context.partition_key
         say_whose_run_it_is(context.instance, context.run.run_id)
+        log_as_json(context)
         try:
             plan = workspace.plan(scene, keep=KEPT in context.run.tags)
             outcome = run_named_stage(stage.name, plan, context.log.info, stages=stages)
@@ -90,20 +92,31 @@ def _observed_by(stage: Stage) -> list[str]:
 
 
 def events_of(
-    stage: Stage, outcome: Outcome, scene: str
+    stage: Stage, outcome: Outcome, scene: str, instance: dg.DagsterInstance
 ) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
-    """Events that an op logs so that Dagster counts the scene's partition as made, with its checks."""
+    """Events that an op logs, one by one, so that Dagster counts the scene's partition as made and checked.
+
+    The verdicts name the first event, which must have been logged before the next one is asked for.
+    """
     yield dg.AssetMaterialization(
         asset_key=key_of(outcome.stage),
         partition=scene,
         metadata=outcome_metadata(outcome),
         tags={DATA_VERSION: outcome.content},
     )
-    yield from evaluations(stage.name, scene, verdicts(stage, outcome, scene))
+    yield from evaluations(stage.name, scene, verdicts(stage, outcome, scene), instance)
 
 
 def failed_checks(
-    stage: Stage, scene: str, error: Exception, reason: str
+    stage: Stage, scene: str, error: Exception, reason: str, instance: dg.DagsterInstance
 ) -> Iterable[dg.AssetCheckEvaluation]:
-    """Events that an op logs for a stage that failed with `error` and published nothing."""
-    yield from evaluations(stage.name, scene, failed_verdicts(stage, scene, error, reason))
+    """Events that an op logs for a stage that failed and published nothing.
+
+    Args:
+        stage: The stage.
+        scene: Name of the scene.
+        error: What it failed with.
+        reason: The error in words, without scene and stage.
+        instance: Has the events of earlier outputs.
+    """
+    yield from evaluations(stage.name, scene, failed_verdicts(stage, scene, error, reason), instance)

@@ -5,6 +5,9 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import dagster as dg
+from dagster._core.definitions.asset_checks.asset_check_evaluation import (
+    AssetCheckEvaluationTargetMaterializationData,
+)
 
 from assets.metadata import rounded
 from assets.scenes import SCENES, key_of
@@ -102,7 +105,24 @@ def check_metadata(outcome: Outcome) -> dict[str, dg.MetadataValue]:
     }
 
 
-def evaluations(stage: str, scene: str, found: Iterable[dict[str, Any]]) -> Iterator[dg.AssetCheckEvaluation]:
+def evaluations(
+    stage: str, scene: str, found: Iterable[dict[str, Any]], instance: dg.DagsterInstance
+) -> Iterator[dg.AssetCheckEvaluation]:
     """Verdicts as events of the scene's partition, for what is no run of the asset."""
+    target = _newest_output(stage, scene, instance)
     for verdict in found:
-        yield dg.AssetCheckEvaluation(asset_key=key_of(stage), partition=scene, **verdict)
+        yield dg.AssetCheckEvaluation(
+            asset_key=key_of(stage), partition=scene, target_materialization_data=target, **verdict
+        )
+
+
+def _newest_output(
+    stage: str, scene: str, instance: dg.DagsterInstance
+) -> AssetCheckEvaluationTargetMaterializationData | None:
+    """The event by which a scene's output was reported last: the UI shows no verdict of another one."""
+    asked = dg.AssetRecordsFilter(asset_key=key_of(stage), asset_partitions=[scene])
+    for record in instance.fetch_materializations(asked, limit=1).records:
+        return AssetCheckEvaluationTargetMaterializationData(
+            storage_id=record.storage_id, run_id=record.run_id, timestamp=record.timestamp
+        )
+    return None

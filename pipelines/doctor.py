@@ -16,6 +16,7 @@ from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept
 from nvsf_core.stores.scene_store import require_home
 from pipelines.doctor_instance import examine_instance
+from pipelines.doctor_locks import examine_locks
 
 _FREE_GB = 5.0
 """Free space that is asked for; one scene takes about half of it."""
@@ -35,8 +36,8 @@ class Finding:
 def examine(environ: Mapping[str, str]) -> list[Finding]:
     """Examine everything; nothing is written but a temporary folder."""
     return [
-        _machine(), _threads(), _gpu(), _home(environ), _catalogue(environ), _versions(environ), _open3d(),
-        _lpips(), _executors(),
+        _machine(), _threads(), _gpu(), _home(environ), _locks(environ), _catalogue(environ),
+        _versions(environ), _open3d(), _lpips(), _executors(),
         Finding("Dagster instance", *examine_instance(environ)),
     ]  # fmt: skip
 
@@ -72,12 +73,20 @@ def _home(environ: Mapping[str, str]) -> Finding:
         place = require_home(place)
     except NvsfError as error:
         return Finding("NVSF_HOME", False, str(error), is_needed=True)
-    there = next(folder for folder in (place, *place.parents) if folder.is_dir())
-    free_gb = shutil.disk_usage(there).free / 1e9
+    free_gb = shutil.disk_usage(_existing(place)).free / 1e9
     words = f"{place}, {free_gb:.0f} GB free"
     if free_gb < _FREE_GB:
         return Finding("NVSF_HOME", False, f"{words}; {_FREE_GB:.0f} GB are needed for a few scenes")
     return Finding("NVSF_HOME", True, words)
+
+
+def _locks(environ: Mapping[str, str]) -> Finding:
+    return Finding("locks", *examine_locks(_existing(home_from_environment(environ))))
+
+
+def _existing(place: Path) -> Path:
+    """The folder, or the nearest one above it that exists."""
+    return next(folder for folder in (place.absolute(), *place.absolute().parents) if folder.is_dir())
 
 
 def _catalogue(environ: Mapping[str, str]) -> Finding:

@@ -10,9 +10,9 @@ from typing import TextIO
 
 import dagster as dg
 
-from pipelines.json_lines import FILE_VARIABLE, JsonLines
+from assets.json_lines import FILE_VARIABLE, TERSE, JsonLines
 
-TERSE_LOGGING = {"loggers": {"terse": {"config": {}}}}
+TERSE_LOGGING = {"loggers": {TERSE: {"config": {}}}}
 """Run configuration that chooses this logger; without it a job has Dagster's own."""
 
 

@@ -124,7 +124,7 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         try:
             outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
-            for event in events_of(stage, outcome, scene):
+            for event in events_of(stage, outcome, scene, context.instance):
                 context.log_event(event)
         except NvsfError as error:
             return _failed(context, state, stage, error, reason_of(error, stage, scene))
@@ -144,7 +144,7 @@ def _failed(
 ) -> SceneState:
     reason = f"{stage.name}: {words}"
     context.log.warning(f"[{state['scene']}] FAILED in {reason}")
-    for event in failed_checks(stage, state["scene"], error, reason):
+    for event in failed_checks(stage, state["scene"], error, reason, context.instance):
         context.log_event(event)
     return {**state, "failed": reason}
 

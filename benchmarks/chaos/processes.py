@@ -1,5 +1,6 @@
 """Processes that chaos starts, and the ones below them; only these are ever killed."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _POLL_S = 0.1
+_LOOK_S = 0.5
 
 
 class Forked:
@@ -90,12 +92,22 @@ class Running:
         return self.log.read_text(errors="replace") if self.log.exists() else ""
 
     def wait(self, seconds: float) -> int | None:
-        """Its exit code; None, and everything of it is killed, if it is still at work after so long."""
-        try:
-            return self.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            self.kill()
-            return None
+        """Its exit code; None, and everything of it is killed, if it is still at work after so long.
+
+        Seconds in which the machine was busy with other programs, and a process of it waited for a
+        processor, do not count: that a run is slow then is no fault of its own.
+        """
+        until_s, before_s = time.monotonic() + seconds, dict[int, float]()
+        while True:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return self.process.wait(_LOOK_S)
+            own = [self.process.pid, *descendants(self.process.pid)]
+            now_s = {number: starved_s(number) for number in own}
+            until_s += max(now_s[one] - before_s.get(one, now_s[one]) for one in own)
+            before_s = now_s
+            if time.monotonic() > until_s:
+                self.kill()
+                return None
 
     def wait_for(self, word: str, seconds: float) -> bool:
         """Whether it says a word within so many seconds."""
@@ -136,6 +148,14 @@ def descendants(number: int) -> list[int]:
         found += below
         rest += below
     return found
+
+
+def starved_s(number: int) -> float:
+    """Seconds that a process was ready and no processor was free for it; 0 if it has ended."""
+    try:
+        return int(Path(f"/proc/{number}/schedstat").read_text().split()[1]) / 1e9
+    except (OSError, IndexError):
+        return 0.0
 
 
 def kill(number: int) -> None:

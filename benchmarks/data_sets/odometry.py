@@ -27,7 +27,6 @@ from benchmarks.common.places import DOCS
 from nvsf_core.clouds.odometry import odometry_path
 from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
 from nvsf_core.metrics.trust.path_error import step_error_m
-from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.stages.render_view import render_view
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
@@ -139,12 +138,13 @@ def synthetic(scene: SceneEntry, home: Path, recipe: str, shift_m: tuple[float, 
 
 
 def read_scans(folder: Path) -> Drive:
-    """The scans of a data set with the format `bin`."""
+    """The scans of a data set with the format `bin`, their points' times as the files beside them say."""
     rows = read_document(folder / "manifest.json")["scans"]
+    period_s = float(np.median(np.diff([row["stamp_s"] for row in rows])))
     scans = []
     for row in rows:
         points = np.fromfile(folder / row["files"]["bin"], "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
-        scans.append((points, sweep_fraction(np.arctan2(points[:, 1], points[:, 0]))))
+        scans.append((points, np.fromfile(folder / row["files"]["time"], "<f4") / period_s))
     return Drive(scans, np.array([row["lidar_to_world"] for row in rows]).reshape(-1, 4, 4))
 
 

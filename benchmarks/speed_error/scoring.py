@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.common.compared import SHARE, block_colours, block_means
 from benchmarks.speed_error.lidar import SECTORS, WHOLE, Answers, model_answers, quarter_of_rays, recorded
-from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.fields.lidar_field import surface_batch
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.metrics.protocols import MAX_RANGE_M, PanoImage, lidar4d, project_scan

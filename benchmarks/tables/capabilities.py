@@ -36,7 +36,7 @@ CAPABILITIES = (
     ),
     Capability(
         "range bias and intensity gain of each laser",
-        ("evidence/sensor_errors.py",),
+        ("sensors/sensor_errors.py",),
         "k360_street, left-out scans: raw median .064 to .038 m, intensity PSNR + .6 dB (its notes)",
     ),
     Capability(
@@ -62,8 +62,8 @@ CAPABILITIES = (
     ),
     Capability(
         "the field of rays",
-        ("models/residual/lidar.py", "models/residual/training_rays.py", "fields/lidar_field.py",
-         "fields/surface_batch.py", "rendering/lidar.py", "kernels/composite.py", "kernels/surface_list.py",
+        ("models/residual/lidar.py", "fields/lidar_field.py", "rendering/lidar.py",
+         "kernels/composite.py", "kernels/surface_list.py",
          "losses/lidar.py"),
         "k360_street: CD .029 (reproject) to .022, range PSNR 29.8 to 30.8 dB; kitti0005: 24.9 to 26.3 dB "
         "(docs/results.md)",

@@ -48,12 +48,16 @@ def write_laz(
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.full(3, _SCALE_M)
     header.offsets = np.zeros(3)
+    # LAS 1.4 asks for this bit of point formats 6 and above, with a coordinate system or without one.
+    header.global_encoding.wkt = True
     kinds = (("ring", np.uint16), ("time", np.float32), ("support", np.uint8))
     for name, kind in kinds:
         header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=kind))
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = (rows[:, axis].astype(np.float64) for axis in range(3))
     cloud.intensity = np.rint(rows[:, 3] * 65535.0).astype(np.uint16)
+    # A return's number counts from 1: one of 0 is no return for who asks for first returns.
+    cloud.return_number = cloud.number_of_returns = np.ones(len(rows), np.uint8)
     cloud.ring, cloud.time = ring, offset_s
     cloud.support = np.full(len(rows), UNKNOWN_SUPPORT, np.uint8) if support is None else support
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError, MissingLibraryError
+from nvsf_core.geometry.se3 import exp_se3, log_se3, poses_in
 
 _FAR_M = 100.0
 _LEAST_POINTS = 100
@@ -17,7 +18,11 @@ _VOXEL_M = 1.0
 def odometry_path(
     scans: Iterable[tuple[np.ndarray, np.ndarray]], first_step: np.ndarray | None = None
 ) -> np.ndarray:
-    """Poses (n, 4, 4) of consecutive scans, metres; the first is where KISS-ICP starts.
+    """Poses (n, 4, 4) of consecutive scans at their instants, metres; the first is the identity.
+
+    KISS-ICP moves each scan's points to where the sensor was at the scan's last one, by the step before, and
+    finds the pose of that moment. Half a sweep lies between it and the scan's instant: where the car pitches
+    or brakes, the steps from end to end are others than those from instant to instant.
 
     Args:
         scans: Of each its points (m, 3) in the sensor's frame at firing time, metres, and their times (m,),
@@ -42,9 +47,23 @@ def odometry_path(
             odometry.last_delta = odometry.last_delta if first_step is None else first_step
         # Without times the scan is taken to be of one instant; equal times would end the process.
         times = fraction.astype(np.float64) + 0.5 if np.ptp(fraction) > 0.0 else np.zeros(0)
+        step = np.array(odometry.last_delta)
         odometry.register_frame(np.ascontiguousarray(points_m, np.float64), times)
-        poses.append(np.array(odometry.last_pose))
-    return np.stack(poses) if poses else np.zeros((0, 4, 4))
+        # By the very step that its points were moved by: so an instant is right even where that step is not.
+        poses.append(odometry.last_pose @ _back_to_instant(step, fraction))
+    return poses_in(poses[0], np.stack(poses)) if poses else np.zeros((0, 4, 4))
+
+
+def _back_to_instant(step: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Motion (4, 4) from a scan's last point to its instant, as KISS-ICP takes the sensor to have moved.
+
+    Args:
+        step: (4, 4) motion that it takes to have lain between the first point and the last.
+        fraction: (m,) times of the points, in sweeps after the instant.
+    """
+    length = np.ptp(fraction)
+    share = fraction.max() / length if length > 0.0 else 0.0
+    return np.asarray(exp_se3(-share * log_se3(step[None]))[0])
 
 
 def _kiss_icp() -> Any:

@@ -7,9 +7,21 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.kernels import Backend, GridLayout, hash_grid_encode
+from nvsf_core.recipe import FieldSpec
 
 INITIAL_BOUND = 1e-4
 """Initial entries are uniform within plus/minus this (as in tiny-cuda-nn)."""
+
+
+def grid_layout(spec: FieldSpec, edge_m: float) -> GridLayout:
+    """The hash grid whose cells have the recipe's sizes in a cube of edge `edge_m`."""
+    return GridLayout(
+        levels=spec.levels,
+        features=spec.features,
+        log2_table=spec.log2_table,
+        base_resolution=max(2, round(edge_m / spec.coarsest_cell_m)),
+        finest_resolution=max(4, round(edge_m / spec.finest_cell_m)),
+    )
 
 
 class HashGrid(nn.Module):

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.evidence.voxels import VoxelIndex, index_points, voxel_moments
+from nvsf_core.geometry.voxels import VoxelIndex, index_points, voxel_moments
 from nvsf_core.kernels.voxel_march import (
     VoxelSurfaces,
     WalkLimits,
@@ -209,3 +209,17 @@ def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.n
     precision = np.linalg.inv(smoothed + noise)
     rows, columns = np.triu_indices(3)
     return precision[:, rows, columns].astype(np.float32)
+
+
+def weighted_median_index(weights: np.ndarray) -> np.ndarray:
+    """Index (r,) of each ray's weighted median sample: the first at which half of the total is reached.
+
+    On a ray that meets an edge the mean lies in the air between both surfaces; the median lies on one.
+    A ray of total weight 0 gives index 0.
+
+    Args:
+        weights: (r, k) at least 0, k >= 1.
+    """
+    # Added in float64 and compared as the weights are, as `render_by_surfels` does.
+    so_far = np.cumsum(weights, axis=1, dtype=np.float64).astype(weights.dtype)
+    return np.asarray((so_far >= 0.5 * so_far[:, -1:]).argmax(axis=1))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.surfels import Surfels
-from nvsf_core.evidence.voxels import index_points
+from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.voxel_march import count_passes
 
 _FACES = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 _OURS = "nvsf-kernels-"
 _HERE = Path(__file__).parent
-TUPLES = ("evidence/voxels.py", "fields/surface_batch.py")
+TUPLES = ("geometry/voxels.py", "fields/lidar_field.py")
 """Files of the core, outside this folder, whose named tuples kernels take."""
 _FILES = (*sorted(_HERE.rglob("*.py")), *(_HERE.parent / name for name in TUPLES))
 _SOURCES = b"".join(str(path.relative_to(_HERE.parent)).encode() + path.read_bytes() for path in _FILES)

@@ -21,7 +21,7 @@ from nvsf_core.evidence.moving.detection import find_moving_objects
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.rigid_path import MovingObjects
-from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
 from nvsf_core.evidence.surfels import Surfels, build_surfels
@@ -31,7 +31,7 @@ from nvsf_core.models.stationary_choice import choose_copying
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
-from nvsf_core.simulation.scan import sweep_rays
+from nvsf_core.sensors.sweep_rays import sweep_rays
 
 FIELD_VOXEL_M = 0.2
 """Edge of the voxels that a field corrects: finer ones do not lower its error and make its steps longer."""

@@ -6,13 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.models.holdout import compare
-from nvsf_core.models.left_out_scans import (
-    SCAN_METRICS,
-    left_out_renderer,
-    recorded_pano,
-    score_left_out,
-)
+from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, recorded_pano, score_left_out
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 

@@ -9,7 +9,7 @@ import numpy as np
 from nvsf_core.evidence.drop_prior import DropPrior, cells_of, find_cells
 from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects
-from nvsf_core.evidence.moving.timed_returns import TimedReturns
+from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, Lasers, SweepGrid, look_up_scans
 from nvsf_core.recording.images import CameraRecording

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import SurfaceBatch
+from nvsf_core.fields.lidar_field import LidarField, SurfaceBatch
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.numerics import probability_logit, require_finite
 from nvsf_core.rendering.rendered import RenderedRays

@@ -1,14 +1,11 @@
 """LiDAR rendering without training: surfels composited along each ray; hits from the hit prior."""
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from nvsf_core.errors import DivergedError, ShapeError
+from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on, merge_objects
-from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of, weighted_median_index
 from nvsf_core.kernels.surfel_rendering import render_by_surfels
-from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.rendered import RenderedRays
 
 NEAR_M = 0.9
@@ -61,7 +58,7 @@ def reproject_rays(
             for one, (ray, own) in zip(objects, met, strict=True)
         ]
         weights = found.weights
-        chosen = weighted_median_index(torch.from_numpy(weights)).numpy()
+        chosen = weighted_median_index(weights)
         shine = np.concatenate([surfels.intensity, *(one.surfels.intensity for one in objects)])
         rendered.range_m[rays] = found.range_m[np.arange(len(weights)), chosen]
         rendered.hit[rays] = _prior_with_objects(surfels, found, hit_prior[rays], objects, own_priors)
@@ -113,34 +110,3 @@ def _prior_with_objects(
     rows = np.flatnonzero(on_objects > 0.5 * weights.sum(axis=1))
     mixed[rows] = own[rows] / on_objects[rows]
     return mixed
-
-
-def weighted_median_index(weights: Tensor) -> Tensor:
-    """Index of a ray's weighted median sample: the smallest i with ``sum up to i >= half of the total``.
-
-    On a ray that meets an edge the mean lies in the air between both surfaces; the median lies on one.
-    A ray of total weight 0 gives index 0.
-
-    Args:
-        weights: (rays, samples), at least 0, at least one sample.
-
-    Returns:
-        (rays,) int64 sample indices.
-
-    Raises:
-        ShapeError: not two axes, or no sample.
-        DivergedError: a weight is NaN, infinite or negative.
-    """
-    if weights.ndim != 2 or weights.shape[1] == 0:
-        raise ShapeError(
-            f"weighted_median_index: expected (rays, samples >= 1), found {tuple(weights.shape)}"
-        )
-    weights = weights.detach()
-    cumulative = torch.cumsum(weights, dim=-1)
-    if bool((weights < 0.0).any()):
-        raise DivergedError(
-            f"weighted_median_index: expected weights of at least 0, found {weights.min().item()}; "
-            "look at what makes them"
-        )
-    half = 0.5 * require_finite("weighted_median_index: sum of the weights", cumulative[:, -1:])
-    return (cumulative < half).sum(dim=-1)

@@ -8,8 +8,8 @@ import numpy as np
 
 from nvsf_core.evidence.drop_prior import cells_of
 from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.sensors.sweep_rays import SweepRays
 from nvsf_core.simulation.ray_renderers import render_in_chunks, reprojecting_renderer
-from nvsf_core.simulation.scan import SweepRays
 
 SCANS = 12
 """Nearest scans that are asked: of some of them the place is hidden, and each single return is chance."""

@@ -15,8 +15,8 @@ from nvsf_core.kernels.ray_agreement import add_agreement, holds_points
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays, Support
 from nvsf_core.sensors.own_vehicle import NEAR_M
+from nvsf_core.sensors.sweep_rays import SweepRays
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.scan import SweepRays
 
 _AGREEING_SCANS = 2
 _SHIFT_M = 0.15

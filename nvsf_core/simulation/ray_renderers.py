@@ -5,8 +5,7 @@ import torch
 
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.surfels import Surfels, candidates_of
-from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import object_surfaces, surface_batch
+from nvsf_core.fields.lidar_field import LidarField, object_surfaces, surface_batch
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import render_rays

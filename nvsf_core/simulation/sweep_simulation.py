@@ -8,20 +8,14 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.footprint import render_beams
 from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.lidar_support import support_of_sweep
 from nvsf_core.simulation.mirrored import add_mirrored
 from nvsf_core.simulation.ray_renderers import render_in_chunks
-from nvsf_core.simulation.scan import (
-    RenderedSweep,
-    SweepRays,
-    by_lasers,
-    measured_when_stationary,
-    put_back_own_vehicle,
-    sweep_rays,
-)
+from nvsf_core.simulation.scan import RenderedSweep, by_lasers, measured_when_stationary, put_back_own_vehicle
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
 from nvsf_core.simulation.view_plan import SweepPlan
 

@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.moving.object_box import boxes_on_way
+from nvsf_core.evidence.moving.object_evidence import boxes_on_way
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import proof_bytes
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.tables import write_table
 
@@ -99,4 +100,5 @@ STAGE = Stage(
     "hit priors, the own vehicle, and what moves and how.",
     version="16",
     run=_run,
+    estimate_bytes=proof_bytes,
 )

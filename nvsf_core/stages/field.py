@@ -14,6 +14,7 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.divergence import go_on
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import field_bytes
 from nvsf_core.stores.checkpoints import StoredWeights, save_tensors
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import write_table
@@ -103,6 +104,7 @@ STAGE = Stage(
     "training curve.",
     version="19",
     run=_run,
+    estimate_bytes=field_bytes,
     per_recipe=True,
     named_checks=NAMED_CHECKS,
 )

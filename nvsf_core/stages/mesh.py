@@ -7,6 +7,7 @@ from nvsf_core.errors import DataError, MissingLibraryError
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
+from nvsf_core.stages.sizes import proof_bytes
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 
@@ -74,4 +75,5 @@ STAGE = Stage(
     description="A Poisson mesh of the training scans (open3d): the baseline that a library gives.",
     version="2",
     run=_run,
+    estimate_bytes=proof_bytes,
 )

@@ -12,6 +12,7 @@ from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import pano_bytes
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 ARRAYS_NAME = "pano.zarr"
@@ -124,4 +125,5 @@ STAGE = Stage(
     description="Recorded scans as range images: the papers' linear 66x1030 grid and one row a laser.",
     version="1",
     run=_run,
+    estimate_bytes=pano_bytes,
 )

@@ -4,10 +4,11 @@ Whatever is compressed counts as it is in memory: an estimate is rather too larg
 """
 
 import math
+from collections import Counter
 from collections.abc import Container, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,11 +18,14 @@ from nvsf_core.drives.view_checks import moments_s
 from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import BASELINES
+from nvsf_core.recipe.paper import EncoderSpec
+from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.arrays import array_layouts, read_arrays, read_attrs
+from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 
@@ -46,12 +50,55 @@ _PIXEL_BYTES = 3 + 2 + 1
 """Of a rendered pixel: colours, range and support."""
 _MODEL_PIXEL_BYTES = 2 + 3 + 1
 """Of the model's, too: instance, and two PNG files."""
+_GRID_PIXEL_BYTES = 2 * 4
+"""Of a pixel of a range image in `pano`: range and intensity."""
+_DEPTH_PIXEL_BYTES = 4
+"""Of a pixel of an image's depth map, which is stored with the model."""
+_TRAINED_COPIES = 4
+"""Of a weight: stored, and in a checkpoint with the two moments of its step."""
+_NETWORKS_BYTES = 2_000_000
+"""Of a model beside its grids: networks of all sensors, curves, recipe."""
+_SMALL_BYTES = 2_000_000
+"""Of folders, pictures and descriptions of arrays in any output."""
 
 
 def sweeps_bytes(task: Task) -> int:
     """Estimated bytes of the returns that `frames` counted, in whatever format they are recorded."""
     record = read_record(task.store.require("frames")) or {}
     return int(record.get("metadata", {}).get("returns", 0)) * _SWEEP_RETURN_BYTES
+
+
+def pano_bytes(task: Task) -> int:
+    """Estimated bytes of the range images: the papers' grid, and one row a laser."""
+    folder = task.store.require("sweeps") / "returns.zarr"
+    scans = len(read_arrays(folder, "frame")["frame"])
+    linear = LinearPano()
+    lasers = recorded_table(read_attrs(folder)).laser_count if scans else 0
+    pixels = linear.width * (linear.height + lasers)
+    return _SMALL_BYTES + scans * pixels * _GRID_PIXEL_BYTES
+
+
+def undistorted_bytes(task: Task) -> int:
+    """Estimated bytes of all images of the drive as pinhole images of their cameras."""
+    folder = task.store.require("frames")
+    cameras: dict[str, Any] = read_document(folder / "drive.json")["cameras"]
+    counts = Counter(row["camera"] for row in read_rows(folder / "cameras.parquet") if row["image_valid"])
+    return _SMALL_BYTES + sum(
+        (counts[name] * 3 + 1) * int(one["width"]) * int(one["height"]) for name, one in cameras.items()
+    )
+
+
+def proof_bytes(task: Task) -> int:
+    """Estimated bytes of `evidence`, and of `mesh`: no more than the returns that they are made of."""
+    return _SMALL_BYTES + sweeps_bytes(task)
+
+
+def field_bytes(task: Task) -> int:
+    """Estimated bytes of a model and its checkpoints: depth maps of the images, hash grids, networks."""
+    images = array_layouts(task.store.require("undistorted") / "images.zarr")
+    pixels = sum(math.prod(one.shape[:3]) for name, one in images.items() if name.endswith("_rgb"))
+    weights = _NETWORKS_BYTES + _grid_bytes(task.config.recipe)
+    return _SMALL_BYTES + pixels * _DEPTH_PIXEL_BYTES + _TRAINED_COPIES * weights
 
 
 def novel_views_bytes(task: Task) -> int:
@@ -69,6 +116,19 @@ def dataset_bytes(task: Task) -> int:
     rendered = task.store.path(f"novel_views/{task.config.recipe.name}/{task.config.seed}")
     exports = {"test": _DEFAULT_EXPORTS} | {view.name: view.exports for view in task.scene.views}
     return sum(_view_bytes(rendered / name / "model.zarr", kinds) for name, kinds in exports.items())
+
+
+def _grid_bytes(spec: Any) -> int:
+    """Of the hash grids of a recipe or a part of one, float32."""
+    if not is_dataclass(spec):
+        return 0
+    part: Any = spec
+    tables = getattr(part, "log2_tables", (part.log2_table,) if hasattr(part, "log2_table") else ())
+    entries = getattr(part, "slices", 1) * sum(2**log2 for log2 in tables)
+    own = 4 * part.levels * part.features * entries if entries else 0
+    parts = sum(_grid_bytes(getattr(part, one.name)) for one in fields(part))
+    # The LiDAR and the cameras have an encoding each.
+    return own + parts * (2 if isinstance(spec, EncoderSpec) else 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

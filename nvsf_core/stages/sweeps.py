@@ -8,7 +8,6 @@ import numpy as np
 
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.scans import Scan
-from nvsf_core.evidence.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
@@ -16,6 +15,7 @@ from nvsf_core.sensors.found_table import find_table
 from nvsf_core.sensors.given_timing import RING, given_timing
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
+from nvsf_core.sensors.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.sensors.sweep import Trajectory, compensate, trajectory_of
 from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, SENSOR_TABLES, LaserTable, sensor_table, table_facts
 from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration

@@ -15,6 +15,7 @@ from nvsf_core.reporting.previews import image_preview
 from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.runner.heartbeat import sparse
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.sizes import undistorted_bytes
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
@@ -160,4 +161,5 @@ STAGE = Stage(
     description="Camera frames as pinhole images: perspective as rectified, fisheye undistorted, with masks.",
     version="1",
     run=_run,
+    estimate_bytes=undistorted_bytes,
 )

@@ -1,5 +1,6 @@
 """The tables on data sets: both generations, the odometry's steps, and what each format costs."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,19 @@ def test_every_format_has_a_row_with_seconds_and_megabytes(tmp_path: Path) -> No
     sizes = {row[4]: float(row[6]) for row in rows[1:] if row[6]}
     assert sizes["`bin`"] == pytest.approx((16 + 2 + 4) * points / 1e6, abs=0.005)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("tiny",)], "nothing is left over"
+
+
+def test_points_have_the_times_that_the_data_set_says_and_not_those_of_their_azimuths(tmp_path: Path) -> None:
+    rows = []
+    for number, offset_s in enumerate((-0.05, 0.04)):
+        files = {name: f"{name}{number}" for name in ("bin", "time")}
+        np.array([[1.0, 2.0, 3.0, 0.5]], "<f4").tofile(tmp_path / files["bin"])
+        np.array([offset_s], "<f4").tofile(tmp_path / files["time"])
+        rows.append({"files": files, "stamp_s": 0.1 * number, "lidar_to_world": np.eye(4).ravel().tolist()})
+    (tmp_path / "manifest.json").write_text(json.dumps({"scans": rows}))
+    scans = odometry.read_scans(tmp_path).scans
+    assert scans[0][0].tolist() == [[1.0, 2.0, 3.0]]
+    np.testing.assert_allclose([fraction[0] for _, fraction in scans], [-0.5, 0.4], rtol=1e-6)
 
 
 def test_steps_of_synthetic_scans_stand_beside_those_of_recorded_ones() -> None:

@@ -32,6 +32,29 @@ def test_the_path_of_a_sensor_that_moves_evenly_is_found() -> None:
     assert step_error_m(found[3:], poses[3:]) < 0.05
 
 
+def test_poses_are_of_the_instants_of_scans_and_not_of_their_ends() -> None:
+    pytest.importorskip("kiss_icp", reason="the extra `odometry` is not installed")
+    rng, time_s = np.random.default_rng(1), np.arange(14.0)
+    scans = []
+    for now in time_s:
+        seen_m, _ = _corridor(0.0)
+        # While it is taken, the sensor drives on as its place says, every point by its own time.
+        fraction = rng.uniform(-0.5, 0.5, len(seen_m))
+        seen_m[:, 0] -= _place_m(now + fraction)
+        scans.append((seen_m, fraction))
+    found_m, end_m = odometry_path(scans)[:, 0, 3], _place_m(time_s + 0.5)
+    steps = slice(3, None)
+    off_m = np.abs(np.diff(found_m) - np.diff(_place_m(time_s)))[steps]
+    from_end_m = np.abs(np.diff(end_m) - np.diff(_place_m(time_s)))[steps]
+    assert np.median(from_end_m) > 0.035, "ends of sweeps would be far off"
+    assert np.median(off_m) < 0.01
+
+
+def _place_m(time_s: np.ndarray) -> np.ndarray:
+    """Place along the street, of a sensor that speeds up by 0.08 m a scan in each scan."""
+    return np.asarray(0.3 * time_s + 0.04 * time_s**2)
+
+
 def test_what_kiss_icp_would_crash_on_is_refused() -> None:
     points_m, fraction = _corridor(0.0)
     points_m[3, 1] = np.nan

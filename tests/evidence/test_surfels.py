@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.surfels import build_surfels, candidates_of
-from nvsf_core.evidence.voxels import index_points
+from nvsf_core.evidence.surfels import build_surfels, candidates_of, weighted_median_index
+from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.voxel_march import count_passes
 from nvsf_core.rendering.reproject import reproject_rays
 
@@ -170,3 +170,12 @@ def test_candidates_come_in_order_and_weights_never_exceed_one(wall) -> None:
     weights = found.weights
     assert (weights.sum(axis=1) <= 1 + 1e-6).all()
     assert (weights[~there] == 0).all()
+
+
+def test_the_median_is_the_first_sample_to_reach_half_of_the_weight():
+    weights = np.array([[0.1, 0.3, 0.1, 0.1], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.2], [0.0] * 4])
+    assert weighted_median_index(weights.astype(np.float32)).tolist() == [1, 0, 3, 0]
+
+
+def test_the_median_of_a_bimodal_ray_lies_on_a_surface():
+    assert weighted_median_index(np.array([[0.45, 0.0, 0.0, 0.55]])).tolist() == [3]

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.fields.lidar_field import LidarField, surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
 from nvsf_core.rendering.lidar import render_lidar, render_rays

@@ -10,8 +10,8 @@ from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_o
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.scene_evidence import DynamicEvidence
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import (
+from nvsf_core.fields.lidar_field import (
+    LidarField,
     ObjectSurfaces,
     SurfaceBatch,
     join_surfaces,

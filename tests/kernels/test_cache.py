@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core import kernels
-from nvsf_core.evidence import voxels
+from nvsf_core.geometry import voxels
 from nvsf_core.kernels.cache import COMPILED, TUPLES
 from nvsf_core.kernels.voxel_march import count_passes
 
@@ -52,4 +52,4 @@ def test_compiled_kernels_refer_to_no_module_but_those_that_decide_on_their_fold
     named = {name for path in kept for name in re.findall(rb"nvsf_core(?:\.\w+)+", path.read_bytes())}
     allowed = {f"nvsf_core.{name[:-3].replace('/', '.')}" for name in TUPLES}
     assert {name for name in map(bytes.decode, named) if not name.startswith("nvsf_core.kernels")} <= allowed
-    assert b"nvsf_core.evidence.voxels" in named
+    assert b"nvsf_core.geometry.voxels" in named

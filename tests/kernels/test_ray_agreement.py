@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.voxels import index_points
+from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.ray_agreement import add_agreement, holds_points
 from nvsf_core.kernels.scan_lookup import EMPTY, SAME, THROUGH
 

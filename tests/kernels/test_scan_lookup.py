@@ -14,8 +14,8 @@ from nvsf_core.kernels.scan_lookup import (
     look_up_scans,
 )
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_rays import sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.scan import sweep_rays
 
 FIRINGS, MOMENTS, PERIOD_S = 360, 256, 0.1
 ROWS = np.arange(64)

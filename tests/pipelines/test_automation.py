@@ -1,5 +1,6 @@
 """A drive that comes in is made into a data set, by Dagster's own evaluation; what may not start does not."""
 
+import json
 import os
 import shutil
 import time
@@ -86,6 +87,7 @@ def watched(tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("NVSF_SCENES", str(tmp_path / "scenes.toml"))
     monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("NVSF_QUIET_S", "0")
+    monkeypatch.setenv("NVSF_LOG_FILE", str(tmp_path / "log.jsonl"))
     with dg.DagsterInstance.ephemeral() as instance:
         yield Watched(instance, tmp_path, tiny_catalogue.parent / "drive")
 
@@ -132,6 +134,9 @@ def test_a_new_drive_is_made_into_a_data_set_once(arrived: Watched) -> None:
     assert arrived.requested() == {}, "not twice"
     assert arrived.run().success
     assert list((arrived.folder / "home/tiny/dataset/shift_1m").glob("*/manifest.json"))
+    lines = [json.loads(line) for line in (arrived.folder / "log.jsonl").read_text().splitlines()]
+    done = sorted((line["partition"], line["stage"]) for line in lines if "written_mb" in line)
+    assert done == sorted(("tiny", name) for name in STAGE_NAMES), "each once; no job names our logger"
     arrived.tick()
     assert arrived.requested() == {"benchmark_report": {"all"}}
     assert arrived.tick().asset_events == [] and arrived.requested() == {}

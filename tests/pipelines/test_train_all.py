@@ -3,6 +3,8 @@
 import dagster as dg
 import pytest
 
+from assets.scenes import key_of
+from assets.verdicts import CHECK_NAME
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
@@ -59,7 +61,13 @@ FLOW = (
 
 
 @pytest.fixture
-def run_job(tiny_catalogue, tmp_path, monkeypatch, capsys):
+def instance():
+    with dg.DagsterInstance.ephemeral() as made:
+        yield made
+
+
+@pytest.fixture
+def run_job(tiny_catalogue, tmp_path, monkeypatch, capsys, instance):
     catalogue = tmp_path / "scenes.toml"
     catalogue.write_text(CATALOGUE.replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"'))
     monkeypatch.setenv("NVSF_SCENES", str(catalogue))
@@ -69,7 +77,7 @@ def run_job(tiny_catalogue, tmp_path, monkeypatch, capsys):
         job = make_train_all_scenes(FLOW)
         result = job.execute_in_process(
             run_config={"ops": {"choose_scenes": {"config": {"scenes": list(scenes)}}}},
-            instance=dg.DagsterInstance.ephemeral(), raise_on_error=False,
+            instance=instance, raise_on_error=False,
         )  # fmt: skip
         return result, capsys.readouterr().out
 
@@ -95,6 +103,15 @@ def test_a_failed_scene_has_a_failed_check(run_job):
     result, _ = run_job()
     verdicts = [event.asset_check_evaluation_data for event in _events(result, "ASSET_CHECK_EVALUATION")]
     assert [one.description for one in verdicts if not one.passed] == ["scene bad: frames: the scan is torn"]
+
+
+def test_each_scene_s_verdict_is_of_its_newest_output_so_that_the_ui_shows_it(run_job, instance):
+    run_job("good", "bad")
+    run_job("good")
+    key = dg.AssetCheckKey(key_of("frames"), CHECK_NAME)
+    found = instance.event_log_storage.get_asset_check_partition_info([key])
+    said = {one.partition_key: (one.latest_execution_status.value, one.is_current) for one in found}
+    assert said == {"good": ("SUCCEEDED", True), "bad": ("FAILED", True)}
 
 
 def test_a_scene_without_data_is_named_and_no_failure(run_job):

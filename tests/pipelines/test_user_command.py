@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from nvsf_core.stages import find_scene, plan_run, run_named_stage
+from nvsf_core.stages import STAGES, find_scene, plan_run, run_named_stage
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.sizes import dataset_bytes, novel_views_bytes
 from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
@@ -83,6 +83,17 @@ def test_what_a_data_set_takes_on_the_disk_is_estimated_from_its_view(trained):
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
     written = sum(file.stat().st_size for file in (trained / "tiny/dataset").glob("*/manual-*/*/**/*.*"))
     assert written < dataset_bytes(task) < 3 * written
+
+
+@pytest.mark.parametrize("name", ["sweeps", "pano", "undistorted", "evidence", "field", "mesh"])
+def test_what_a_stage_takes_on_the_disk_is_not_more_than_estimated(trained, name):
+    run, stage = plan_run(find_scene("tiny"), trained), next(one for one in STAGES if one.name == name)
+    task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
+    files = run.store.path(stage.location(run.config)).rglob("*")
+    chunks = sum(file.stat().st_size for file in files if file.is_file() and file.suffix != ".json")
+    # Range images of so few lasers are nearly empty, which packs well; a model's checkpoints count, too.
+    empty = 4 * (66 + 64) * 1030 * 8 if name == "pano" else 0
+    assert chunks < stage.estimate_bytes(task) < 2_000_000 + empty + 6 * chunks
 
 
 def test_what_rendered_views_take_on_the_disk_is_estimated_from_the_drive(trained):

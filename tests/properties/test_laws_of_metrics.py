@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from benchmarks.numerics.cases.tolerances import EPS, LENGTH_M, SUM_EPS
-from nvsf_core.evidence.voxels import index_points
 from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.geometry.voxels import index_points
 from nvsf_core.losses.chamfer import squared_nearest_distances
 from nvsf_core.metrics.elementwise import median_abs_error, psnr, rmse
 from nvsf_core.metrics.point_cloud import F_THRESHOLD_M2, point_cloud_metrics

@@ -7,8 +7,7 @@ from nvsf_core.evidence.drop_prior import build_drop_prior
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.fields.surface_batch import surface_batch
+from nvsf_core.fields.lidar_field import LidarField, surface_batch
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.recipe import FieldSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps

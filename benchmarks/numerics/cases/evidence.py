@@ -5,16 +5,14 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
-import torch
 
 from benchmarks.numerics.cases.case import Case, Reading, largest, refused
 from benchmarks.numerics.cases.tolerances import ELEMENTWISE_ULP, EPS
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
-from nvsf_core.evidence.voxels import index_points
-from nvsf_core.fields.surface_batch import surface_batch
-from nvsf_core.rendering.reproject import weighted_median_index
+from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of, weighted_median_index
+from nvsf_core.fields.lidar_field import surface_batch
+from nvsf_core.geometry.voxels import index_points
 
 TITLE = "Evidence"
 
@@ -86,7 +84,7 @@ def _wall_ranges() -> float:
     for voxel_m in (0.1, 0.25, 0.5, 1.0, 2.0):
         surfels = _surfels(origins, directions, ranges, voxel_m)
         found = candidates_of(surfels, origins, directions, most=8, near_m=0.5, far_m=80.0)
-        median = weighted_median_index(torch.from_numpy(found.weights)).numpy()
+        median = weighted_median_index(found.weights)
         off_m = np.abs(found.range_m[np.arange(len(ranges)), median] - ranges)
         worst = max(worst, float(np.quantile(off_m, 0.999)))
     return worst
@@ -144,10 +142,10 @@ def _stray(name: str, *point: float) -> Case:
     return Case(_INDEX, f"{name} (outside)", refused(DataError, lambda: index_points(points, 0.25)))
 
 
-_INDEX, _SURFELS = "evidence.voxels.index_points", "evidence.surfels"
+_INDEX, _SURFELS = "geometry.voxels.index_points", "evidence.surfels"
 CASES = (
     Case(f"{_SURFELS}.Surfels.opacity", "0 to 1e6 hits and passes", _opacity, ELEMENTWISE_ULP, "eps"),
-    Case("fields.surface_batch.surface_batch", "logits after 0 and 1e6 observations", _logit, 16.2,
+    Case("fields.lidar_field.surface_batch", "logits after 0 and 1e6 observations", _logit, 16.2,
          "nats, at most"),
     Case(f"{_SURFELS}.build_surfels", "1e6 returns in a voxel, 200 m out", _million_in_a_voxel, 2e-5, "m"),
     Case(f"{_SURFELS}.build_surfels", "one return, a thousand times", _identical_returns, 1e-6, "m"),

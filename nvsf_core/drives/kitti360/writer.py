@@ -9,7 +9,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from nvsf_core.drives.kitti360.classes import number_in_boxes
+from nvsf_core.drives.kitti360.boxes import number_in_boxes
 from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye

@@ -7,8 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.timed_returns import TimedReturns
-from nvsf_core.evidence.moving.visibility import SEED, STATIC, AboveGround
+from nvsf_core.evidence.moving.visibility import SEED, STATIC, AboveGround, TimedReturns
 
 _VOXEL_M = 0.25
 _LINK_M = 0.5

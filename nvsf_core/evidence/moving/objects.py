@@ -12,7 +12,7 @@ from nvsf_core.evidence.moving.object_evidence import (
     ObjectRays,
 )
 from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
-from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of
+from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of, weighted_median_index
 from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 
 _MOST_CANDIDATES = 12
@@ -48,9 +48,8 @@ class ObjectSurfels:
             direction: (r, 3) unit, scene-local axes.
             time_s: (r,) instants of the rays.
         """
-        far = np.cumsum(found.weights, axis=1)
-        row = np.arange(len(far))
-        range_m = found.range_m[row, (far >= 0.5 * far[:, -1:]).argmax(axis=1)]
+        median = weighted_median_index(found.weights)
+        range_m = found.range_m[np.arange(len(median)), median]
         point = origin_m + direction * range_m[:, None]
         return self.hit_priors.share(self.path.to_object(point.astype(np.float64), time_s))
 

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 from nvsf_core.evidence.moving.clusters import Track
 from nvsf_core.evidence.moving.registration import Cloud, PairMotions, make_cloud, register
 from nvsf_core.evidence.moving.rigid_path import MovingObject
-from nvsf_core.evidence.moving.timed_returns import TimedReturns
-from nvsf_core.evidence.moving.visibility import AboveGround
+from nvsf_core.evidence.moving.visibility import AboveGround, TimedReturns
 
 _STRIDES = (1, 2, 4)
 _REACH_M = 0.5

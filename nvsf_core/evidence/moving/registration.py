@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.evidence.voxels import PLANE_POINTS, planes_around
+from nvsf_core.geometry.voxels import PLANE_POINTS, planes_around
 from nvsf_core.kernels.registration import register_pairs
 
 _MOST_POINTS = 400

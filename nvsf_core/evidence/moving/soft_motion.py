@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.voxels import PLANE_POINTS, planes_around
+from nvsf_core.geometry.voxels import PLANE_POINTS, planes_around
 
 _STEPS = 12
 _MOST_POINTS = 500

@@ -16,8 +16,7 @@ from nvsf_core.kernels.threads import in_parts
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.models.family import TrainedPart
-from nvsf_core.models.holdout import compare, validation_numbers
-from nvsf_core.models.left_out_scans import recorded_pano
+from nvsf_core.models.holdout import compare, recorded_pano, validation_numbers
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.pano_estimate import PanoEstimate, estimate_pano
 from nvsf_core.models.residual.pano_neighbours import (

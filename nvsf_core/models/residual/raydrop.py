@@ -13,22 +13,21 @@ from nvsf_core.fields.cell_network import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart
-from nvsf_core.models.holdout import compare
-from nvsf_core.models.left_out_scans import fire_left_out
+from nvsf_core.models.holdout import compare, fire_left_out
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
+from nvsf_core.models.residual.lidar import learned_scans
 from nvsf_core.models.residual.raydrop_grid import (
     SweepCells,
     SweepRaydrop,
     hit_logits,
     sweep_cells,
 )
-from nvsf_core.models.residual.training_rays import learned_scans
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
+from nvsf_core.sensors.sweep_rays import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
-from nvsf_core.simulation.scan import SweepRays
 from nvsf_core.simulation.scene_model import SweepCorrector
 from nvsf_core.training.loop import fresh_state, side_by_side
 from nvsf_core.training.session import TrainingSession, fit, training_device

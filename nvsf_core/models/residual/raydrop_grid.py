@@ -19,9 +19,9 @@ from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH
 from nvsf_core.numerics import probability_logit
 from nvsf_core.recording.drive import NEAREST, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
+from nvsf_core.sensors.sweep_rays import SweepRays
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import HitBlend
-from nvsf_core.simulation.scan import SweepRays
 
 FEATURES = 14
 """Input channels of the network."""

@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.drives.kitti360.boxes import read_boxes
-from nvsf_core.drives.kitti360.classes import class_of, number_in_boxes
+from nvsf_core.drives.kitti360.boxes import class_of, number_in_boxes, read_boxes
 from nvsf_core.drives.kitti360.writer import write_cam_to_pose
 from nvsf_core.errors import DataError
 from tests.conftest import SHARED

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.moving.object_box import smallest_box
+from nvsf_core.evidence.moving.object_evidence import smallest_box
 from nvsf_core.geometry.se3 import rotation_of
 
 

@@ -6,8 +6,9 @@ from nvsf_core.models.residual.pano_estimate import QUANTILES, PanoRays, combine
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.scan import RenderedSweep, SweepRays, sweep_rays
+from nvsf_core.simulation.scan import RenderedSweep
 
 SMALL = LinearPano(height=3, width=5)
 PANO = LinearPano(reference_quirks=True)

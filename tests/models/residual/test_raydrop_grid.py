@@ -14,9 +14,9 @@ from nvsf_core.recipe import HitsSpec, TrainingSpec
 from nvsf_core.recording.drive import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.raydrop import EVEN, HitBlend
-from nvsf_core.simulation.scan import SweepRays, sweep_rays
 
 LASERS, FIRINGS, SCANS, PERIOD_S = np.arange(0, 64, 4), 300, 3, 0.1
 SPEC = HitsSpec(channels=8, layers=1, training=TrainingSpec(steps=1, rays=1))

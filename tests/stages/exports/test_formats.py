@@ -158,6 +158,8 @@ def test_laz_holds_ring_time_and_support(tmp_path: Path) -> None:
     assert np.allclose(cloud.intensity / 65535.0, scan.rows[:, 3], atol=1e-5)
     assert (cloud.ring == scan.ring).all() and (cloud.support == scan.support).all()
     assert (np.asarray(cloud.time) == scan.offset_s).all()
+    # LAS 1.4 asks for both; copc-lib refuses files without the first.
+    assert cloud.header.global_encoding.wkt and (np.asarray(cloud.return_number) == 1).all()
 
 
 def test_boxes_between_frames_lie_between_and_end_with_their_track() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.sensor_errors import learn_intensity_gain
+from nvsf_core.sensors.sensor_errors import learn_intensity_gain
 
 GAIN = np.array([0.8, 1.2, 1.0, 1.0])
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.sensor_errors import learn_range_bias
+from nvsf_core.sensors.sensor_errors import learn_range_bias
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_rays import sweep_rays
 from nvsf_core.sensors.tables import VLP_16
-from nvsf_core.simulation.scan import sweep_rays
 
 LASERS = 8
 

@@ -7,7 +7,10 @@ import re
 from datetime import UTC, datetime
 from typing import Any
 
-FILE_VARIABLE = "NVSF_LOG_FILE"
+import dagster as dg
+
+FILE_VARIABLE, TERSE = "NVSF_LOG_FILE", "terse"
+"""Names the file; the logger that appends to it, where a run's configuration asks for it."""
 _SUBJECT = re.compile(r"\[(?P<scene>[^\]\s]+)\] (?P<stage>\w+)(?P<rest>.*)", re.DOTALL)
 """How this project's messages about a stage begin."""
 _TAKEN = {
@@ -38,6 +41,18 @@ class JsonLines(logging.Handler):
                 os.close(handle)
         except Exception:  # as of every handler of `logging`
             self.handleError(record)
+
+
+def log_as_json(context: dg.AssetExecutionContext) -> None:
+    """Let this step append its messages to the file of NVSF_LOG_FILE, if no logger of its run does.
+
+    The runs of `scenes_follow`, of the schedule and of the UI's button are configured without one.
+    """
+    path = os.environ.get(FILE_VARIABLE)
+    if path and TERSE not in context.run.run_config.get("loggers", {}):
+        handler = JsonLines(path)
+        handler.setLevel(logging.INFO)  # Dagster's own bookkeeping is DEBUG
+        context.log.addHandler(handler)
 
 
 def facts_of(record: logging.LogRecord) -> dict[str, Any]:
