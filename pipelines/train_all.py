@@ -198,8 +198,8 @@ def _closing_words(
         lines.append(f"no data: {', '.join(absent)}")
     lines += [
         f"report  {_short(report)}",
-        "next: open the report in a browser; look at the scans; `make ui` shows the lineage;",
-        "      a [[view]] in scenes.toml asks for another pose, time or sensor.",
+        "next: open the report in a browser; look at the scans; ask for another pose, time or sensor,",
+        "      as `nvsf view demo 'shift_m = [0, 1, 0]'`; in a checkout `make ui` shows the lineage.",
         "",
     ]
     return "\n".join(lines)
