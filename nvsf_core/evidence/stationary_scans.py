@@ -223,8 +223,11 @@ def _copy(found: _Lookup, rays: FiredRays, rows: np.ndarray) -> tuple[np.ndarray
     """As `_combine`, from the scan nearest in time alone."""
     nearest = (found.weight[:, rows] > 0.0).argmax(axis=0)
     range_m, intensity = found.range_m[nearest, rows], found.intensity[nearest, rows]
-    hit = (range_m > 0.0).astype(np.float32)
-    return np.where(hit, range_m, rays.range_m[rows]), hit, np.where(hit, intensity, rays.intensity[rows])
+    returned = range_m > 0.0
+    # A ray without a return keeps the surface behind it, as the rays that are combined do.
+    range_m = np.where(returned, range_m, rays.range_m[rows])
+    intensity = np.where(returned, intensity, rays.intensity[rows])
+    return range_m, returned.astype(np.float32), intensity
 
 
 def _combine(found: _Lookup, rays: FiredRays, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -48,6 +48,7 @@ _VIEW = (
 )  # fmt: skip
 _COPY = "copy_nearest"
 _EVEN_CHANCE = 0.5
+"""Truth and rendered probability are compared at this one, whichever threshold a simulated scan has."""
 _SAMPLE = 4000
 _LARGEST_GAP_M = 0.05
 _LARGEST_TURN_RAD = 1e-3
