@@ -46,6 +46,13 @@ def test_every_place_waits_ten_minutes_for_a_busy_code_location(repo: Path) -> N
     assert [services[one]["environment"][name] for one in ("daemon", "webserver")] == [seconds] * 2
     patience = [{"name": name, "value": seconds}]
     assert [values[one]["env"] for one in ("dagsterDaemon", "dagsterWebserver")] == [patience] * 2
+    template = _read(repo / "pipelines/dagster.yaml")
+    starts = (
+        template["run_monitoring"]["start_timeout_seconds"],
+        template["code_servers"]["local_startup_timeout"],
+    )
+    assert starts == (int(seconds), int(seconds))
+    assert values["dagsterDaemon"]["runMonitoring"]["startTimeoutSeconds"] == int(seconds)
 
 
 def test_compose_is_accepted_by_its_own_tool() -> None:
