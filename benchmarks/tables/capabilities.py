@@ -1,10 +1,12 @@
 """Gain and lines of code of each part of `lean`: one table in docs/lean.md.
 
-``python -m benchmarks.tables.capabilities`` counts the lines of the files named here and writes the table
+``python -m benchmarks.tables.capabilities`` counts the lines of the code named here and writes the table
 between its markers. A part that gives nothing on any drive is deleted, not listed.
 """
 
+import ast
 from dataclasses import dataclass
+from pathlib import Path
 
 from benchmarks.common.markdown import markdown_table
 from benchmarks.common.markers import write_between
@@ -16,8 +18,8 @@ class Capability:
     """A part of the method that could be left out."""
 
     name: str
-    files: tuple[str, ...]
-    """Below nvsf_core/, those that would fall away with it."""
+    parts: tuple[str, ...]
+    """Below nvsf_core/, what falls away with it: folders, files, or `file:name` of a function or class."""
     gain: str
     """What was measured with and without it, on which drives, and where that is written down."""
 
@@ -57,7 +59,7 @@ CAPABILITIES = (
     ),
     Capability(
         "unobserved space",
-        ("evidence/unobserved.py",),
+        ("evidence/surfels.py:unobserved_beside", "evidence/surfels.py:_empty_beside"),
         "every 4th scan: CD .0882 to .0856 (kitti0005), .0455 to .0411 (k360_street) (0014)",
     ),
     Capability(
@@ -71,7 +73,7 @@ CAPABILITIES = (
     Capability(
         "raydrop network on the sensor's own grid",
         ("models/residual/raydrop.py", "models/residual/raydrop_grid.py", "models/residual/cell_step.py",
-         "fields/cell_network.py"),
+         "fields/layers.py:CellNetwork"),
         "left-out scans: cross-entropy of hits lower on ten of ten, by .7 to 3.5 % (0015)",
     ),
     Capability(
@@ -125,14 +127,24 @@ def table() -> str:
 
 
 def lines_of(part: Capability) -> int:
-    """Lines of the part's files.
+    """Lines of the part's code.
 
     Raises:
         FileNotFoundError: A file is not there any more.
+        KeyError: A function or class is not in its file any more.
     """
-    paths = [ROOT / "nvsf_core" / name for name in part.files]
-    modules = [file for path in paths for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])]
-    return sum(len(file.read_text().splitlines()) for file in modules)
+    places = [one.partition(":") for one in part.parts]
+    return sum(_lines(ROOT / "nvsf_core" / file, name) for file, _, name in places)
+
+
+def _lines(path: Path, name: str) -> int:
+    """Lines of a folder's modules, of a file, or of one function or class in it."""
+    if path.is_dir():
+        return sum(_lines(file, "") for file in path.rglob("*.py"))
+    if not name:
+        return len(path.read_text().splitlines())
+    named = {getattr(one, "name", ""): one for one in ast.parse(path.read_text()).body}
+    return (named[name].end_lineno or 0) - named[name].lineno + 1
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ simulated as if it were held out.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -20,7 +20,7 @@ from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import evidence_renderer
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scan import RenderedSweep
@@ -183,3 +183,32 @@ def fire_left_out(
     plan = recorded_sweep(lidar.sweeps.table, time_s)
     model = SceneModel(lidar=render, camera=None, prior_scans=prior_scans, correct=correct)
     return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
+
+
+def choose_copying(lidar: LidarRecording) -> tuple[LidarRecording, dict[str, Scalar]]:
+    """The recording, whose stationary scans are copied where that is better, and the scores of both.
+
+    Combined scans have less noise; but where everything stands, the scan before is hard to beat: it repeats
+    what the sensor sees again and again, whether a surface explains it or not. Compared are those validation
+    scans at which the sensor rested, rendered by `reproject`; without any, scans are combined.
+    """
+    stationary, left_out = lidar.evidence.stationary, lidar.evidence.left_out
+    if stationary is None or left_out is None:
+        return lidar, {}
+    numbers = np.intersect1d(left_out.validation, stationary.scan).tolist()
+    if not numbers:
+        return lidar, {}
+    copying = replace(lidar, evidence=replace(
+        lidar.evidence, stationary=replace(stationary, is_copied=np.array(True))
+    ))  # fmt: skip
+    truth = {number: recorded_pano(lidar, number) for number in numbers}
+
+    def scores(recording: LidarRecording) -> Callable[[int], list[float]]:
+        return lambda number: score_left_out(
+            left_out_renderer(lidar, left_out, number), EvidenceSpec().votes, recording, number, truth[number]
+        )
+
+    found = compare(SCAN_METRICS, numbers, {"combined": scores(lidar), "copied": scores(copying)})
+    chosen = copying if found.wins("copied", "combined") else lidar
+    figures = found.figures({"combined": "stationary_combined_", "copied": "stationary_copied_"})
+    return chosen, {"stationary_shows": "copied" if chosen is copying else "combined", **figures}

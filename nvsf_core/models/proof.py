@@ -24,14 +24,12 @@ from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
-from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.evidence.unobserved import unobserved_beside
-from nvsf_core.models.holdout import is_sure
-from nvsf_core.models.stationary_choice import choose_copying
+from nvsf_core.evidence.surfels import Surfels, build_surfels, unobserved_beside
+from nvsf_core.models.holdout import choose_copying, is_sure
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
-from nvsf_core.sensors.sweep_rays import sweep_rays
+from nvsf_core.sensors.sweep import sweep_rays
 
 FIELD_VOXEL_M = 0.2
 """Edge of the voxels that a field corrects: finer ones do not lower its error and make its steps longer."""

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
 from nvsf_core.fields.camera_networks import CameraEnsemble
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.family import Trained, TrainedPart, Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, maps_from, train_camera

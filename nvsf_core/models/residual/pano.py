@@ -9,7 +9,7 @@ import torch
 
 from nvsf_core._types import Scalar
 from nvsf_core.errors import RecipeError
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.kernels.threads import in_parts

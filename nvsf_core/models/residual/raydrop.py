@@ -9,7 +9,7 @@ import torch
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.surfels import Surfels
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart
@@ -25,7 +25,7 @@ from nvsf_core.models.residual.raydrop_grid import (
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scene_model import SweepCorrector

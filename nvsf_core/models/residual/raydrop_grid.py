@@ -14,12 +14,12 @@ from scipy.special import expit
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH
 from nvsf_core.numerics import probability_logit
 from nvsf_core.recording.drive import NEAREST, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import HitBlend
 

@@ -13,8 +13,7 @@ from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, sweep_cells
 from nvsf_core.recipe import HitsSpec, TrainingSpec
 from nvsf_core.recording.drive import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.raydrop import EVEN, HitBlend
 
