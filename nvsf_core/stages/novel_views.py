@@ -44,7 +44,7 @@ from nvsf_core.stages.views.lidar import (
     sweep_arrays,
     warm_up,
 )
-from nvsf_core.stages.views.plan import (
+from nvsf_core.stages.views.view import (
     View,
     asked_view,
     camera_models,

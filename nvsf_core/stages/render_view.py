@@ -31,7 +31,7 @@ from nvsf_core.stages.runner.run import (
 from nvsf_core.stages.runner.stage import Progress, Task
 from nvsf_core.stages.versions import reading_versions
 from nvsf_core.stages.views.instances import boxes_of, instance_arrays
-from nvsf_core.stages.views.plan import View, asked_view, camera_models, placed, view_attrs
+from nvsf_core.stages.views.view import View, asked_view, camera_models, placed, view_attrs
 from nvsf_core.stores.removal import carry_pin
 
 _MODEL = "model"

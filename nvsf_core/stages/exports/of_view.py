@@ -17,7 +17,7 @@ from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, I
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stages.views.files import cameras_of, file_numbers
 from nvsf_core.stages.views.instances import depth_m, object_ids
-from nvsf_core.stages.views.plan import camera_models
+from nvsf_core.stages.views.view import camera_models
 
 _BY_THRESHOLD = f"as rendered (probability of {HIT_THRESHOLD:g} and more)"
 

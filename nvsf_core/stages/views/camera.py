@@ -14,7 +14,7 @@ from nvsf_core.simulation.other_camera import OtherCamera
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stages.views.plan import View, camera_in_lidar, reference_poses, render_all, to_world
+from nvsf_core.stages.views.view import View, camera_in_lidar, reference_poses, render_all, to_world
 
 
 def image_arrays(

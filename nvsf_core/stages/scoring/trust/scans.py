@@ -48,7 +48,7 @@ from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
-from nvsf_core.stages.views.plan import stored_plan
+from nvsf_core.stages.views.view import stored_plan
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _LEFT_OUT = 4
