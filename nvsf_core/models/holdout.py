@@ -13,12 +13,14 @@ import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
+from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import evidence_renderer
@@ -212,3 +214,30 @@ def choose_copying(lidar: LidarRecording) -> tuple[LidarRecording, dict[str, Sca
     chosen = copying if found.wins("copied", "combined") else lidar
     figures = found.figures({"combined": "stationary_combined_", "copied": "stationary_copied_"})
     return chosen, {"stationary_shows": "copied" if chosen is copying else "combined", **figures}
+
+
+def mean_range_error_m(
+    surfels: Surfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    *,
+    far_m: float,
+    worst_m: float,
+) -> float:
+    """Mean absolute range error in metres of surfels, rendered as `reproject` does along r recorded returns.
+
+    Args:
+        surfels: In the rays' frame.
+        origin_m: (r, 3).
+        direction: (r, 3) unit.
+        range_m: (r,) recorded range.
+        far_m: How far a ray is followed.
+        worst_m: Largest error of a ray; also the error of one that meets nothing.
+    """
+    rendered = reproject_rays(
+        surfels, origin_m, direction, np.ones(len(range_m), np.float32),
+        most=EvidenceSpec().lidar_candidates, far_m=far_m,
+    )  # fmt: skip
+    off_m = np.abs(rendered.range_m.astype(np.float64) - range_m)
+    return float(np.minimum(np.where(np.isfinite(off_m), off_m, worst_m), worst_m).mean())
