@@ -140,7 +140,6 @@ def score_left_out(
     prior_scans: int,
     lidar: LidarRecording,
     number: int,
-    truth: tuple[np.ndarray, np.ndarray],
 ) -> list[float]:
     """The values of `SCAN_METRICS` of a training scan that is simulated as if it were held out.
 
@@ -149,9 +148,8 @@ def score_left_out(
         prior_scans: As in `fire_left_out`.
         lidar: The recording.
         number: Of the scan among the training scans.
-        truth: Of `recorded_pano`.
     """
-    prior = lidar.evidence.prior
+    prior, truth = lidar.evidence.prior, recorded_pano(lidar, number)
     rays, rendered = fire_left_out(render, prior_scans, lidar, number)
     points_m, intensity, _ = RenderedSweep.of(rays, rendered).scan()
     shown = _PANO.project(points_m, intensity)
@@ -203,11 +201,10 @@ def choose_copying(lidar: LidarRecording) -> tuple[LidarRecording, dict[str, Sca
     copying = replace(lidar, evidence=replace(
         lidar.evidence, stationary=replace(stationary, is_copied=np.array(True))
     ))  # fmt: skip
-    truth = {number: recorded_pano(lidar, number) for number in numbers}
 
     def scores(recording: LidarRecording) -> Callable[[int], list[float]]:
         return lambda number: score_left_out(
-            left_out_renderer(lidar, left_out, number), EvidenceSpec().votes, recording, number, truth[number]
+            left_out_renderer(lidar, left_out, number), EvidenceSpec().votes, recording, number
         )
 
     found = compare(SCAN_METRICS, numbers, {"combined": scores(lidar), "copied": scores(copying)})

@@ -60,10 +60,10 @@ def simulate_sweep(
     """Simulate one sweep of the plan's sensor; arguments as of `fire_sweep`."""
     rays, rendered = fire_sweep(model, lidar, plan, time_s)
     sweep = RenderedSweep.of(rays, rendered)
-    support = _support(model, lidar, plan, time_s, rays, rendered)
     points, intensity, laser = sweep.scan()
     pano = LinearPano(reference_quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
+    support = _support(model, lidar, plan, time_s, rays, rendered)
     return SimulatedSweep(
         points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid(),
         support[sweep.returns()], support.reshape(rays.shape),

@@ -22,7 +22,7 @@ from nvsf_core.fields.lidar_field import (
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.family import TrainedPart
-from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, recorded_pano, score_left_out
+from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
@@ -204,18 +204,17 @@ def choose(
         return True, {"lidar_shows": "field: too few scans to compare it on"}
 
     numbers, votes = left_out.validation.tolist(), recipe.evidence.votes
-    truth = {number: recorded_pano(lidar, number) for number in numbers}
 
     def by_field(number: int) -> list[float]:
         render = field_renderer(
             field, left_out.static, lidar.moving(leave_out=number),
             most=recipe.evidence.lidar_candidates, far_m=lidar.far_m,
         )  # fmt: skip
-        return score_left_out(render, votes, lidar, number, truth[number])
+        return score_left_out(render, votes, lidar, number)
 
     def by_evidence(number: int) -> list[float]:
         render = left_out_renderer(lidar, left_out, number)
-        return score_left_out(render, votes, lidar, number, truth[number])
+        return score_left_out(render, votes, lidar, number)
 
     found = compare(SCAN_METRICS, numbers, {"field": by_field, "reproject": by_evidence})
     shows_field = found.wins("field", "reproject")
