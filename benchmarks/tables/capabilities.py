@@ -83,7 +83,7 @@ CAPABILITIES = (
     ),
     Capability(
         "camera: learned depths and blend of warped images",
-        ("models/residual/camera.py", "models/residual/camera_step.py", "models/residual/left_out.py",
+        ("models/residual/camera.py", "models/residual/camera_step.py",
          "models/residual/camera_examples.py", "fields/camera_networks.py", "rendering/learned_warp.py",
          "rendering/plane_depth.py", "rendering/plane_volume.py", "rendering/camera_view.py",
          "rendering/sources.py", "rendering/warping.py",
@@ -92,7 +92,7 @@ CAPABILITIES = (
     ),
     Capability(
         "views by depth maps of the images; pixels that nothing shows are known",
-        ("models/residual/image_depths.py", "rendering/view_depth_maps.py", "rendering/hole_filling.py",
+        ("models/residual/image_depths.py", "rendering/view_depth_maps.py",
          "rendering/pixel_support.py", "kernels/depth_splat.py"),
         "street, quick, 3 m aside: 19.8 to 23.7 dB, turned by 15 degrees 14.5 to 25.5, on the path + .5 "
         "to .7; kitti0005, right camera: 19.9 to 20.5 (0022)",
