@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT
 from nvsf_core.stages.runner.host import machine
 
 _SPIN = "while True: pass"

@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.stages.runner.host import machine
 

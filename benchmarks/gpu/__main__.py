@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
+from benchmarks.common.documents import commit
 from benchmarks.gpu.document import PARTS, page
 from benchmarks.gpu.kernels import kernel_rows
 from benchmarks.gpu.paper import step_rows, training_rows

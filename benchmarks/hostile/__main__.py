@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import commit, write_between
 from benchmarks.common.stored import Row, write_measured
 from benchmarks.hostile.limits import GIGABYTES, SECONDS, run_limited
 from benchmarks.hostile.subjects import Templates

@@ -16,7 +16,7 @@ from unittest import mock
 
 import numpy as np
 
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS
 from nvsf_core.kernels.threads import VARIABLE, use_threads
 from nvsf_core.models.family import family_of
 from nvsf_core.models.residual import lidar as residual_lidar

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
+from benchmarks.common.documents import commit
 from benchmarks.numerics.cases.case import NOT_APPLICABLE, Case, Reading
 from nvsf_core.stages.runner.host import machine
 

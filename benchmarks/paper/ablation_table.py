@@ -3,8 +3,7 @@
 from statistics import fmean, stdev
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
+from benchmarks.common.documents import commit, markdown_table
 from benchmarks.common.stored import Row, read_rows
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.stages.runner.host import machine

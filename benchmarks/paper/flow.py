@@ -16,8 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from benchmarks.common import places
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from benchmarks.paper.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
 from benchmarks.paper.parameters import DOCUMENT

@@ -13,8 +13,7 @@ from typing import Literal
 import torch
 
 from benchmarks.common import places
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import markdown_table, write_between
 from benchmarks.common.stored import read_rows, write_json
 from nvsf_core.losses.gradient import BAND_EDGES_M, gradient_mask, mask_coverage
 from nvsf_core.stores.arrays import read_arrays

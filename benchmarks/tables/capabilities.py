@@ -8,9 +8,7 @@ import ast
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT, markdown_table, write_between
 
 
 @dataclass(frozen=True, slots=True)

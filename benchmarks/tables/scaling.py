@@ -14,9 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment, load_catalogue
 from nvsf_core.drives.drive import drive_of
