@@ -1,4 +1,4 @@
-"""For a document of measurements: where it lies, its tables, its generated part, the commit that was measured."""
+"""For a document of measurements: where it lies, tables, its generated part, the commit that was measured."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
