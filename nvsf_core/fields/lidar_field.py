@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on
-from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.layers import network
 from nvsf_core.geometry.bounds import Bounds

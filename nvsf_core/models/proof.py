@@ -18,9 +18,8 @@ from nvsf_core.evidence.drop_prior import (
     places_apart,
 )
 from nvsf_core.evidence.moving.detection import find_moving_objects
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import MovingObjects, ObjectEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans

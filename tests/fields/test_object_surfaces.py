@@ -5,9 +5,8 @@ import pytest
 import torch
 
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.scene_evidence import DynamicEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import (

@@ -7,7 +7,7 @@ from scipy.linalg import solveh_banded
 from scipy.spatial import cKDTree
 
 from nvsf_core.evidence.moving.clusters import Track
-from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.object_evidence import MovingObject
 from nvsf_core.evidence.moving.visibility import AboveGround, TimedReturns
 from nvsf_core.geometry.voxels import PLANE_POINTS, planes_around
 from nvsf_core.kernels.registration import register_pairs

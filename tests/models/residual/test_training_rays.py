@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.objects import prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
