@@ -1,5 +1,6 @@
 """The table of stability names functions that there are."""
 
+import re
 from importlib import import_module
 
 import pytest
@@ -12,6 +13,13 @@ from nvsf_core import __name__ as core
 def test_every_case_names_a_function_of_the_core(theme):
     cases = import_module(f"benchmarks.numerics.cases.{theme}").CASES
     assert [case.function for case in cases if not _is_there(case.function)] == []
+
+
+def test_the_document_names_functions_of_the_core(repo):
+    named = set(
+        re.findall(r"^\| `([^`]+)`", (repo / "docs/numerical_stability.md").read_text(), re.MULTILINE)
+    )
+    assert [name for name in named if not name.startswith("stages.") and not _is_there(name)] == []
 
 
 def _is_there(name: str) -> bool:
