@@ -11,7 +11,7 @@ import time
 
 import torch
 
-from benchmarks.common import places
+from benchmarks.common import documents
 from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import read_rows, write_json
 from benchmarks.paper.ablation import prepared_recording
@@ -24,8 +24,8 @@ from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.training.session import training_device
 
-RESULTS = places.RESULTS / "paper_step.json"
-DOCUMENT = places.DOCS / "paper_fidelity.md"
+RESULTS = documents.RESULTS / "paper_step.json"
+DOCUMENT = documents.DOCS / "paper_fidelity.md"
 
 
 def measure(scene: str, steps: int) -> dict[str, object]:

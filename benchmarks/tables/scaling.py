@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import places
+from benchmarks.common import documents
 from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment, load_catalogue
@@ -52,11 +52,11 @@ def main() -> None:
         "seconds": {recipe: _seconds(recipe, scenes) for recipe in _RECIPES},
         "watching": [_watching(count) for count in COUNTS],
     }  # fmt: skip
-    write_measured(places.RESULTS / "scaling.json", facts)
+    write_measured(documents.RESULTS / "scaling.json", facts)
     head = f"{machine()}; commit {commit()}.\n\n"
-    write_between(places.DOCS / "scaling.md", "one", head + one_scene(scenes))
-    write_between(places.DOCS / "scaling.md", "many", many_scenes(facts))
-    write_between(places.DOCS / "scaling.md", "watching", watching(facts["watching"]))
+    write_between(documents.DOCS / "scaling.md", "one", head + one_scene(scenes))
+    write_between(documents.DOCS / "scaling.md", "many", many_scenes(facts))
+    write_between(documents.DOCS / "scaling.md", "watching", watching(facts["watching"]))
 
 
 def _taken(home: Path, scene: str) -> Row:
@@ -92,7 +92,7 @@ def _seconds(recipe: str, scenes: list[Row]) -> float:
 
 
 def _train_seconds(recipe: str) -> float:
-    found = json.loads((places.RESULTS / "recipes" / f"{recipe}.json").read_text())["rows"]
+    found = json.loads((documents.RESULTS / "recipes" / f"{recipe}.json").read_text())["rows"]
     seconds = [row["train_seconds"] for row in found]
     return float(sum(seconds) / len(seconds))
 
