@@ -16,13 +16,13 @@ from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import read_rows, write_json
 from benchmarks.paper.ablation import prepared_recording
 from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.models.family import training_device
 from nvsf_core.models.paper.scene import training_frames
 from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
-from nvsf_core.training.session import training_device
 
 RESULTS = documents.RESULTS / "paper_step.json"
 DOCUMENT = documents.DOCS / "paper_fidelity.md"

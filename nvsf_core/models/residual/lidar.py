@@ -21,7 +21,7 @@ from nvsf_core.fields.lidar_field import (
 )
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
@@ -30,7 +30,6 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""

@@ -12,7 +12,7 @@ from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import compare, fire_left_out
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import learned_scans
@@ -30,7 +30,6 @@ from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scene_model import SweepCorrector
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 HITS_BLEND = "hits_blend"
 """Name of the fact: the fields of `HitBlend`; None where the ray head alone gives the hit probability."""
