@@ -27,6 +27,8 @@ class LidarRender:
     """(r,) logit of the hit probability."""
     intensity_logit: Tensor
     """(r,) logit of the intensity."""
+    on_object: Tensor
+    """(r,) bool: the ray ends on a moving object, whose hit prior is not corrected."""
 
 
 def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> LidarRender:
@@ -40,7 +42,8 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> L
     """
     rays = _composite(field, batch, hit_prior)
     both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
-    return LidarRender(both[..., 0], both[..., 1], rays.hit_logit, rays.intensity_logit)
+    weights, range_m, on_object = both[..., 0], both[..., 1], _on_object(rays, batch)
+    return LidarRender(weights, range_m, rays.hit_logit, rays.intensity_logit, on_object)
 
 
 class _Rays(NamedTuple):
@@ -74,11 +77,20 @@ def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Ra
     return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, hit_prior)
 
 
+def _on_object(rays: _Rays, batch: SurfaceBatch) -> Tensor:
+    """(r,) bool: whether a ray has a surface, and ends on one of a moving object."""
+    found = batch.is_there[:, 0].clone()
+    found[found.clone()] = batch.hit_prior[rays.median[found]] >= 0.0
+    return found
+
+
 @torch.no_grad()
 def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> RenderedRays:
     """Range (of the weighted median surface), hit probability and intensity of each ray; no gradients.
 
-    Where moving objects have 3 tenths of the weight, only their surfaces count for the median.
+    Where moving objects have 3 tenths of the weight, only their surfaces count for the median. There the hit
+    probability is the hit prior: few rays meet an object, and hits that were learned from them were no better
+    on left-out scans (docs/lean.md).
 
     Args:
         field: Trained.
@@ -93,9 +105,12 @@ def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> Re
     has_surface = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
     range_m[has_surface] = rays.range_m[rays.median[has_surface]]
+    on_object = _on_object(rays, batch)
+    hit = torch.where(on_object, rays.hit_prior, torch.sigmoid(rays.hit_logit))
     return RenderedRays(
         range_m=range_m.numpy(),
-        hit=torch.where(has_surface, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
+        hit=torch.where(has_surface, hit, 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),
         hit_prior=rays.hit_prior.numpy(),
+        on_object=on_object.numpy(),
     )
