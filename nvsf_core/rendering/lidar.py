@@ -42,8 +42,7 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> L
     """
     rays = _composite(field, batch, hit_prior)
     both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
-    weights, range_m, on_object = both[..., 0], both[..., 1], _on_object(rays, batch)
-    return LidarRender(weights, range_m, rays.hit_logit, rays.intensity_logit, on_object)
+    return LidarRender(both[..., 0], both[..., 1], rays.hit_logit, rays.intensity_logit, rays.on_object)
 
 
 class _Rays(NamedTuple):
@@ -63,25 +62,21 @@ class _Rays(NamedTuple):
     """(r,) logit of the intensity."""
     hit_prior: Tensor
     """(r,) see `RenderedRays`."""
+    on_object: Tensor
+    """(r,) bool, see `RenderedRays`."""
 
 
 def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Rays:
     logit, range_m, features = field.surfaces(batch)
-    weights, summary, median, hit_prior = composite_rays(
+    weights, summary, median, hit_prior, on_object = composite_rays(
         logit, range_m, features, batch.facts, batch.first, batch.hit_prior, hit_prior
     )
     prior_hit = probability_logit(hit_prior, _PRIOR_LIMIT)
     prior_intensity = probability_logit(summary[:, -1], 0.01)
     hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
     total = summary[:, features.shape[1]]
-    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, hit_prior)
-
-
-def _on_object(rays: _Rays, batch: SurfaceBatch) -> Tensor:
-    """(r,) bool: whether a ray has a surface, and ends on one of a moving object."""
-    found = batch.is_there[:, 0].clone()
-    found[found.clone()] = batch.hit_prior[rays.median[found]] >= 0.0
-    return found
+    logits = prior_hit + hit, prior_intensity + brightness
+    return _Rays(weights, range_m, median, total, *logits, hit_prior, on_object)
 
 
 @torch.no_grad()
@@ -105,12 +100,11 @@ def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> Re
     has_surface = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
     range_m[has_surface] = rays.range_m[rays.median[has_surface]]
-    on_object = _on_object(rays, batch)
-    hit = torch.where(on_object, rays.hit_prior, torch.sigmoid(rays.hit_logit))
+    hit = torch.where(rays.on_object, rays.hit_prior, torch.sigmoid(rays.hit_logit))
     return RenderedRays(
         range_m=range_m.numpy(),
         hit=torch.where(has_surface, hit, 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),
         hit_prior=rays.hit_prior.numpy(),
-        on_object=on_object.numpy(),
+        on_object=rays.on_object.numpy(),
     )
