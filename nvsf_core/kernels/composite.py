@@ -159,8 +159,8 @@ def composite_rays(
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
         of the ray's weight up to it (without surfaces, the ray's `first`), counting only surfaces with a hit
         prior of their own where these have at least `OWN_PRIOR_SHARE` of the weight; hit prior (n,): the
-        mean of those surfaces where they decide where the ray ends, else `hit_prior`; and whether they do, (n,)
-        bool.
+        mean of those surfaces where they decide where the ray ends, else `hit_prior`; and (n,) bool, whether
+        they do.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_hit_prior, hit_prior
