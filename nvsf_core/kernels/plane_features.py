@@ -1,4 +1,4 @@
-"""What the depth network is told of each depth plane of a pixel, in numba: as torch's in `plane_depth`."""
+"""The depth network's inputs for each depth plane of a pixel, in numba, as torch has them in `plane_depth`."""
 
 import math
 
@@ -14,24 +14,22 @@ _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 
 @njit(cache=True, nogil=True)
-def describe_planes(  # type: ignore[no-untyped-def]
-    agreed, prior, trust, is_known, inverses, scale, half, clamp
-):
+def describe_planes(agreed, lidar, inverses, scales, half):  # type: ignore[no-untyped-def]
     """Features of d depth planes of an image's pixels.
 
     Args:
         agreed: (d, h, w, 6) float32 of `agreement`.
-        prior: (h, w) float32 inverse depth from the LiDAR, 1/m.
-        trust: (h, w) float32, 0..1, in that depth.
-        is_known: (h, w) float32: 1 where there is a return, else 0.
+        lidar: Three (h, w) float32: inverse depth from the LiDAR, 1/m; trust in it, 0..1; 1 where there is a
+            return, else 0.
         inverses: (d,) float32 inverse depths of the planes, 1/m, evenly spaced.
-        scale: float32, of differences of colours.
+        scales: Two float32: of differences of colours; largest distance of a plane from the LiDAR's depth, in
+            planes.
         half: Half side of the window, in pixels, over which differences are averaged.
-        clamp: float32, largest distance of a plane from the LiDAR's depth, in planes.
 
     Returns:
         (d, h, w, 12) float32 as of `plane_features`.
     """
+    (prior, trust, is_known), (scale, clamp) = lidar, scales
     planes, rows, columns, _ = agreed.shape
     found = np.empty((planes, rows, columns, N_FEATURES), np.float32)
     sums = np.empty((2, columns), np.float32)

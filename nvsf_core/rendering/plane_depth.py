@@ -92,9 +92,10 @@ def plane_features(agreed: Agreement, prior: Tensor, gap_px: Tensor, inverses: T
     is_known = torch.isfinite(gap_px).float()
     trust = torch.exp(-gap_px / _TRUST_PX)
     if prior.device.type == "cpu":
+        prior_a, trust_a, known_a = (x.contiguous().numpy() for x in (prior, trust, is_known))
         found = describe_planes(
-            agreed.found.numpy(), *(x.contiguous().numpy() for x in (prior, trust, is_known, inverses)),
-            np.float32(_COLOUR_SCALE), _WINDOW_PX // 2, np.float32(_CLAMP_PLANES),
+            agreed.found.numpy(), (prior_a, trust_a, known_a), inverses.numpy(),
+            (np.float32(_COLOUR_SCALE), np.float32(_CLAMP_PLANES)), _WINDOW_PX // 2,
         )  # fmt: skip
         return torch.from_numpy(found).permute(0, 3, 1, 2)
     return _plane_features(agreed, prior, trust, is_known, inverses)
