@@ -1,4 +1,4 @@
-"""The depth network's inputs for each depth plane of a pixel, in numba, as torch has them in `plane_depth`."""
+"""The depth network's inputs for each depth plane of a pixel, in numba; torch's are in `plane_depth`."""
 
 import math
 
