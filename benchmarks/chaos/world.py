@@ -18,7 +18,7 @@ from nvsf_core.stages import STAGES, SceneRun, Stage, plan_run, run_scene
 
 SCENE = "tiny"
 DISK_MB = 2500
-"""Of the disk that the home lies on: 500 MB are kept free beside a data set, and events train new seeds."""
+"""Of the disk that the home lies on: 500 MB are kept free, and each event trains another seed."""
 SHORT_DISK_MB = 900
 """The same in the short form, which trains nothing and may run where there is little memory."""
 _PREPARED = 5

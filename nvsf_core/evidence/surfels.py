@@ -1,6 +1,7 @@
 """Surfels: the surface in each voxel, and how often the voxel stopped a ray or let it pass."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -25,7 +26,7 @@ _FACES = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _NO_SHAPES = np.zeros((0, 6), np.float32)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Surfels:
     """One surface element per occupied voxel; arrays are in the order of the index's voxel numbers."""
 
@@ -70,7 +71,7 @@ class Surfels:
             intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
         )  # fmt: skip
 
-    @property
+    @cached_property
     def opacity(self) -> np.ndarray:
         """(v,) float32: share of the rays that ended here; its prior counts keep it between 0 and 1."""
         return ((self.hits + 0.1) / (self.hits + self.passes + 0.2)).astype(np.float32)

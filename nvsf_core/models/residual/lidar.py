@@ -249,10 +249,10 @@ def lidar_step(
     )
     rendered = render_lidar(field, batch, hit_prior)
     returned = (true_range_m > 0) & batch.is_there[:, 0]
-    seen = batch.is_there[:, 0]
+    corrected = batch.is_there[:, 0] & ~rendered.on_object
     terms = {
         "depth": _depth(rendered, batch, returned, true_range_m),
-        "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
+        "hit": raydrop_loss(rendered.hit_logit[corrected], (true_range_m[corrected] > 0).float()),
         "intensity": intensity_loss(rendered.intensity_logit[returned], true_intensity[returned]),
     }
     return total_loss(terms, asdict(recipe.losses))

@@ -20,6 +20,7 @@ from nvsf_core.models.residual.raydrop_grid import (
     SweepCells,
     SweepRaydrop,
     hit_logits,
+    is_corrected,
     sweep_cells,
 )
 from nvsf_core.recipe import ResidualRecipe
@@ -51,18 +52,18 @@ class ValidationSweep:
     """(r,) float32."""
     ray_head_logit: np.ndarray
     """(r,) float32."""
-    is_met: np.ndarray
-    """(r,) bool: whether the ray meets a surface that it could return from."""
+    is_corrected: np.ndarray
+    """(r,) bool, see `is_corrected`; the other rays take no part in the comparison."""
     returned: np.ndarray
     """(r,) bool, as recorded."""
 
     def accuracy(self, logit: np.ndarray) -> float:
-        """Share of all rays that are predicted correctly, return or dropped, by logits (r,)."""
-        return float(((self.is_met & (logit >= 0.0)) == self.returned).mean())
+        """Share of the corrected rays that are predicted correctly, return or dropped, by logits (r,)."""
+        return float(((logit >= 0.0) == self.returned)[self.is_corrected].mean())
 
     def nats(self, logit: np.ndarray) -> float:
-        """Mean cross-entropy of logits (r,) over the rays that meet a surface, in nats."""
-        return nats(logit[self.is_met], self.returned[self.is_met])
+        """Mean cross-entropy of logits (r,) over the corrected rays, in nats."""
+        return nats(logit[self.is_corrected], self.returned[self.is_corrected])
 
     def scores(self, logit: np.ndarray) -> list[float]:
         """Accuracy and cross-entropy of logits (r,)."""
@@ -156,10 +157,10 @@ def blend_in_rotation(validated: Sequence[ValidationSweep]) -> tuple[HitBlend | 
 
 
 def _fitted(validated: Sequence[ValidationSweep]) -> HitBlend:
-    """The blend fitted on the rays of some scans that meet a surface."""
-    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_met) for one in validated]
-    network, ray_head, returned, met = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return fit_blend(network[met], ray_head[met], returned[met])
+    """The blend fitted on the corrected rays of some scans."""
+    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_corrected) for one in validated]
+    network, ray_head, returned, used = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return fit_blend(network[used], ray_head[used], returned[used])
 
 
 def raydrop_correction(
@@ -212,7 +213,7 @@ def _validation_sweep(
     ((network_logit, ray_head_logit),), prior = found, lidar.evidence.prior
     firing = prior.nearest_firing(number, rays.fraction)
     return ValidationSweep(
-        network_logit, ray_head_logit, np.isfinite(rendered.range_m), prior.is_hit[number, rays.laser, firing]
+        network_logit, ray_head_logit, is_corrected(rendered), prior.is_hit[number, rays.laser, firing]
     )
 
 

@@ -41,7 +41,13 @@ class SweepRaydrop:
         """The same rays with new hit probabilities; `near` (k,) are the nearest scans, the nearest first."""
         both = hit_logits(self.network, self.scan_grids, rays, rendered, near)
         hit = expit(self.blend.logit(*both)).astype(np.float32)
-        return replace(rendered, hit=np.where(np.isfinite(rendered.range_m), hit, rendered.hit))
+        return replace(rendered, hit=np.where(is_corrected(rendered), hit, rendered.hit))
+
+
+def is_corrected(rendered: RenderedRays) -> np.ndarray:
+    """(r,) bool: the rays that meet a surface and do not end on a moving object."""
+    met = np.isfinite(rendered.range_m)
+    return met if rendered.on_object is None else met & ~rendered.on_object
 
 
 @torch.no_grad()

@@ -72,6 +72,17 @@ def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
     assert np.allclose(logit(found.hit, 1e-9)[answered], expected[answered], atol=1e-2)
 
 
+def test_what_ends_on_a_moving_object_keeps_its_own_hit_probability() -> None:
+    scan_grids, rays, rendered = scene()
+    on_object = np.arange(len(rays.laser)) % 3 == 0
+    network = hits_network(SPEC, torch.Generator().manual_seed(0))
+    corrected = SweepRaydrop(network, scan_grids, EVEN)(rays, replace(rendered, on_object=on_object), NEAR)
+    everywhere = SweepRaydrop(network, scan_grids, EVEN)(rays, rendered, NEAR)
+    assert np.array_equal(corrected.hit[on_object], rendered.hit[on_object])
+    assert np.array_equal(corrected.hit[~on_object], everywhere.hit[~on_object])
+    assert (everywhere.hit != rendered.hit)[on_object].any(), "elsewhere it would have been corrected"
+
+
 def test_one_column_is_one_azimuth_and_each_firing_is_told_once() -> None:
     scan_grids, rays, rendered = scene()
     column = sweep_cells(scan_grids, rays, rendered, NEAR).column.numpy()

@@ -248,9 +248,10 @@ def scan_cues(
         points_m = recorded.placed(scan)
         hit = a["grid_hit"][i][:, :firings].astype(np.float64)
         guessed = a["grid_support"][i][:, :firings] == Support.GUESSED
+        wrong = np.where(rays_return(hit), 1.0 - hit, hit)
         cues = {
             GUESSED: float(guessed.mean()),
-            WRONG.name: float(np.where(guessed, 0.5, np.minimum(hit, 1.0 - hit)).mean()),
+            WRONG.name: float(np.where(guessed, 0.5, wrong).mean()),
             AWAY.name: recorded.cloud.away(points_m),
             DENSITY.name: recorded.cloud.density_aware(points_m),
         }
