@@ -1,6 +1,7 @@
 """The table of stability names functions that there are."""
 
 import re
+from functools import cached_property
 from importlib import import_module
 
 import pytest
@@ -32,5 +33,5 @@ def _is_there(name: str) -> bool:
             continue
         for part in parts[count:]:
             found = getattr(found, part, None)
-        return callable(found) or isinstance(found, property)
+        return callable(found) or isinstance(found, property | cached_property)
     return False
