@@ -10,8 +10,8 @@ measured.
 import os
 import sys
 
+from benchmarks.common.documents import ROOT
 from benchmarks.common.job import execute_benchmark
-from benchmarks.common.places import ROOT
 from benchmarks.speed_error.curves import Asked, asked_from, measure
 from benchmarks.speed_error.document import write_document
 from benchmarks.speed_error.plan import FULL, RESULTS

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any
 
 import nvsf_core
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import Recipe, ResidualRecipe, TrainingSpec, preset

@@ -102,7 +102,7 @@ def _run(func: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
 def other_device() -> Iterator[torch.device]:
     """Within, tensors may lie on the device that is given, and trainings choose it."""
     with pytest.MonkeyPatch.context() as patch, _Data(), _Mode():
-        patch.setattr("nvsf_core.training.session._kind", lambda: OTHER.type)
+        patch.setattr("nvsf_core.models.family._kind", lambda: OTHER.type)
         # Adam fuses its step on devices that it knows.
         patch.setattr(sys.modules["torch.optim.optimizer"], _FUSING, lambda: ["cpu", "cuda", OTHER.type])
         yield OTHER

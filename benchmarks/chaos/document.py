@@ -4,10 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common import documents
+from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.stages.runner.host import machine
 
@@ -24,13 +22,13 @@ def write_document_of(rows: Sequence[Row], seed: int, minutes: float, *, keep: b
         minutes: That it took.
         keep: Whether rounds that were stored before are kept, and shown with it.
     """
-    path = places.RESULTS / "chaos.json"
+    path = documents.RESULTS / "chaos.json"
     before = json.loads(path.read_text()) if keep and path.is_file() else {"rounds": [], "rows": []}
     this = {"commit": commit(), "seed": seed, "minutes": minutes, "events": len(rows)}
     facts = {"rounds": [*before["rounds"], this], "rows": [*before["rows"], *map(dict, rows)]}
     write_measured(path, facts)
-    write_between(places.DOCS / "chaos.md", "events", head(facts["rounds"]) + counts(facts["rows"]))
-    write_between(places.DOCS / "chaos.md", "each", each(facts["rows"]))
+    write_between(documents.DOCS / "chaos.md", "events", head(facts["rounds"]) + counts(facts["rows"]))
+    write_between(documents.DOCS / "chaos.md", "each", each(facts["rows"]))
 
 
 def head(rounds: Sequence[Row]) -> str:

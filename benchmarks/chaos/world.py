@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.chaos.processes import Forked, Running
-from benchmarks.common import places
+from benchmarks.common import documents
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
@@ -18,7 +18,7 @@ from nvsf_core.stages import STAGES, SceneRun, Stage, plan_run, run_scene
 
 SCENE = "tiny"
 DISK_MB = 2500
-"""Of the disk that the home lies on: 500 MB are kept free beside a data set, and each event trains another seed."""
+"""Of the disk that the home lies on: 500 MB are kept free, and each event trains another seed."""
 SHORT_DISK_MB = 900
 """The same in the short form, which trains nothing and may run where there is little memory."""
 _PREPARED = 5
@@ -80,7 +80,8 @@ class World:
             "NVSF_HOME": str(self.home), "DAGSTER_HOME": str(self.instance), "NVSF_THREADS": "1",
             "NVSF_SCENES": str(self.folder / "scenes.toml"), "SEED": str(self.seed), "SCENES": SCENE,
             "DAGSTER_MODULE_NAME": "pipelines.definitions", "DAGSTER_DISABLE_TELEMETRY": "1",
-            "PYTHONPATH": str(places.ROOT), "PYTHONWARNINGS": "ignore", "NVSF_EXECUTOR": "in_process", **more,
+            "PYTHONPATH": str(documents.ROOT), "PYTHONWARNINGS": "ignore", "NVSF_EXECUTOR": "in_process",
+            **more,
         }  # fmt: skip
 
     def start(self, prefix: tuple[str, ...] = (), **more: str) -> Running:
@@ -142,7 +143,7 @@ def made_world(folder: Path, *, bare: bool = False) -> Iterator[World]:
         world.pristine = {path.relative_to(folder / "drive").as_posix(): path.read_bytes() for path in files}
         if not bare:
             world.instance.mkdir()
-            shutil.copy(places.ROOT / "pipelines" / "dagster.yaml", world.instance)
+            shutil.copy(documents.ROOT / "pipelines" / "dagster.yaml", world.instance)
         yield world
     finally:
         if has_disk:

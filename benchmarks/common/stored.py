@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.commit import commit
+from benchmarks.common.documents import commit
 from nvsf_core.stages.runner.host import machine
 
 Row = dict[str, Any]

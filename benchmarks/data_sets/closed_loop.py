@@ -12,10 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS, commit, markdown_table, write_between
 from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
 from nvsf_core.metrics.table import HELD_OUT, Row, mean_rows
 from nvsf_core.stages import run_scene

@@ -12,10 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS, commit, markdown_table, write_between
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
 from nvsf_core.errors import MissingLibraryError

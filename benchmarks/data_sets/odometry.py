@@ -20,10 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS, commit, markdown_table, write_between
 from nvsf_core.clouds.odometry import odometry_path
 from nvsf_core.drives.catalogue import SceneEntry, home_from_environment
 from nvsf_core.metrics.trust.path_error import step_error_m

@@ -11,10 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS, commit, markdown_table, write_between
 from benchmarks.data_sets.odometry import recorded
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.geometry.se3 import invert_pose

@@ -16,10 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common import documents
+from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
@@ -76,9 +74,9 @@ def main(words: list[str]) -> None:
             peaks = {f"{stage}_mb": _peak_mb(stage, drives, number) for stage in _MEASURED}
             rows.append({"frames": one.frames, "cameras": one.cameras, "metres": one.metres, **peaks})
             print(rows[-1], flush=True)
-    write_measured(places.RESULTS / "scene_memory.json", {"machine": machine(), "rows": rows})
+    write_measured(documents.RESULTS / "scene_memory.json", {"machine": machine(), "rows": rows})
     head = f"{machine()}; commit {commit()}.\n\n"
-    write_between(places.DOCS / "scaling.md", "memory", head + document(rows))
+    write_between(documents.DOCS / "scaling.md", "memory", head + document(rows))
 
 
 def document(rows: list[dict[str, Any]]) -> str:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
+from benchmarks.common import documents
+from benchmarks.common.documents import commit
 from benchmarks.gpu.document import PARTS, page
 from benchmarks.gpu.kernels import kernel_rows
 from benchmarks.gpu.paper import step_rows, training_rows
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--smoke", action="store_true", help="tiny, on any machine")
     parser.add_argument("--to", type=Path, help="folder of gpu.json and gpu.md, default: the checkout's")
     arguments = parser.parse_args()
-    results, document = places.RESULTS / "gpu.json", places.DOCS / "gpu.md"
+    results, document = documents.RESULTS / "gpu.json", documents.DOCS / "gpu.md"
     if arguments.to or arguments.smoke:
         folder = arguments.to or Path(tempfile.mkdtemp(prefix="gpu_smoke_"))
         results, document = folder / "gpu.json", folder / "gpu.md"

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from xml.etree import ElementTree
 
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT
 from benchmarks.gpu.plan import Plan
 
 Row = dict[str, object]

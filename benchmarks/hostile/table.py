@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.common.markdown import markdown_table
+from benchmarks.common.documents import markdown_table
 
 KINDS = ("refused", "doubted", "healed", "harmless", "silent", "raw error", "hang", "crash")
 FAULTS = ("raw error", "hang", "crash")

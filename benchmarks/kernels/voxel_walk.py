@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT
 from benchmarks.common.stored import write_measured
 from benchmarks.kernels.voxel_walk_table import WALK_RESULTS
 from benchmarks.tables.results_table import write

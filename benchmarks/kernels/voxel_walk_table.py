@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from benchmarks.common.markdown import markdown_table
+from benchmarks.common.documents import markdown_table
 
 WALK_RESULTS = Path("benchmarks", "results", "voxel_walk.json")
 """In a checkout."""

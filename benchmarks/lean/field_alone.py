@@ -10,7 +10,7 @@ import os
 import statistics
 from pathlib import Path
 
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT
 from benchmarks.speed_error.curves import SCENE
 from benchmarks.speed_error.plan import FULL, RESULTS, OneRun, read_result
 from benchmarks.speed_error.sizes import NAME, chosen_size, timed

@@ -16,9 +16,9 @@ from unittest import mock
 
 import numpy as np
 
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS
 from nvsf_core.kernels.threads import VARIABLE, use_threads
-from nvsf_core.models.family import family_of
+from nvsf_core.models.family import ResumedPart, family_of
 from nvsf_core.models.residual import lidar as residual_lidar
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import Recording
@@ -27,7 +27,6 @@ from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.training import loop
 from nvsf_core.training.loop import TrainingState
-from nvsf_core.training.session import ResumedPart
 
 _STEPS = {"lidar": 60, "hits": 30, "pano": 30, "depth": 8, "camera": 8}
 _WARM_UP = 3

@@ -10,13 +10,13 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
+from benchmarks.common import documents
+from benchmarks.common.documents import commit
 from benchmarks.numerics.cases.case import NOT_APPLICABLE, Case, Reading
 from nvsf_core.stages.runner.host import machine
 
-RESULTS = places.RESULTS / "stability.json"
-DOCUMENT = places.DOCS / "numerical_stability.md"
+RESULTS = documents.RESULTS / "stability.json"
+DOCUMENT = documents.DOCS / "numerical_stability.md"
 THEMES = ("rays", "evidence", "encoders", "shifted_drives", "geometry", "panorama", "metrics", "training")
 _HEAD = """# Numerical stability on hard cases
 

@@ -2,15 +2,14 @@
 
 from statistics import fmean, stdev
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
+from benchmarks.common import documents
+from benchmarks.common.documents import commit, markdown_table
 from benchmarks.common.stored import Row, read_rows
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.stages.runner.host import machine
 
-RESULTS = places.RESULTS / "ablation.json"
-DOCUMENT = places.DOCS / "ablation.md"
+RESULTS = documents.RESULTS / "ablation.json"
+DOCUMENT = documents.DOCS / "ablation.md"
 
 _VARIANTS = {
     "paper_cpu_bl": "BL", "paper_cpu_bl_hs": "BL + HS", "paper_cpu_bl_fa": "BL + FA",

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from benchmarks.common import places
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common import documents
+from benchmarks.common.documents import markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from benchmarks.paper.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
 from benchmarks.paper.parameters import DOCUMENT
@@ -38,7 +37,7 @@ from nvsf_core.stages.runner.run import (
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import read_demo_truth
 
-RESULTS = places.RESULTS / "flow.json"
+RESULTS = documents.RESULTS / "flow.json"
 STATIC_TARGET_M = 0.03
 
 Displacements = Callable[[TrueMotion], tuple[np.ndarray, np.ndarray]]

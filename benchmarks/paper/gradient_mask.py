@@ -12,15 +12,14 @@ from typing import Literal
 
 import torch
 
-from benchmarks.common import places
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common import documents
+from benchmarks.common.documents import markdown_table, write_between
 from benchmarks.common.stored import read_rows, write_json
 from nvsf_core.losses.gradient import BAND_EDGES_M, gradient_mask, mask_coverage
 from nvsf_core.stores.arrays import read_arrays
 
-RESULTS = places.RESULTS / "gradient_mask.json"
-DOCUMENT = places.DOCS / "paper_fidelity.md"
+RESULTS = documents.RESULTS / "gradient_mask.json"
+DOCUMENT = documents.DOCS / "paper_fidelity.md"
 MASKS: tuple[tuple[Literal["double", "single"], float], ...] = (
     ("double", 0.05),
     ("single", 0.05),

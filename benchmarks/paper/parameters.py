@@ -6,9 +6,7 @@ table too.
 
 import torch
 
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS, markdown_table, write_between
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.recipe import PaperRecipe

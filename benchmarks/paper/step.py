@@ -11,23 +11,21 @@ import time
 
 import torch
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common import documents
+from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import read_rows, write_json
 from benchmarks.paper.ablation import prepared_recording
 from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.models.family import training_device
 from nvsf_core.models.paper.scene import training_frames
 from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
-from nvsf_core.training.session import training_device
 
-RESULTS = places.RESULTS / "paper_step.json"
-DOCUMENT = places.DOCS / "paper_fidelity.md"
+RESULTS = documents.RESULTS / "paper_step.json"
+DOCUMENT = documents.DOCS / "paper_fidelity.md"
 
 
 def measure(scene: str, steps: int) -> dict[str, object]:

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.places import DOCS
+from benchmarks.common.documents import DOCS, markdown_table
 from benchmarks.speed_error.plan import FULL, MARKS_S, VAL
 from benchmarks.speed_error.sizes import SIZE_SECONDS, sizes_rows
 from nvsf_core.metrics.table import BASELINES

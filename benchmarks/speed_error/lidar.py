@@ -10,7 +10,7 @@ from nvsf_core.metrics.protocols import PanoImage, Scan, project_scan
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, sweep_rays
 from nvsf_core.simulation.scan import RenderedSweep, put_back_own_vehicle
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep, render_along

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.commit import commit
+from benchmarks.common.documents import commit
 from benchmarks.speed_error.marks import CAMERA, LIDAR, Marked, Marks
 from benchmarks.speed_error.plan import FULL, MARKS_S, RESULTS, OneRun, Split, split_of, write_result
 from benchmarks.speed_error.scoring import IMAGE_METRIC, Judge, judge_of, samples_a_ray, shrunk_images

@@ -1,14 +1,14 @@
 """Gain and lines of code of each part of `lean`: one table in docs/lean.md.
 
-``python -m benchmarks.tables.capabilities`` counts the lines of the files named here and writes the table
+``python -m benchmarks.tables.capabilities`` counts the lines of the code named here and writes the table
 between its markers. A part that gives nothing on any drive is deleted, not listed.
 """
 
+import ast
 from dataclasses import dataclass
+from pathlib import Path
 
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT, markdown_table, write_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,8 +16,8 @@ class Capability:
     """A part of the method that could be left out."""
 
     name: str
-    files: tuple[str, ...]
-    """Below nvsf_core/, those that would fall away with it."""
+    parts: tuple[str, ...]
+    """Below nvsf_core/, what falls away with it: folders, files, or `file:name` of a function or class."""
     gain: str
     """What was measured with and without it, on which drives, and where that is written down."""
 
@@ -57,7 +57,7 @@ CAPABILITIES = (
     ),
     Capability(
         "unobserved space",
-        ("evidence/unobserved.py",),
+        ("evidence/surfels.py:unobserved_beside", "evidence/surfels.py:_empty_beside"),
         "every 4th scan: CD .0882 to .0856 (kitti0005), .0455 to .0411 (k360_street) (0014)",
     ),
     Capability(
@@ -71,7 +71,7 @@ CAPABILITIES = (
     Capability(
         "raydrop network on the sensor's own grid",
         ("models/residual/raydrop.py", "models/residual/raydrop_grid.py", "models/residual/cell_step.py",
-         "fields/cell_network.py"),
+         "fields/layers.py:CellNetwork"),
         "left-out scans: cross-entropy of hits lower on ten of ten, by .7 to 3.5 % (0015)",
     ),
     Capability(
@@ -81,7 +81,7 @@ CAPABILITIES = (
     ),
     Capability(
         "camera: learned depths and blend of warped images",
-        ("models/residual/camera.py", "models/residual/camera_step.py", "models/residual/left_out.py",
+        ("models/residual/camera.py", "models/residual/camera_step.py",
          "models/residual/camera_examples.py", "fields/camera_networks.py", "rendering/learned_warp.py",
          "rendering/plane_depth.py", "rendering/plane_volume.py", "rendering/camera_view.py",
          "rendering/sources.py", "rendering/warping.py",
@@ -90,7 +90,7 @@ CAPABILITIES = (
     ),
     Capability(
         "views by depth maps of the images; pixels that nothing shows are known",
-        ("models/residual/image_depths.py", "rendering/view_depth_maps.py", "rendering/hole_filling.py",
+        ("models/residual/image_depths.py", "rendering/view_depth_maps.py",
          "rendering/pixel_support.py", "kernels/depth_splat.py"),
         "street, quick, 3 m aside: 19.8 to 23.7 dB, turned by 15 degrees 14.5 to 25.5, on the path + .5 "
         "to .7; kitti0005, right camera: 19.9 to 20.5 (0022)",
@@ -125,14 +125,24 @@ def table() -> str:
 
 
 def lines_of(part: Capability) -> int:
-    """Lines of the part's files.
+    """Lines of the part's code.
 
     Raises:
         FileNotFoundError: A file is not there any more.
+        KeyError: A function or class is not in its file any more.
     """
-    paths = [ROOT / "nvsf_core" / name for name in part.files]
-    modules = [file for path in paths for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])]
-    return sum(len(file.read_text().splitlines()) for file in modules)
+    places = [one.partition(":") for one in part.parts]
+    return sum(_lines(ROOT / "nvsf_core" / file, name) for file, _, name in places)
+
+
+def _lines(path: Path, name: str) -> int:
+    """Lines of a folder's modules, of a file, or of one function or class in it."""
+    if path.is_dir():
+        return sum(_lines(file, "") for file in path.rglob("*.py"))
+    if not name:
+        return len(path.read_text().splitlines())
+    named = {getattr(one, "name", ""): one for one in ast.parse(path.read_text()).body}
+    return (named[name].end_lineno or 0) - named[name].lineno + 1
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from benchmarks.common.documents import ROOT
 from benchmarks.common.job import execute_benchmark
-from benchmarks.common.places import ROOT
 from benchmarks.tables.results_table import write
 from benchmarks.tables.targets import OTHER
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo

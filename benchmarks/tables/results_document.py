@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from benchmarks.common.markdown import markdown_table
+from benchmarks.common.documents import markdown_table
 from benchmarks.common.stored import Row
 from benchmarks.tables.targets import BETTER_THAN, COSTS, NEVER_WORSE, OTHER, SHIFTS, TARGETS
 from nvsf_core.metrics.table import BASELINES, HELD_OUT

@@ -14,9 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT, markdown_table, write_between
 from benchmarks.common.stored import Row, write_json
 from benchmarks.kernels.voxel_walk_table import walk_table
 from benchmarks.tables.results_document import as_document, by_method, cell, commits_of, rank

@@ -13,10 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import places
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common import documents
+from benchmarks.common.documents import commit, markdown_table, write_between
 from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment, load_catalogue
 from nvsf_core.drives.drive import drive_of
@@ -54,11 +52,11 @@ def main() -> None:
         "seconds": {recipe: _seconds(recipe, scenes) for recipe in _RECIPES},
         "watching": [_watching(count) for count in COUNTS],
     }  # fmt: skip
-    write_measured(places.RESULTS / "scaling.json", facts)
+    write_measured(documents.RESULTS / "scaling.json", facts)
     head = f"{machine()}; commit {commit()}.\n\n"
-    write_between(places.DOCS / "scaling.md", "one", head + one_scene(scenes))
-    write_between(places.DOCS / "scaling.md", "many", many_scenes(facts))
-    write_between(places.DOCS / "scaling.md", "watching", watching(facts["watching"]))
+    write_between(documents.DOCS / "scaling.md", "one", head + one_scene(scenes))
+    write_between(documents.DOCS / "scaling.md", "many", many_scenes(facts))
+    write_between(documents.DOCS / "scaling.md", "watching", watching(facts["watching"]))
 
 
 def _taken(home: Path, scene: str) -> Row:
@@ -95,7 +93,7 @@ def _seconds(recipe: str, scenes: list[Row]) -> float:
 
 def _train_seconds(recipe: str, scenes: list[Row]) -> float:
     """Mean over what is stored of the same scenes."""
-    found = json.loads((places.RESULTS / "recipes" / f"{recipe}.json").read_text())["rows"]
+    found = json.loads((documents.RESULTS / "recipes" / f"{recipe}.json").read_text())["rows"]
     names = {one["scene"] for one in scenes}
     seconds = [row["train_seconds"] for row in found if row["scene"] in names]
     return float(sum(seconds) / len(seconds))

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common.markdown import markdown_table
+from benchmarks.common.documents import markdown_table
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.geometry.pinhole import Pinhole

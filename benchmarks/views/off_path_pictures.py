@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from benchmarks.common.places import ROOT
+from benchmarks.common.documents import ROOT
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.metrics.table import BASELINES

@@ -14,9 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.common.commit import commit
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import commit, markdown_table, write_between
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import HELD_OUT, Row, mean_rows
 from nvsf_core.metrics.trust.verdict import LIDAR, Trust, Verdict, verdicts

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common.markdown import markdown_table
-from benchmarks.common.markers import write_between
+from benchmarks.common.documents import markdown_table, write_between
 from benchmarks.views.trust import ERRORS, HEADS, PAGE, ScoredView, rank_correlation
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import HELD_OUT, mean_rows

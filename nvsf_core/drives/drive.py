@@ -14,10 +14,9 @@ import numpy as np
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.poses import PoseDisagreement
+from nvsf_core.drives.kitti360.frames import FrameTimes, PoseDisagreement
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.kitti360.text import checksum_of
-from nvsf_core.drives.kitti360.timestamps import FrameTimes
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import DataError
 

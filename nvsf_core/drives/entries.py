@@ -18,8 +18,8 @@ from nvsf_core.drives.kinds import (
     require_kinds,
     require_name,
 )
+from nvsf_core.drives.kitti360.frames import LONGEST_STEP_S, SHORTEST_STEP_S
 from nvsf_core.drives.kitti360.layout import CAMERAS, LAST_FRAME
-from nvsf_core.drives.kitti360.timestamps import LONGEST_STEP_S, SHORTEST_STEP_S
 from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
 from nvsf_core.drives.view_parts import CAMERA_NAME
 from nvsf_core.errors import DataError, RecipeError

@@ -13,8 +13,8 @@ import numpy as np
 
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts
 from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S, FrameTimes, spaced_times
 from nvsf_core.drives.kitti360.scans import Scan
-from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S, FrameTimes, spaced_times
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.sensors.sweep import Trajectory

@@ -9,8 +9,7 @@ from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts, drive_of
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.poses import PoseDisagreement
-from nvsf_core.drives.kitti360.timestamps import FrameTimes
+from nvsf_core.drives.kitti360.frames import FrameTimes, PoseDisagreement
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import exp_so3, pose_from_parts
 

@@ -6,10 +6,10 @@ from nvsf_core.encodings.directions import (
     frequency_outputs,
     spherical_harmonics,
 )
-from nvsf_core.encodings.hash_grid import HashGrid, start_alike
 from nvsf_core.encodings.hash_time import HashTime, cubic_basis
 from nvsf_core.encodings.hybrid import HybridEncoding
 from nvsf_core.encodings.planes import Planes4D
+from nvsf_core.kernels.encodings.hash_grid import HashGrid, start_alike
 
 __all__ = [
     "SPHERICAL_HARMONICS_OUTPUTS",

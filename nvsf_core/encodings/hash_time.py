@@ -8,9 +8,9 @@ from math import prod
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.encodings.hash_grid import HashGrid
 from nvsf_core.errors import RecipeError
 from nvsf_core.kernels import GridLayout, hash_grid_encode
+from nvsf_core.kernels.encodings.hash_grid import HashGrid
 from nvsf_core.recipe import TimeGridSpec
 
 SPACE_PLANES = (slice(0, 2), slice(0, 3, 2), slice(1, 3))

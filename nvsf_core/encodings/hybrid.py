@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.encodings.hash_grid import HashGrid
 from nvsf_core.encodings.hash_time import HashTime
 from nvsf_core.encodings.planes import Planes4D
 from nvsf_core.kernels import GridLayout
+from nvsf_core.kernels.encodings.hash_grid import HashGrid
 from nvsf_core.recipe import EncoderSpec, GridSpec
 
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectRays
-from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence, ObjectRays
 from nvsf_core.evidence.stationary_scans import StationaryScans
 from nvsf_core.evidence.surfels import Surfels
 

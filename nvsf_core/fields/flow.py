@@ -5,12 +5,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.encodings.hash_grid import HashGrid
 from nvsf_core.encodings.hash_time import NODES, contract_nodes, cubic_basis
 from nvsf_core.encodings.hybrid import grid_of
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.layers import bias_free
 from nvsf_core.kernels import hash_grid_encode
+from nvsf_core.kernels.encodings.hash_grid import HashGrid
 from nvsf_core.recipe import FlowSpec, ReferenceQuirks
 
 _LAST_LAYER_STD = 1e-3

@@ -10,13 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.encodings.hash_grid import HashGrid, grid_layout
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence
 from nvsf_core.evidence.moving.objects import ObjectSurfels, candidates_on
-from nvsf_core.evidence.moving.rigid_path import MovingObject
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.fields.layers import network
 from nvsf_core.geometry.bounds import Bounds
+from nvsf_core.kernels.encodings.hash_grid import HashGrid, grid_layout
 from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
 from nvsf_core.recipe import FieldSpec
 

@@ -41,7 +41,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
     weights = np.empty(len(logit), np.float32)
     summary = np.zeros((n, width + N_MEANS), np.float32)
     median = np.zeros(n, np.int64)
-    asked = np.empty(n, np.float32)
+    asked, is_own = np.empty(n, np.float32), np.empty(n, np.bool_)
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             light = 1.0
@@ -65,18 +65,18 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
             summary[ray, width + 1] = distance / divisor / RANGE_UNIT_M
             summary[ray, width + 2] = cosine / divisor
             summary[ray, width + 3] = brightness / divisor
-            is_own = moving > 0.0 and moving >= OWN_PRIOR_SHARE * total
-            asked[ray] = own_prior / moving if is_own else hit_prior[ray]
-            half, so_far = 0.5 * (moving if is_own else total), 0.0
+            own = moving > 0.0 and moving >= OWN_PRIOR_SHARE * total
+            is_own[ray], asked[ray] = own, own_prior / moving if own else hit_prior[ray]
+            half, so_far = 0.5 * (moving if own else total), 0.0
             median[ray] = first[ray]
             for i in range(first[ray], first[ray + 1]):
-                if is_own and surface_hit_prior[i] < 0.0:
+                if own and surface_hit_prior[i] < 0.0:
                     continue
                 so_far += weights[i]
                 if so_far >= half:
                     median[ray] = i
                     break
-    return weights, summary, median, asked
+    return weights, summary, median, asked, is_own
 
 
 @njit(parallel=True, cache=True)
@@ -117,15 +117,13 @@ class _Composite(torch.autograd.Function):
     def forward(
         ctx: Any, logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor,
         surface_hit_prior: Tensor, hit_prior: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    ) -> tuple[Tensor, ...]:  # fmt: skip
         given = (logit, range_m, features, facts)
         arrays = [_array(tensor) for tensor in (first, *given, surface_hit_prior, hit_prior)]
-        weights, summary, median, asked = (
-            torch.from_numpy(array).to(logit.device) for array in _forward(*arrays)
-        )
-        ctx.save_for_backward(*given, first, weights, summary)
-        ctx.mark_non_differentiable(median, asked)
-        return weights, summary, median, asked
+        found = tuple(torch.from_numpy(array).to(logit.device) for array in _forward(*arrays))
+        ctx.save_for_backward(*given, first, *found[:2])
+        ctx.mark_non_differentiable(*found[2:])
+        return found
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
@@ -145,7 +143,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 def composite_rays(
     logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor, surface_hit_prior: Tensor,
     hit_prior: Tensor,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     """Weights, summaries and median surfaces of n rays with m surfaces in all; differentiable.
 
     Args:
@@ -161,9 +159,10 @@ def composite_rays(
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
         of the ray's weight up to it (without surfaces, the ray's `first`), counting only surfaces with a hit
         prior of their own where these have at least `OWN_PRIOR_SHARE` of the weight; hit prior (n,): the
-        mean of those surfaces where they decide where the ray ends, else `hit_prior`.
+        mean of those surfaces where they decide where the ray ends, else `hit_prior`; and (n,) bool, whether
+        they do.
     """
-    found: tuple[Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
+    found: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_hit_prior, hit_prior
     )
     return found

@@ -13,7 +13,7 @@ _NEAR_M = 0.3
 _LARGEST_FOOTPRINT_PX = 6.0
 _FOOTPRINT = 1.2
 """Side of the square that a pixel covers in the view, in pixels of its own size there: no cracks between."""
-_AGREE_SHARE, _AGREE_PER_M = 0.03, 0.002
+_AGREE_SHARE, _AGREE_PER_M, _ZERO = np.float32(0.03), np.float32(0.002), np.float32(0.0)
 """Two inverse depths agree within this share of the nearer one plus so much, 1/m."""
 _EDGE = 0.25
 """An inverse depth that changes by a larger share to a neighbour lies on an edge."""
@@ -87,28 +87,36 @@ def agreed_depths(
 @njit(cache=True, nogil=True)
 def _splat(inverse, label, motions, fx, fy, cx, cy, view, labels):  # type: ignore[no-untyped-def]
     rows, columns = inverse.shape
+    x = (np.arange(columns) - cx) / fx
     for row in range(rows):
+        y = (row - cy) / fy
         for column in range(columns):
-            q = inverse[row, column]
-            motion = motions[label[row, column]]
-            # A motion of zeros puts every point at depth 0.
+            q, own = float(inverse[row, column]), label[row, column]
             if not q > 0.0:
                 continue
-            x, y, z = (column - cx) / fx / q, (row - cy) / fy / q, 1.0 / q
-            depth = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]
-            if not depth > _NEAR_M:
+            motion = motions[own]
+            # All of the point (x, y, 1, q): its depth in the view times q, the inverse of that in the image.
+            along = motion[2, 0] * x[column] + motion[2, 1] * y + motion[2, 2] + motion[2, 3] * q
+            # A motion of zeros puts every point at depth 0.
+            if not along > _NEAR_M * q:
                 continue
-            right = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3]
-            down = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3]
-            u, v = fx * right / depth + cx, fy * down / depth + cy
-            half = 0.5 * min(_FOOTPRINT * max(1.0, z / depth), _LARGEST_FOOTPRINT_PX)
+            scale = 1.0 / along
+            right = motion[0, 0] * x[column] + motion[0, 1] * y + motion[0, 2] + motion[0, 3] * q
+            down = motion[1, 0] * x[column] + motion[1, 1] * y + motion[1, 2] + motion[1, 3] * q
+            u, v = fx * right * scale + cx, fy * down * scale + cy
+            half = 0.5 * min(_FOOTPRINT * max(1.0, scale), _LARGEST_FOOTPRINT_PX)
             first_row, last_row = max(0, math.ceil(v - half)), min(rows - 1, math.floor(v + half))
             first_column, last_column = max(0, math.ceil(u - half)), min(columns - 1, math.floor(u + half))
-            found = np.float32(1.0 / depth)
+            found = np.float32(q * scale)
+            if last_row - first_row == 0 and last_column - first_column == 0:
+                is_front = found > view[first_row, first_column]
+                view[first_row, first_column] = found if is_front else view[first_row, first_column]
+                labels[first_row, first_column] = own if is_front else labels[first_row, first_column]
+                continue
             for r in range(first_row, last_row + 1):
                 for c in range(first_column, last_column + 1):
                     if found > view[r, c]:
-                        view[r, c], labels[r, c] = found, label[row, column]
+                        view[r, c], labels[r, c] = found, own
 
 
 @njit(cache=True, nogil=True)
@@ -116,21 +124,20 @@ def _agree(inverse, label, weight, least_share, expected, depth, support, labels
     maps, rows, columns = inverse.shape
     whole = weight.sum(axis=1)
     mass, mean = np.empty(maps, np.float32), np.empty(maps, np.float32)
-    q, what = np.empty(maps, np.float32), np.empty(maps, np.uint8)
+    q, what = np.empty(maps, np.float32), np.empty(maps, np.int32)
     for row in range(rows):
         for column in range(columns):
-            q[:], what[:] = inverse[:, row, column], label[:, row, column]
-            _leave_expected(q, what, expected[row, column])
-            total = np.float32(0.0)
             for i in range(maps):
-                mass[i], mean[i] = _agreeing(q, what, weight, i)
-                if q[i] > 0.0:
-                    total += weight[what[i], i]
+                q[i], what[i] = inverse[i, row, column], label[i, row, column]
+            if expected[row, column] > 0:
+                _leave_expected(q, what, expected[row, column])
+            total = _agreeing(q, what, weight, mass, mean)
             first = _front(q, mass, least_share * total)
             if first < 0:
                 continue
             second = -1
-            for i in range(maps):
+            # Where all agree with the first there is no other.
+            for i in range(maps if mass[first] < total else 0):
                 if mass[i] > 0.0 and not _agrees(q, what, i, first):
                     second = i if second < 0 or mass[i] > mass[second] else second
             for place, i in ((0, first), (1, second)):
@@ -167,19 +174,33 @@ def _front(inverse, mass, enough):  # type: ignore[no-untyped-def]
     return first
 
 
-@njit(cache=True, nogil=True)
-def _agreeing(inverse, label, weight, i):  # type: ignore[no-untyped-def]
-    """Weight of all maps that agree with map i at a pixel, and the weighted sum of their inverse depths."""
-    mass, mean = np.float32(0.0), np.float32(0.0)
-    if inverse[i] > 0.0:
-        for j in range(len(inverse)):
-            if _agrees(inverse, label, i, j):
-                mass += weight[label[j], j]
-                mean += weight[label[j], j] * inverse[j]
-    return mass, mean
+@njit(inline="always")
+def _agreeing(inverse, label, weight, mass, mean):  # type: ignore[no-untyped-def]
+    """Write for each map the weight of all that agree with it at a pixel, and their weighted inverse depths.
+
+    Returns the weight of all maps that know the pixel.
+    """
+    total = _ZERO
+    mass[:], mean[:] = _ZERO, _ZERO
+    for j in range(len(inverse)):
+        own_q, own_label = inverse[j], label[j]
+        if own_q > _ZERO:
+            own = weight[own_label, j]
+            total += own
+            # No branches: this loop is computed several maps at a time.
+            for i in range(len(inverse)):
+                apart, nearer = abs(own_q - inverse[i]), max(own_q, inverse[i])
+                agree = (apart <= _AGREE_SHARE * nearer + _AGREE_PER_M) & (label[i] == own_label)
+                added = own if agree else _ZERO
+                mass[i] += added
+                mean[i] += added * own_q
+    for i in range(len(inverse)):
+        mass[i] = mass[i] if inverse[i] > _ZERO else _ZERO
+    return total
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _agrees(inverse, label, i, j):  # type: ignore[no-untyped-def]
-    near = abs(inverse[j] - inverse[i]) <= _AGREE_SHARE * max(inverse[i], inverse[j]) + _AGREE_PER_M
-    return inverse[j] > 0.0 and near and label[i] == label[j]
+    """Whether the maps i and j, of which j knows the pixel, show the same there."""
+    apart = abs(inverse[j] - inverse[i])
+    return (apart <= _AGREE_SHARE * max(inverse[i], inverse[j]) + _AGREE_PER_M) & (label[i] == label[j])

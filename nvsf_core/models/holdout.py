@@ -6,21 +6,23 @@ simulated as if it were held out.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence
+from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
+from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import evidence_renderer
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.scan import RenderedSweep
@@ -138,7 +140,6 @@ def score_left_out(
     prior_scans: int,
     lidar: LidarRecording,
     number: int,
-    truth: tuple[np.ndarray, np.ndarray],
 ) -> list[float]:
     """The values of `SCAN_METRICS` of a training scan that is simulated as if it were held out.
 
@@ -147,9 +148,8 @@ def score_left_out(
         prior_scans: As in `fire_left_out`.
         lidar: The recording.
         number: Of the scan among the training scans.
-        truth: Of `recorded_pano`.
     """
-    prior = lidar.evidence.prior
+    prior, truth = lidar.evidence.prior, recorded_pano(lidar, number)
     rays, rendered = fire_left_out(render, prior_scans, lidar, number)
     points_m, intensity, _ = RenderedSweep.of(rays, rendered).scan()
     shown = _PANO.project(points_m, intensity)
@@ -183,3 +183,58 @@ def fire_left_out(
     plan = recorded_sweep(lidar.sweeps.table, time_s)
     model = SceneModel(lidar=render, camera=None, prior_scans=prior_scans, correct=correct)
     return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
+
+
+def choose_copying(lidar: LidarRecording) -> tuple[LidarRecording, dict[str, Scalar]]:
+    """The recording, whose stationary scans are copied where that is better, and the scores of both.
+
+    Combined scans have less noise; but where everything stands, the scan before is hard to beat: it repeats
+    what the sensor sees again and again, whether a surface explains it or not. Compared are those validation
+    scans at which the sensor rested, rendered by `reproject`; without any, scans are combined.
+    """
+    stationary, left_out = lidar.evidence.stationary, lidar.evidence.left_out
+    if stationary is None or left_out is None:
+        return lidar, {}
+    numbers = np.intersect1d(left_out.validation, stationary.scan).tolist()
+    if not numbers:
+        return lidar, {}
+    copying = replace(lidar, evidence=replace(
+        lidar.evidence, stationary=replace(stationary, is_copied=np.array(True))
+    ))  # fmt: skip
+
+    def scores(recording: LidarRecording) -> Callable[[int], list[float]]:
+        return lambda number: score_left_out(
+            left_out_renderer(lidar, left_out, number), EvidenceSpec().votes, recording, number
+        )
+
+    found = compare(SCAN_METRICS, numbers, {"combined": scores(lidar), "copied": scores(copying)})
+    chosen = copying if found.wins("copied", "combined") else lidar
+    figures = found.figures({"combined": "stationary_combined_", "copied": "stationary_copied_"})
+    return chosen, {"stationary_shows": "copied" if chosen is copying else "combined", **figures}
+
+
+def mean_range_error_m(
+    surfels: Surfels,
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    *,
+    far_m: float,
+    worst_m: float,
+) -> float:
+    """Mean absolute range error in metres of surfels, rendered as `reproject` does along r recorded returns.
+
+    Args:
+        surfels: In the rays' frame.
+        origin_m: (r, 3).
+        direction: (r, 3) unit.
+        range_m: (r,) recorded range.
+        far_m: How far a ray is followed.
+        worst_m: Largest error of a ray; also the error of one that meets nothing.
+    """
+    rendered = reproject_rays(
+        surfels, origin_m, direction, np.ones(len(range_m), np.float32),
+        most=EvidenceSpec().lidar_candidates, far_m=far_m,
+    )  # fmt: skip
+    off_m = np.abs(rendered.range_m.astype(np.float64) - range_m)
+    return float(np.minimum(np.where(np.isfinite(off_m), off_m, worst_m), worst_m).mean())

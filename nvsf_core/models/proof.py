@@ -18,20 +18,17 @@ from nvsf_core.evidence.drop_prior import (
     places_apart,
 )
 from nvsf_core.evidence.moving.detection import find_moving_objects
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
+from nvsf_core.evidence.moving.object_evidence import MovingObjects, ObjectEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
-from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.evidence.unobserved import unobserved_beside
-from nvsf_core.models.holdout import is_sure
-from nvsf_core.models.stationary_choice import choose_copying
+from nvsf_core.evidence.surfels import Surfels, build_surfels, unobserved_beside
+from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
-from nvsf_core.sensors.sweep_rays import sweep_rays
+from nvsf_core.sensors.sweep import sweep_rays
 
 FIELD_VOXEL_M = 0.2
 """Edge of the voxels that a field corrects: finer ones do not lower its error and make its steps longer."""
@@ -262,33 +259,6 @@ def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) ->
             break
     static = rays.surfels(FIELD_VOXEL_M, ~is_validation, shaped=False)
     return VoxelChoice(errors_m=errors_m, validation=validation, static=static, rendered=rendered)
-
-
-def mean_range_error_m(
-    surfels: Surfels,
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    range_m: np.ndarray,
-    *,
-    far_m: float,
-    worst_m: float,
-) -> float:
-    """Mean absolute range error in metres of surfels, rendered as `reproject` does along r recorded returns.
-
-    Args:
-        surfels: In the rays' frame.
-        origin_m: (r, 3).
-        direction: (r, 3) unit.
-        range_m: (r,) recorded range.
-        far_m: How far a ray is followed.
-        worst_m: Largest error of a ray; also the error of one that meets nothing.
-    """
-    rendered = reproject_rays(
-        surfels, origin_m, direction, np.ones(len(range_m), np.float32),
-        most=EvidenceSpec().lidar_candidates, far_m=far_m,
-    )  # fmt: skip
-    off_m = np.abs(rendered.range_m.astype(np.float64) - range_m)
-    return float(np.minimum(np.where(np.isfinite(off_m), off_m, worst_m), worst_m).mean())
 
 
 def choose_flow(objects: tuple[ObjectEvidence, ...]) -> tuple[ObjectEvidence, ...]:

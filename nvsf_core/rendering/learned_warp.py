@@ -8,8 +8,7 @@ from torch import Tensor
 from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
-from nvsf_core.rendering.hole_filling import without_holes
-from nvsf_core.rendering.pixel_support import pixel_support
+from nvsf_core.rendering.pixel_support import pixel_support, without_holes
 from nvsf_core.rendering.plane_depth import FULL_TRUST_PX
 from nvsf_core.rendering.plane_volume import agreement
 from nvsf_core.rendering.rendered import RenderedImage

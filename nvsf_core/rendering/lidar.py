@@ -27,6 +27,8 @@ class LidarRender:
     """(r,) logit of the hit probability."""
     intensity_logit: Tensor
     """(r,) logit of the intensity."""
+    on_object: Tensor
+    """(r,) bool: the ray ends on a moving object, whose hit prior is not corrected."""
 
 
 def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> LidarRender:
@@ -40,7 +42,7 @@ def render_lidar(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> L
     """
     rays = _composite(field, batch, hit_prior)
     both = batch.spread(torch.stack([rays.weights, rays.range_m], dim=1))
-    return LidarRender(both[..., 0], both[..., 1], rays.hit_logit, rays.intensity_logit)
+    return LidarRender(both[..., 0], both[..., 1], rays.hit_logit, rays.intensity_logit, rays.on_object)
 
 
 class _Rays(NamedTuple):
@@ -60,25 +62,30 @@ class _Rays(NamedTuple):
     """(r,) logit of the intensity."""
     hit_prior: Tensor
     """(r,) see `RenderedRays`."""
+    on_object: Tensor
+    """(r,) bool, see `RenderedRays`."""
 
 
 def _composite(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> _Rays:
     logit, range_m, features = field.surfaces(batch)
-    weights, summary, median, hit_prior = composite_rays(
+    weights, summary, median, hit_prior, on_object = composite_rays(
         logit, range_m, features, batch.facts, batch.first, batch.hit_prior, hit_prior
     )
     prior_hit = probability_logit(hit_prior, _PRIOR_LIMIT)
     prior_intensity = probability_logit(summary[:, -1], 0.01)
     hit, brightness = field.decode(torch.cat([summary, batch.direction, prior_hit[:, None] / 4.0], dim=1))
     total = summary[:, features.shape[1]]
-    return _Rays(weights, range_m, median, total, prior_hit + hit, prior_intensity + brightness, hit_prior)
+    logits = prior_hit + hit, prior_intensity + brightness
+    return _Rays(weights, range_m, median, total, *logits, hit_prior, on_object)
 
 
 @torch.no_grad()
 def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> RenderedRays:
     """Range (of the weighted median surface), hit probability and intensity of each ray; no gradients.
 
-    Where moving objects have 3 tenths of the weight, only their surfaces count for the median.
+    Where moving objects have 3 tenths of the weight, only their surfaces count for the median. There the hit
+    probability is the hit prior: few rays meet an object, and hits that were learned from them were no better
+    on left-out scans (docs/lean.md).
 
     Args:
         field: Trained.
@@ -93,9 +100,11 @@ def render_rays(field: LidarField, batch: SurfaceBatch, hit_prior: Tensor) -> Re
     has_surface = batch.is_there[:, 0]
     range_m = torch.full_like(rays.total, torch.inf)
     range_m[has_surface] = rays.range_m[rays.median[has_surface]]
+    hit = torch.where(rays.on_object, rays.hit_prior, torch.sigmoid(rays.hit_logit))
     return RenderedRays(
         range_m=range_m.numpy(),
-        hit=torch.where(has_surface, torch.sigmoid(rays.hit_logit), 0.0).numpy(),
+        hit=torch.where(has_surface, hit, 0.0).numpy(),
         intensity=torch.sigmoid(rays.intensity_logit).numpy(),
         hit_prior=rays.hit_prior.numpy(),
+        on_object=rays.on_object.numpy(),
     )

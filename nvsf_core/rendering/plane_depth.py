@@ -1,10 +1,12 @@
 """Depth of a recorded image: a network compares the images around it on depth planes."""
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraEnsemble, DepthNetwork
+from nvsf_core.kernels.plane_features import describe_planes
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.plane_volume import Agreement, agreement
@@ -16,6 +18,8 @@ _TRUST_PX = 3.0
 """Distance from a return in the shrunk image over which the trust in its depth falls to 1/e."""
 FULL_TRUST_PX = 12.0
 """The same in the full image, where the return's depth replaces that of the planes."""
+_COLOUR_SCALE = 4.0
+"""Of differences of colours, which are mostly below a quarter."""
 _CLAMP_PLANES = 8.0
 _MODE_PLANES = 2
 """Planes on either side of the likeliest that count as the same depth."""
@@ -87,19 +91,34 @@ def plane_features(agreed: Agreement, prior: Tensor, gap_px: Tensor, inverses: T
     # Without any return the prior is only a placeholder.
     is_known = torch.isfinite(gap_px).float()
     trust = torch.exp(-gap_px / _TRUST_PX)
+    if prior.device.type == "cpu":
+        prior_a, trust_a, known_a = (x.contiguous().numpy() for x in (prior, trust, is_known))
+        found = describe_planes(
+            agreed.found.numpy(), (prior_a, trust_a, known_a), inverses.numpy(),
+            (np.float32(_COLOUR_SCALE), np.float32(_CLAMP_PLANES)), _WINDOW_PX // 2,
+        )  # fmt: skip
+        return torch.from_numpy(found).permute(0, 3, 1, 2)
+    return _plane_features(agreed, prior, trust, is_known, inverses)
+
+
+def _plane_features(
+    agreed: Agreement, prior: Tensor, trust: Tensor, is_known: Tensor, inverses: Tensor
+) -> Tensor:
+    """The same on any device; `trust` (h, w) in the LiDAR's depth, `is_known` (h, w) 1 where it has one."""
+    spread, pair, share, *mean = agreed.found.unbind(dim=-1)
     offset = (inverses[:, None, None] - prior) / (inverses[1] - inverses[0]) * is_known
     at_prior = torch.exp(-0.5 * offset**2) * is_known
     features = [
-        4.0 * agreed.spread,
-        4.0 * agreed.pair,
-        4.0 * _window_mean(agreed.spread),
-        4.0 * _window_mean(agreed.pair),
-        agreed.share,
+        _COLOUR_SCALE * spread,
+        _COLOUR_SCALE * pair,
+        _COLOUR_SCALE * _window_mean(spread),
+        _COLOUR_SCALE * _window_mean(pair),
+        share,
         at_prior * trust,
         at_prior * (1.0 - trust),
         offset.clamp(-_CLAMP_PLANES, _CLAMP_PLANES) / _CLAMP_PLANES,
         trust.expand_as(offset),
-        *agreed.mean.unbind(dim=1),
+        *mean,
     ]
     return torch.stack(features, dim=-1).permute(0, 3, 1, 2)
 

@@ -1,6 +1,6 @@
 """Colours of the source images at several depths of each pixel of a view, and how well they agree."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,20 +17,19 @@ _FARTHER_WEIGHT = 0.3
 """Weight of the other sources in a point's colour."""
 
 
-@dataclass(frozen=True, slots=True)
-class Agreement:
+class Agreement(NamedTuple):
     """How well the sources agree at d depths of each pixel."""
 
-    spread: Tensor
-    """(d, h, w) mean difference of all sources to their mean, 0..1."""
-    pair: Tensor
-    """(d, h, w) difference of the two nearest sources, 0..1."""
-    share: Tensor
-    """(d, h, w) share of the sources that show the point."""
-    mean: Tensor
-    """(d, 3, h, w) mean colour; 0 where no source shows the point."""
+    found: Tensor
+    """(d, h, w, 6): mean difference of all sources to their mean (spread), and difference of the two nearest
+    sources (pair), 0..1; share of the sources that show the point; mean colour, 0 where none shows it."""
     colour: Tensor
     """(d, 3, h, w) colour, mostly of the nearest two of the sources that count for it; else 0."""
+
+    @property
+    def share(self) -> Tensor:
+        """(d, h, w) share of the sources that show the point."""
+        return self.found[..., 2]
 
 
 @torch.no_grad()
@@ -51,9 +50,7 @@ def agreement(sources: Sources, points: SeenPoints, pinhole: Pinhole, first: int
     agreed, colour = cpu_agreement(
         kernel_inputs(sources, points, pinhole), _UNSEEN_DIFFERENCE, weight.numpy()
     )
-    found, blended = (torch.from_numpy(x).permute(3, 0, 1, 2) for x in (agreed, colour))
-    mean, blended = found[3:].transpose(0, 1), blended.transpose(0, 1)
-    return Agreement(found[0], found[1], found[2], mean, blended)
+    return Agreement(torch.from_numpy(agreed), torch.from_numpy(colour).permute(0, 3, 1, 2))
 
 
 def _agreement(colour: Tensor, seen: Tensor, weight: Tensor) -> Agreement:
@@ -69,4 +66,5 @@ def _agreement(colour: Tensor, seen: Tensor, weight: Tensor) -> Agreement:
         pair = torch.where(seen[0] & seen[1], (colour[0] - colour[1]).abs().mean(dim=0), _UNSEEN_DIFFERENCE)
     share = weight.to(colour.device)[:, None, None, None, None] * shown
     blended = (share * colour).sum(dim=0) / share.sum(dim=0).clamp_min(1e-6)
-    return Agreement(spread, pair, count / len(shown), mean.transpose(0, 1), blended.transpose(0, 1))
+    found = torch.stack([spread, pair, count / len(shown), *mean], dim=-1)
+    return Agreement(found, blended.transpose(0, 1))

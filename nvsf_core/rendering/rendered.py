@@ -40,6 +40,9 @@ class RenderedRays:
     hit_prior: np.ndarray | None = None
     """(r,) float32, 0..1: the hit prior that `hit` started from, the share of nearby scans that returned; on
     moving objects, of scans that saw the same place on them. None where the renderer gives none."""
+    on_object: np.ndarray | None = None
+    """(r,) bool: the ray ends on a moving object, where `hit` is the hit prior and nothing corrects it. None
+    where the renderer does not say."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.depth_splat import agreed_depths, splat_depth_map
+from nvsf_core.kernels.image_filling import nearest_known
 from nvsf_core.rendering.reproject_camera import FAR_M
 from nvsf_core.rendering.sources import SeenPoints, hides
 from nvsf_core.rendering.warping import plane_rays, sample, source_pixels
@@ -174,7 +174,7 @@ def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> 
     if not static.any():
         depths[0] = np.where(known, depths[0], 1.0 / FAR_M)
     elif not known.all():
-        where = distance_transform_edt(~static, return_distances=False, return_indices=True)
+        _, where = nearest_known(static)
         depths[0] = np.where(known, depths[0], depths[0][where[0], where[1]])
     # A pixel is looked up as one thing: another one behind a moving object is left out.
     is_other = (support[1] > 0.0) & (labels[0] == labels[1])

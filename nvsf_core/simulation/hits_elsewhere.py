@@ -8,7 +8,7 @@ import numpy as np
 
 from nvsf_core.evidence.drop_prior import cells_of
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import render_in_chunks, reprojecting_renderer
 
 SCANS = 12

@@ -15,7 +15,7 @@ from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.beam_table import turn_up
 from nvsf_core.sensors.bonnet import Bonnet
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import render_in_chunks
 from nvsf_core.simulation.scene_model import RayRenderer
 

@@ -129,12 +129,18 @@ def _parts(rays: int, most: int) -> list[slice]:
 
 
 def _joined(parts: list[RenderedRays]) -> RenderedRays:
-    """Concatenation of parts; without `hit_prior` if any part lacks it."""
+    """Concatenation of parts; without a column that any part lacks."""
     if len(parts) == 1:
         return parts[0]
-    hit_priors = [part.hit_prior for part in parts if part.hit_prior is not None]
     range_m, hit, intensity = (
         np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity")
     )
-    hit_prior = np.concatenate(hit_priors) if len(hit_priors) == len(parts) else None
-    return RenderedRays(range_m, hit, intensity, hit_prior)
+    hit_prior = _joined_column([part.hit_prior for part in parts])
+    return RenderedRays(
+        range_m, hit, intensity, hit_prior, _joined_column([part.on_object for part in parts])
+    )
+
+
+def _joined_column(parts: list[np.ndarray | None]) -> np.ndarray | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None

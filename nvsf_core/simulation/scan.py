@@ -11,7 +11,7 @@ from nvsf_core.evidence.stationary_scans import FiredRays, look_up_stationary
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import rays_return, sample_returns
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 
 PRIOR_SCANS = 6
 """Number of scans of the hit prior, for models that do not give their own."""

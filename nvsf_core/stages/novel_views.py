@@ -1,16 +1,18 @@
 """Stage `novel_views`: render the held-out frames and every view of the catalogue."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from nvsf_core._types import Scalar
 from nvsf_core.demo.drive import DEMO_SEQUENCE
 from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.models.baselines.mesh import mesh_baseline
 from nvsf_core.models.baselines.reproject import reprojection
+from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_CHECKS
@@ -25,7 +27,7 @@ from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
 from nvsf_core.stages.sizes import novel_views_bytes
-from nvsf_core.stages.views.camera import copied_images
+from nvsf_core.stages.views.camera import copied_images, image_arrays, other_image_arrays
 from nvsf_core.stages.views.files import (
     describe_view,
     scans_of,
@@ -33,19 +35,26 @@ from nvsf_core.stages.views.files import (
     write_method,
     write_scans,
 )
-from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
-from nvsf_core.stages.views.lidar import along_recorded_rays, copied_scans, copied_sweeps, warm_up
-from nvsf_core.stages.views.plan import View, asked_view, held_out_view
-from nvsf_core.stages.views.render import (
-    MESH,
-    asks_images,
+from nvsf_core.stages.views.instances import boxes_of, instance_arrays
+from nvsf_core.stages.views.lidar import (
+    along_recorded_rays,
+    copied_scans,
+    copied_sweeps,
+    own_panos,
+    sweep_arrays,
+    warm_up,
+)
+from nvsf_core.stages.views.view import (
+    View,
+    asked_view,
+    camera_models,
+    held_out_view,
     placed,
-    render_view_arrays,
+    reference_poses,
     view_attrs,
-    with_images,
 )
 
-MODEL, REPROJECT, COPY = "model", "reproject", "copy_nearest"
+MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
 NO_LIDAR = "not rendered: this drive has no LiDAR"
 
 
@@ -158,6 +167,62 @@ def _write(task: Task, recording: Recording, view: View, arrays: dict[str, np.nd
     write_method(task, view.name, method, arrays, attrs, recording.trajectory.scene_to_world)
 
 
+def render_view_arrays(
+    task: Task, recording: Recording, view: View, model: SceneModel, method: str
+) -> dict[str, np.ndarray]:
+    """Arrays that a model renders of a view, for the sensors that drive, view and model all have.
+
+    Args:
+        task: Task of the stage, for its progress.
+        recording: The drive.
+        view: What to render.
+        model: What renders it.
+        method: Its name, for progress.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
+        arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model, method)
+        if model.pano is not None and view.sweeps.is_recorded_sensor and view.plan.is_as_recorded:
+            arrays |= own_panos(task, reference_poses(recording, view.plan), view.sweeps, model.pano)
+    if model.camera is not None:
+        arrays |= image_arrays(task, recording, view.images, model.camera, method)
+        arrays |= other_image_arrays(task, recording, view, model.camera, method)
+    return arrays
+
+
+def with_images(
+    task: Task, recording: Recording, models: Mapping[str, SceneModel], asked: Sequence[View | None]
+) -> tuple[dict[str, SceneModel], dict[str, Scalar]]:
+    """The models, all but the mesh with surfaces above the recorded lasers, found by images; and metadata.
+
+    Args:
+        task: Task of the stage, for its progress.
+        recording: The drive.
+        models: By name.
+        asked: All views that are rendered.
+    """
+    lidar = recording.lidar
+    plans = [view.sweeps for view in asked if view is not None and view.sweeps is not None]
+    if lidar is None or not any(looks_above(lidar, plan) for plan in plans):
+        return dict(models), {}
+    started = time.perf_counter()
+    above = seen_above(recording, lambda line: task.progress(f"[{task.scene.name}] novel_views: {line}"))
+    said: dict[str, Scalar] = {
+        "above_lasers": "unknown: no images show it" if above is None else "rendered from images",
+        "above_lasers_seconds": time.perf_counter() - started,
+    }
+    return {
+        name: model if name == MESH else replace(model, above=above) for name, model in models.items()
+    }, said
+
+
+def asks_images(recording: Recording, view: View, model: SceneModel) -> bool:
+    """Whether images supply a part of a view's sweeps."""
+    if recording.lidar is None or view.sweeps is None or model.above is None:
+        return False
+    return looks_above(recording.lidar, view.sweeps)
+
+
 def _check(task: Task) -> list[Check]:
     return [*check_views(task), *check_images(task), *check_ghosts(task), *check_support(task)]
 
@@ -168,7 +233,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="22",
+    version="23",
     run=_run,
     per_recipe=True,
     reads_views=True,

@@ -18,6 +18,7 @@ from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.kept_versions import keep_newest
+from nvsf_core.stages.novel_views import asks_images, render_view_arrays, with_images
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.run import (
     SceneRun,
@@ -29,9 +30,8 @@ from nvsf_core.stages.runner.run import (
 )
 from nvsf_core.stages.runner.stage import Progress, Task
 from nvsf_core.stages.versions import reading_versions
-from nvsf_core.stages.views.instances import boxes_of, camera_models, instance_arrays
-from nvsf_core.stages.views.plan import View, asked_view
-from nvsf_core.stages.views.render import asks_images, placed, render_view_arrays, view_attrs, with_images
+from nvsf_core.stages.views.instances import boxes_of, instance_arrays
+from nvsf_core.stages.views.view import View, asked_view, camera_models, placed, view_attrs
 from nvsf_core.stores.removal import carry_pin
 
 _MODEL = "model"

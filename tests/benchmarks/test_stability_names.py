@@ -1,5 +1,7 @@
 """The table of stability names functions that there are."""
 
+import re
+from functools import cached_property
 from importlib import import_module
 
 import pytest
@@ -14,6 +16,13 @@ def test_every_case_names_a_function_of_the_core(theme):
     assert [case.function for case in cases if not _is_there(case.function)] == []
 
 
+def test_the_document_names_functions_of_the_core(repo):
+    named = set(
+        re.findall(r"^\| `([^`]+)`", (repo / "docs/numerical_stability.md").read_text(), re.MULTILINE)
+    )
+    assert [name for name in named if not name.startswith("stages.") and not _is_there(name)] == []
+
+
 def _is_there(name: str) -> bool:
     """Whether a dotted name below the core is a function, a method or a property."""
     parts = name.split(".")
@@ -24,5 +33,5 @@ def _is_there(name: str) -> bool:
             continue
         for part in parts[count:]:
             found = getattr(found, part, None)
-        return callable(found) or isinstance(found, property)
+        return callable(found) or isinstance(found, property | cached_property)
     return False

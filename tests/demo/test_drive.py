@@ -11,8 +11,8 @@ from nvsf_core.demo.street import KERB_HEIGHT_M, ROAD_HALF_WIDTH_M, Material
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.drives.kitti360.calibration import read_calibration
+from nvsf_core.drives.kitti360.frames import compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.drives.kitti360.poses import compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up

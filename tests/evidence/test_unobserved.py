@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.surfels import Surfels, build_surfels
-from nvsf_core.evidence.unobserved import unobserved_beside
+from nvsf_core.evidence.surfels import Surfels, build_surfels, unobserved_beside
 from nvsf_core.kernels.voxel_march import count_passes
 
 Rays = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -2,7 +2,7 @@
 
 import torch
 
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 
 FEATURES, OUTPUTS = 16, 2
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import nn
 
-from nvsf_core.encodings.hash_grid import grid_layout
 from nvsf_core.fields.flow import applied
 from nvsf_core.fields.layers import Density, bias_free, colour_head, lidar_direction, lidar_head, network
+from nvsf_core.kernels.encodings.hash_grid import grid_layout
 from nvsf_core.recipe import FieldSpec, HeadsSpec, ReferenceQuirks
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.object_evidence import MovingObject
 from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 
 FRAME_S = 0.1

@@ -58,11 +58,11 @@ def composited(*surfaces: Tensor, surface_hit_prior: Tensor | None = None) -> tu
 
 def test_weights_and_summaries_are_those_of_torch() -> None:
     surfaces = some_surfaces()
-    weights, summary, _, hit_priors = composited(*surfaces)
+    weights, summary, _, hit_priors, on_own = composited(*surfaces)
     expected_weights, expected = by_torch(*surfaces)
     assert torch.allclose(weights, expected_weights, atol=1e-7, rtol=1e-5)
     assert torch.allclose(summary, expected, atol=1e-5, rtol=1e-5)
-    assert (hit_priors == 0.25).all()
+    assert (hit_priors == 0.25).all() and not on_own.any()
 
 
 def test_gradients_are_those_of_torch_in_double_precision() -> None:
@@ -84,7 +84,7 @@ def test_gradients_are_those_of_torch_in_double_precision() -> None:
 
 def test_the_median_is_the_first_surface_with_half_of_the_weight() -> None:
     surfaces = some_surfaces()
-    weights, _, median, _ = composited(*surfaces)
+    weights, _, median, *_ = composited(*surfaces)
     begin = 0
     for ray, count in enumerate(COUNTS):
         so_far = np.cumsum(weights[begin : begin + count].numpy().astype(np.float64))
@@ -98,17 +98,17 @@ def test_the_median_is_the_first_surface_with_half_of_the_weight() -> None:
 def test_only_rays_that_end_on_what_moves_ask_it() -> None:
     surfaces = some_surfaces()
     own = torch.where(torch.rand(SURFACES, generator=torch.Generator().manual_seed(2)) < 0.5, 0.75, -1.0)
-    weights, _, _, hit_priors = composited(*surfaces, surface_hit_prior=own)
+    weights, _, _, hit_priors, is_own = composited(*surfaces, surface_hit_prior=own)
     on_own = padded(weights * (own >= 0)).sum(dim=1)
     moving = (on_own > 0.0) & (on_own >= OWN_PRIOR_SHARE * padded(weights).sum(dim=1))
     assert 20 < moving.sum() < RAYS - 20
-    assert torch.allclose(hit_priors, torch.where(moving, 0.75, 0.25))
+    assert torch.allclose(hit_priors, torch.where(moving, 0.75, 0.25)) and torch.equal(is_own, moving)
 
 
 def test_a_hidden_surface_has_no_gradient_and_none_is_infinite() -> None:
     logit, range_m, features, facts = some_surfaces()
     logit = torch.full_like(logit, 80.0).requires_grad_()
-    weights, summary, _, _ = composited(logit, range_m, features, facts)
+    weights, summary, *_ = composited(logit, range_m, features, facts)
     (weights.sum() + summary.sum()).backward()
     assert logit.grad is not None and torch.isfinite(logit.grad).all()
     assert logit.grad.abs().max() < 1e-20
@@ -117,8 +117,8 @@ def test_a_hidden_surface_has_no_gradient_and_none_is_infinite() -> None:
 def test_a_ray_ends_on_what_moves_where_that_has_a_fifth_of_its_weight() -> None:
     surfaces = some_surfaces()
     is_own = torch.rand(SURFACES, generator=torch.Generator().manual_seed(3)) < 0.3
-    _, _, likeliest, _ = composited(*surfaces)
-    weights, _, median, _ = composited(*surfaces, surface_hit_prior=torch.where(is_own, 0.75, -1.0))
+    _, _, likeliest, *_ = composited(*surfaces)
+    weights, _, median, *_ = composited(*surfaces, surface_hit_prior=torch.where(is_own, 0.75, -1.0))
     begin, decided = 0, 0
     for ray, count in enumerate(COUNTS):
         part = slice(begin, begin + int(count))

@@ -13,8 +13,7 @@ from nvsf_core.kernels.scan_lookup import (
     SweepGrid,
     look_up_scans,
 )
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import sweep_rays
+from nvsf_core.sensors.sweep import Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 
 FIRINGS, MOMENTS, PERIOD_S = 360, 256, 0.1

@@ -80,7 +80,7 @@ def test_a_rays_surfaces_share_what_they_do_not_let_through(seed: int, rays: lis
     logit = torch.tensor([value for ray in rays for value in ray], requires_grad=True)
     first = torch.tensor(np.cumsum([0, *map(len, rays)]))
     count = len(logit)
-    weights, summary, index, _ = composite_rays(
+    weights, summary, index, *_ = composite_rays(
         logit, torch.rand(count), _table(seed, count, 3), torch.rand(count, 6), first,
         torch.full((count,), -1.0), torch.full((len(rays),), 0.5),
     )  # fmt: skip

@@ -4,8 +4,7 @@ import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.recording.drive import RecordedSweeps
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 
 LASERS, FIRINGS, SCANS, PERIOD_S, WALL_M = np.arange(64), 400, 2, 0.1, 10.0

@@ -9,6 +9,7 @@ import torch
 from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraEnsemble, CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering import plane_depth
 from nvsf_core.rendering.camera_view import (
     CameraView,
     camera_view,
@@ -17,7 +18,7 @@ from nvsf_core.rendering.camera_view import (
 from nvsf_core.rendering.learned_warp import blend_sources, coarse_colour, render_view
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view, moving_pixels
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_features, plane_inverses, resized
-from nvsf_core.rendering.plane_volume import agreement
+from nvsf_core.rendering.plane_volume import Agreement, agreement
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.rendering.sources import SeenPoints
 from nvsf_core.rendering.view_depth_maps import DepthMaps
@@ -84,6 +85,20 @@ def test_sources_agree_best_on_the_plane_of_the_wall() -> None:
     assert torch.isfinite(features).all()
     disagreement = features[:, 2, 8:-8, 16:-16].mean(dim=(1, 2))
     assert abs(int(disagreement.argmin()) - int((inverses - 1 / WALL_M).abs().argmin())) <= 1
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_planes_are_described_as_torch_says(knows: bool) -> None:
+    rng = torch.Generator().manual_seed(3)
+    inverses, size = plane_inverses(SPEC), (9, 14)
+    agreed = Agreement(torch.rand(SPEC.planes, *size, 6, generator=rng), torch.zeros(SPEC.planes, 3, *size))
+    prior = 0.4 * torch.rand(size, generator=rng)
+    gap_px = 9.0 * torch.rand(size, generator=rng) if knows else torch.full(size, torch.inf)
+    ours = plane_features(agreed, prior, gap_px, inverses)
+    trust, is_known = torch.exp(-gap_px / plane_depth._TRUST_PX), torch.full(size, float(knows))
+    theirs = plane_depth._plane_features(agreed, prior, trust, is_known, inverses)
+    assert ours.stride() == theirs.stride(), "channels last, as convolutions want them"
+    torch.testing.assert_close(ours, theirs, atol=2e-6, rtol=1e-5)
 
 
 def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surface() -> None:

@@ -72,7 +72,7 @@ def test_sources_agree_as_torch_says(first: int) -> None:
     weight = torch.tensor([1.0, 1.0, 0.3] if first == 0 else [0.0, 1.0, 1.0])
     ours = agreement(sources, points, CAMERA, first)
     theirs = plane_volume._agreement(*by_torch(sources, points), weight)
-    for name in Agreement.__dataclass_fields__:
+    for name in Agreement._fields:
         apart = (getattr(ours, name) - getattr(theirs, name)).abs()
         assert (apart > 1e-4).float().mean() < 2e-3, name
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.sensors.sensor_errors import learn_range_bias
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import sweep_rays
+from nvsf_core.sensors.sweep import Trajectory, sweep_rays
 from nvsf_core.sensors.tables import VLP_16
 
 LASERS = 8

@@ -9,10 +9,9 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays, Support
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.simulation.lidar_support import support_of_sweep
+from nvsf_core.simulation.sweep_simulation import support_of_sweep
 
 SCANS, FIRINGS, PERIOD_S, WALL_M = 3, 200, 0.1, 10.0
 LASERS = np.arange(10, 20)

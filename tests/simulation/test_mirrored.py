@@ -9,8 +9,7 @@ from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.bonnet import Bonnet
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.mirrored import add_mirrored
 from nvsf_core.simulation.scan import RenderedSweep

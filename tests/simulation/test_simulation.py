@@ -9,8 +9,7 @@ from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import MissingFrameError
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import sweep_rays
+from nvsf_core.sensors.sweep import Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.simulation.scan import RenderedSweep
 from nvsf_core.simulation.view_plan import mount_pose, plan_sweeps, plan_view

@@ -15,7 +15,7 @@ from nvsf_core.recipe import FieldSpec, PaperRecipe, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.views.plan import held_out_view
+from nvsf_core.stages.views.view import held_out_view
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.schemas import CONTRACT, violations

@@ -15,7 +15,7 @@ from nvsf_core.stages import run_named_stage
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.views.lidar import copied_scans
-from nvsf_core.stages.views.plan import held_out_view
+from nvsf_core.stages.views.view import held_out_view
 from tests.stages.lidar_drive import FRAMES, proven_drive
 
 HELD_OUT = (2, 4, 6)

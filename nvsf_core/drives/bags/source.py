@@ -15,10 +15,10 @@ from nvsf_core.drives.bags.index import BagIndex, Stamped, index_of, median_step
 from nvsf_core.drives.bags.messages import IMAGES, POINT_CLOUD, cloud_columns, image_rgb, lens_facts
 from nvsf_core.drives.drive import Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
+from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
+from nvsf_core.drives.kitti360.images import decode_picture
 from nvsf_core.drives.kitti360.scans import Scan
-from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S
 from nvsf_core.drives.lenses import Lens, lens_of
-from nvsf_core.drives.pictures import decode_picture
 from nvsf_core.drives.plain.source import scan_of_columns
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section

@@ -11,8 +11,8 @@ from nvsf_core.drives.kitti.files import AbstractKittiDrive, camera_of_projectio
 from nvsf_core.drives.kitti.poses import oxts_poses, read_oxts
 from nvsf_core.drives.kitti.tracklets import read_tracklets
 from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.frames import read_timestamps
 from nvsf_core.drives.kitti360.text import KeyedText, rigid, rotation
-from nvsf_core.drives.kitti360.timestamps import read_timestamps
 from nvsf_core.drives.plain.layout import numbered_files
 from nvsf_core.drives.posed import PosePath, require_ascending
 from nvsf_core.errors import CalibrationError, DataError

@@ -14,12 +14,19 @@ from nvsf_core.drives.kitti360.calibration import (
     read_calibration,
     read_rectified_camera0_to_pose,
 )
+from nvsf_core.drives.kitti360.frames import (
+    FrameTimes,
+    PoseDisagreement,
+    compare_poses,
+    frame_times,
+    read_cam0_to_world,
+    read_poses,
+    recorded_frames,
+)
 from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
-from nvsf_core.drives.kitti360.poses import PoseDisagreement, compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.drives.kitti360.text import require_folder
-from nvsf_core.drives.kitti360.timestamps import FrameTimes, frame_times, recorded_frames
 from nvsf_core.drives.section import Section
 from nvsf_core.sensors.tables import HDL_64E
 

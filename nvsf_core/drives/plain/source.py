@@ -9,12 +9,11 @@ import numpy as np
 from nvsf_core.drives.drive import Boxes, Recorded
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.images import read_image_bytes
+from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
+from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
 from nvsf_core.drives.kitti360.scans import MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
-from nvsf_core.drives.kitti360.timestamps import NOMINAL_PERIOD_S
 from nvsf_core.drives.lenses import Lens
-from nvsf_core.drives.pictures import decode_picture
 from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
 from nvsf_core.drives.plain.description import Description, read_cameras, read_description
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density, link_tracks
+from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path, start_path
-from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.visibility import AboveGround, TimedReturns, build_ground, classify_returns
 
 ABOVE_GROUND_M = 0.25

@@ -6,12 +6,13 @@ import numpy as np
 
 from nvsf_core.evidence.moving.object_evidence import (
     OBJECT_VOXEL_M,
+    MovingObject,
+    MovingObjects,
     NearHitPriors,
     ObjectEvidence,
     ObjectHitPriors,
     ObjectRays,
 )
-from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.surfels import Candidates, Surfels, candidates_of, weighted_median_index
 from nvsf_core.kernels.bounds import MovingBounds, rays_into_bounds
 

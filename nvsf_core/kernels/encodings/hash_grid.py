@@ -1,4 +1,4 @@
-"""Multiresolution hash grids: their memory layout, and the encoding, by a kernel for device and type."""
+"""Multiresolution hash grids: memory layout, encoding by a kernel for device and type, trainable table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil
 
-from torch import Tensor
+import numpy as np
+import torch
+from torch import Tensor, nn
 
 from nvsf_core.errors import RecipeError, ShapeError
 from nvsf_core.kernels.encodings.backend import (
@@ -16,11 +18,14 @@ from nvsf_core.kernels.encodings.backend import (
     interpolate,
     require_backend,
 )
+from nvsf_core.recipe import FieldSpec
 
-__all__ = ["PRIMES", "GridLayout", "hash_grid_encode"]
+__all__ = ["PRIMES", "GridLayout", "HashGrid", "grid_layout", "hash_grid_encode", "start_alike"]
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the XOR hash for x, y, z (Müller et al. 2022, eq. 4; after Teschner et al. 2003)."""
+INITIAL_BOUND = 1e-4
+"""Initial entries are uniform within plus/minus this (as in tiny-cuda-nn)."""
 
 
 @dataclass(frozen=True)
@@ -184,3 +189,67 @@ def _require_shapes(positions: Tensor, table: Tensor, layout: GridLayout) -> Non
             f"hash_grid_encode: expected one device, found positions on {positions.device} and the table "
             f"on {table.device}; move one"
         )
+
+
+def grid_layout(spec: FieldSpec, edge_m: float) -> GridLayout:
+    """The hash grid whose cells have the recipe's sizes in a cube of edge `edge_m`."""
+    return GridLayout(
+        levels=spec.levels,
+        features=spec.features,
+        log2_table=spec.log2_table,
+        base_resolution=max(2, round(edge_m / spec.coarsest_cell_m)),
+        finest_resolution=max(4, round(edge_m / spec.finest_cell_m)),
+    )
+
+
+class HashGrid(nn.Module):
+    """Hash-grid features of positions in the unit box (or square), from a trainable table.
+
+    Two grids of one layout, made one after the other from one generator, start with different numbers
+    (the authors seed every module with 1337, so theirs start equal).
+
+    Attributes:
+        layout: Sizes of the grid.
+        table: (layout.entries, layout.features) float32, initially U(-1e-4, 1e-4).
+    """
+
+    def __init__(
+        self, layout: GridLayout, generator: torch.Generator, backend: Backend | None = None
+    ) -> None:
+        """Sample the table's initial numbers.
+
+        Args:
+            layout: Sizes of the grid.
+            generator: On the CPU; the only source of randomness.
+            backend: Overrides the choice of the kernel, for tests.
+        """
+        super().__init__()
+        self.layout = layout
+        self.backend = backend
+        shape = (layout.entries, layout.features)
+        if torch.get_default_device().type == "meta":  # shapes without memory, to count parameters
+            table = torch.empty(shape)
+        else:
+            # numpy, unlike torch, requests huge pages: look-ups in a large table are up to 1.5 times faster
+            table = torch.from_numpy(np.empty(shape, dtype=np.float32))
+        self.table = nn.Parameter(table.uniform_(-INITIAL_BOUND, INITIAL_BOUND, generator=generator))
+
+    @property
+    def outputs(self) -> int:
+        """Length of a position's encoding."""
+        return self.layout.outputs
+
+    def forward(self, positions: Tensor) -> Tensor:
+        """Encode positions (..., layout.dimensions), clamped to [0, 1], as (..., levels * features)."""
+        flat = positions.reshape(-1, self.layout.dimensions)
+        encoded = hash_grid_encode(flat, self.table, self.layout, backend=self.backend)
+        return encoded.reshape(*positions.shape[:-1], self.outputs)
+
+
+def start_alike(module: nn.Module) -> None:
+    """Give all grids of one layout in a module equal numbers, as in the authors' code (one seed for all)."""
+    first: dict[GridLayout, Tensor] = {}
+    for grid in module.modules():
+        if isinstance(grid, HashGrid):
+            with torch.no_grad():
+                grid.table.copy_(first.setdefault(grid.layout, grid.table))

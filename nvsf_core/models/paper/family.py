@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nvsf_core._types import Scalar
 from nvsf_core.fields.raydrop_unet import RaydropUnet
-from nvsf_core.models.family import Trained
+from nvsf_core.models.family import Trained, TrainingSession, fit, training_device
 from nvsf_core.models.paper.refine import refine, refinement_state
 from nvsf_core.models.paper.render import PaperModel
 from nvsf_core.models.paper.scene import frame_at, load, needed, training_frames
@@ -22,7 +22,6 @@ from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Part, Step, TrainingState
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 __all__ = ["load", "train", "train_on_frames"]
 

@@ -12,14 +12,13 @@ from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import OUTERMOST_SHARE, Bounds
 from nvsf_core.geometry.se3 import pose_from_parts
-from nvsf_core.models.family import Weights
+from nvsf_core.models.family import Weights, training_device
 from nvsf_core.models.paper.flow_training import flow_cloud
 from nvsf_core.models.paper.render import PaperModel
 from nvsf_core.models.paper.training_frames import Images, Panos, PaperFrames
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.training.session import training_device
 
 CAMERA_REACH_M = 60.0
 """Half an edge of the cube around the cameras' path, for drives without LiDAR."""

@@ -17,13 +17,12 @@ from nvsf_core.kernels.threads import in_parts
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
-from nvsf_core.models.family import TrainedPart, Weights
+from nvsf_core.models.family import TrainedPart, TrainingSession, Weights, fit, training_device
 from nvsf_core.models.holdout import compare
-from nvsf_core.models.residual.camera_examples import ShownCamera
+from nvsf_core.models.residual.camera_examples import LeftOut, ShownCamera
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.image_depths import image_depths
-from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
@@ -36,7 +35,6 @@ from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.training.loop import Part, fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 _METRICS = {"psnr_db": True}
 LEARNED = "learned_cameras"

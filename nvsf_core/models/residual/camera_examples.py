@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.models.holdout import validation_numbers
-from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
@@ -20,6 +20,26 @@ from nvsf_core.rendering.warping import to_float
 _BLOCKS_M = (1.0, 2.0, 4.0)
 """An image is also rendered without those within one of these distances: networks learn to look from afar."""
 _FEWEST_SOURCES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A training image, and the view of it that is compared with, or rendered from, the other images."""
+
+    view: CameraView
+    """The inputs of the view, without the scan of its instant, and to draw it without the image itself."""
+    truth: Tensor
+    """(3, H, W) uint8."""
+    small_truth: Tensor
+    """(3, h, w) float32 in 0..1, at the size at which depth planes are compared."""
+    coarse: Tensor | None = None
+    """(3, h, w) of `coarse_colour`; None while images have no depths."""
+
+    def to(self, device: torch.device) -> "LeftOut":
+        """The same example on `device`."""
+        truth, small = self.truth.to(device), self.small_truth.to(device)
+        coarse = None if self.coarse is None else self.coarse.to(device)
+        return LeftOut(self.view.to(device), truth, small, coarse)
 
 
 @dataclass(frozen=True, slots=True)

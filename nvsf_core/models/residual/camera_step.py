@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nvsf_core.fields.camera_networks import CameraNetworks, DepthNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.models.residual.left_out import LeftOut
+from nvsf_core.models.residual.camera_examples import LeftOut
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.rendering.camera_view import Window
 from nvsf_core.rendering.learned_warp import blend_sources

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import LossWeights, TrainingSpec
 

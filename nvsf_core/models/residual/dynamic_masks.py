@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence
-from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence
 from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.baselines.reproject import depth_scans, returns_of_scan

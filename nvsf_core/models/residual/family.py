@@ -8,9 +8,9 @@ from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
 from nvsf_core.fields.camera_networks import CameraEnsemble
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
-from nvsf_core.models.family import Trained, TrainedPart, Weights
+from nvsf_core.models.family import Trained, TrainedPart, TrainingSession, Weights
 from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, maps_from, train_camera
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
@@ -23,7 +23,6 @@ from nvsf_core.recipe import HitsSpec, PanoSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer, unobserved_renderer
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.training.session import TrainingSession
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

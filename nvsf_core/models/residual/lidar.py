@@ -21,8 +21,8 @@ from nvsf_core.fields.lidar_field import (
 )
 from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.models.family import TrainedPart
-from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, recorded_pano, score_left_out
+from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
+from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
@@ -30,7 +30,6 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
@@ -204,18 +203,17 @@ def choose(
         return True, {"lidar_shows": "field: too few scans to compare it on"}
 
     numbers, votes = left_out.validation.tolist(), recipe.evidence.votes
-    truth = {number: recorded_pano(lidar, number) for number in numbers}
 
     def by_field(number: int) -> list[float]:
         render = field_renderer(
             field, left_out.static, lidar.moving(leave_out=number),
             most=recipe.evidence.lidar_candidates, far_m=lidar.far_m,
         )  # fmt: skip
-        return score_left_out(render, votes, lidar, number, truth[number])
+        return score_left_out(render, votes, lidar, number)
 
     def by_evidence(number: int) -> list[float]:
         render = left_out_renderer(lidar, left_out, number)
-        return score_left_out(render, votes, lidar, number, truth[number])
+        return score_left_out(render, votes, lidar, number)
 
     found = compare(SCAN_METRICS, numbers, {"field": by_field, "reproject": by_evidence})
     shows_field = found.wins("field", "reproject")
@@ -251,10 +249,10 @@ def lidar_step(
     )
     rendered = render_lidar(field, batch, hit_prior)
     returned = (true_range_m > 0) & batch.is_there[:, 0]
-    seen = batch.is_there[:, 0]
+    corrected = batch.is_there[:, 0] & ~rendered.on_object
     terms = {
         "depth": _depth(rendered, batch, returned, true_range_m),
-        "hit": raydrop_loss(rendered.hit_logit[seen], (true_range_m[seen] > 0).float()),
+        "hit": raydrop_loss(rendered.hit_logit[corrected], (true_range_m[corrected] > 0).float()),
         "intensity": intensity_loss(rendered.intensity_logit[returned], true_intensity[returned]),
     }
     return total_loss(terms, asdict(recipe.losses))

@@ -9,13 +9,13 @@ import torch
 
 from nvsf_core._types import Scalar
 from nvsf_core.errors import RecipeError
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.metrics.hit import hit_image_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
-from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import compare, recorded_pano, validation_numbers
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.pano_estimate import PanoEstimate, estimate_pano
@@ -39,7 +39,6 @@ from nvsf_core.simulation.scene_model import PanoRenderer, SceneModel, SweepCorr
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import recorded_sweep
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 _METRICS = {"psnr_db": True, "hit_accuracy": True, "intensity_psnr_db": True}
 CORRECTED = "pano_corrected"

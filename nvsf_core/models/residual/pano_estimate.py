@@ -13,7 +13,7 @@ import numpy as np
 
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 
 QUANTILES = (0.15, 0.5, 0.85)
 """Quantiles of the range that are estimated for each cell: a near one, the median, a far one."""

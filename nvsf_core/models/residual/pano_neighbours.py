@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.models.residual.pano_estimate import PanoEstimate
 from nvsf_core.numerics import probability_logit
 from nvsf_core.sensors.beam_table import turn_up

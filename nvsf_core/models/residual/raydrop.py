@@ -9,10 +9,10 @@ import torch
 
 from nvsf_core._types import Scalar
 from nvsf_core.evidence.surfels import Surfels
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import compare, fire_left_out
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.models.residual.lidar import learned_scans
@@ -20,17 +20,17 @@ from nvsf_core.models.residual.raydrop_grid import (
     SweepCells,
     SweepRaydrop,
     hit_logits,
+    is_corrected,
     sweep_cells,
 )
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.simulation.raydrop import HitBlend, fit_blend, nats
 from nvsf_core.simulation.scene_model import SweepCorrector
 from nvsf_core.training.loop import fresh_state, side_by_side
-from nvsf_core.training.session import TrainingSession, fit, training_device
 
 HITS_BLEND = "hits_blend"
 """Name of the fact: the fields of `HitBlend`; None where the ray head alone gives the hit probability."""
@@ -52,18 +52,18 @@ class ValidationSweep:
     """(r,) float32."""
     ray_head_logit: np.ndarray
     """(r,) float32."""
-    is_met: np.ndarray
-    """(r,) bool: whether the ray meets a surface that it could return from."""
+    is_corrected: np.ndarray
+    """(r,) bool, see `is_corrected`; the other rays take no part in the comparison."""
     returned: np.ndarray
     """(r,) bool, as recorded."""
 
     def accuracy(self, logit: np.ndarray) -> float:
-        """Share of all rays that are predicted correctly, return or dropped, by logits (r,)."""
-        return float(((self.is_met & (logit >= 0.0)) == self.returned).mean())
+        """Share of the corrected rays that are predicted correctly, return or dropped, by logits (r,)."""
+        return float(((logit >= 0.0) == self.returned)[self.is_corrected].mean())
 
     def nats(self, logit: np.ndarray) -> float:
-        """Mean cross-entropy of logits (r,) over the rays that meet a surface, in nats."""
-        return nats(logit[self.is_met], self.returned[self.is_met])
+        """Mean cross-entropy of logits (r,) over the corrected rays, in nats."""
+        return nats(logit[self.is_corrected], self.returned[self.is_corrected])
 
     def scores(self, logit: np.ndarray) -> list[float]:
         """Accuracy and cross-entropy of logits (r,)."""
@@ -157,10 +157,10 @@ def blend_in_rotation(validated: Sequence[ValidationSweep]) -> tuple[HitBlend | 
 
 
 def _fitted(validated: Sequence[ValidationSweep]) -> HitBlend:
-    """The blend fitted on the rays of some scans that meet a surface."""
-    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_met) for one in validated]
-    network, ray_head, returned, met = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return fit_blend(network[met], ray_head[met], returned[met])
+    """The blend fitted on the corrected rays of some scans."""
+    parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_corrected) for one in validated]
+    network, ray_head, returned, used = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return fit_blend(network[used], ray_head[used], returned[used])
 
 
 def raydrop_correction(
@@ -213,7 +213,7 @@ def _validation_sweep(
     ((network_logit, ray_head_logit),), prior = found, lidar.evidence.prior
     firing = prior.nearest_firing(number, rays.fraction)
     return ValidationSweep(
-        network_logit, ray_head_logit, np.isfinite(rendered.range_m), prior.is_hit[number, rays.laser, firing]
+        network_logit, ray_head_logit, is_corrected(rendered), prior.is_hit[number, rays.laser, firing]
     )
 
 

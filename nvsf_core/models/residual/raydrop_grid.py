@@ -14,12 +14,12 @@ from scipy.special import expit
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH
 from nvsf_core.numerics import probability_logit
 from nvsf_core.recording.drive import NEAREST, RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep_rays import SweepRays
+from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import HitBlend
 
@@ -41,7 +41,13 @@ class SweepRaydrop:
         """The same rays with new hit probabilities; `near` (k,) are the nearest scans, the nearest first."""
         both = hit_logits(self.network, self.scan_grids, rays, rendered, near)
         hit = expit(self.blend.logit(*both)).astype(np.float32)
-        return replace(rendered, hit=np.where(np.isfinite(rendered.range_m), hit, rendered.hit))
+        return replace(rendered, hit=np.where(is_corrected(rendered), hit, rendered.hit))
+
+
+def is_corrected(rendered: RenderedRays) -> np.ndarray:
+    """(r,) bool: the rays that meet a surface and do not end on a moving object."""
+    met = np.isfinite(rendered.range_m)
+    return met if rendered.on_object is None else met & ~rendered.on_object
 
 
 @torch.no_grad()

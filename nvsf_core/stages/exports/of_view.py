@@ -16,7 +16,8 @@ from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stages.views.files import cameras_of, file_numbers
-from nvsf_core.stages.views.instances import camera_models, depth_m, object_ids
+from nvsf_core.stages.views.instances import depth_m, object_ids
+from nvsf_core.stages.views.view import camera_models
 
 _BY_THRESHOLD = f"as rendered (probability of {HIT_THRESHOLD:g} and more)"
 

@@ -18,7 +18,8 @@ from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
 from nvsf_core.stages.exports.ros import write_mcap, write_rosbag2
 from nvsf_core.stages.views.files import write_images, write_scans
-from nvsf_core.stages.views.instances import camera_models, depth_m
+from nvsf_core.stages.views.instances import depth_m
+from nvsf_core.stages.views.view import camera_models
 from nvsf_core.stores.checksums import file_checksums
 
 SCHEMA_VERSION = 3

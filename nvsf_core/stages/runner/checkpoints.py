@@ -9,11 +9,11 @@ from pathlib import Path
 from torch import Tensor
 
 from nvsf_core.errors import StoreError
+from nvsf_core.models.family import ResumedPart
 from nvsf_core.stages.runner.divergence import diverging, owner
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.training.loop import Save, TrainingState
-from nvsf_core.training.session import ResumedPart
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from nvsf_core.recipe import preset
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.run import plan_run, run_named_stage
-from nvsf_core.stages.views.plan import held_out_view
+from nvsf_core.stages.views.view import held_out_view
 
 _STAGES = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
 """Together with one simulated sweep they call every kernel."""

@@ -19,7 +19,7 @@ from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import DemoTruth
 from nvsf_core.stages.scoring.view_images import TrueImages
 from nvsf_core.stages.undistorted import camera_of
-from nvsf_core.stages.views.plan import stored_plan
+from nvsf_core.stages.views.view import stored_plan
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
 

@@ -38,7 +38,7 @@ from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stages.views.plan import stored_plan
+from nvsf_core.stages.views.view import stored_plan
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")

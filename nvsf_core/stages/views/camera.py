@@ -7,7 +7,6 @@ import numpy as np
 
 from nvsf_core.drives.view_parts import CameraEntry
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.geometry.se3 import rotation_of
 from nvsf_core.models.baselines.copy_nearest import nearest_earlier
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.rendered import RenderedImage
@@ -15,8 +14,7 @@ from nvsf_core.simulation.other_camera import OtherCamera
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.simulation.view_plan import ViewPlan
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stages.views.plan import View, reference_poses, to_world
-from nvsf_core.stages.views.timing import render_all
+from nvsf_core.stages.views.view import View, camera_in_lidar, reference_poses, render_all, to_world
 
 
 def image_arrays(
@@ -77,14 +75,6 @@ def other_image_arrays(
         shown, seconds = render_all(task, image, len(poses), f"{view.name}, {method}, {name}")
         arrays |= _arrays_of(name, view.plan, shown, to_world(recording, poses), seconds)
     return arrays
-
-
-def camera_in_lidar(camera: CameraEntry, like: np.ndarray) -> np.ndarray:
-    """Mounting (4, 4), camera to LiDAR, of a camera beside the recorded one mounted at `like`."""
-    mounted = like.copy()
-    mounted[:3, :3] = rotation_of(camera.yaw_deg, camera.pitch_deg, camera.roll_deg) @ like[:3, :3]
-    mounted[:3, 3] += camera.shift_m
-    return mounted
 
 
 def _image(

@@ -140,16 +140,6 @@ def _record(row: Mapping[str, Any], pose: np.ndarray) -> BoxRecord:
     )  # fmt: skip
 
 
-def camera_models(attrs: Mapping[str, Any]) -> dict[str, Pinhole | MeiFisheye]:
-    """Models of a stored view's cameras, of its attributes."""
-    return {name: _model(facts) for name, facts in attrs.get("camera_models", {}).items()}
-
-
-def _model(facts: Mapping[str, Any]) -> Pinhole | MeiFisheye:
-    values = {name: value for name, value in facts.items() if name != "kind"}
-    return Pinhole(**values) if facts["kind"] == "pinhole" else MeiFisheye(**values)
-
-
 def instance_arrays(
     arrays: Mapping[str, np.ndarray],
     models: Mapping[str, Pinhole | MeiFisheye],

@@ -13,7 +13,7 @@ from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneMod
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, render_along, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stages.views.timing import render_all
+from nvsf_core.stages.views.view import render_all
 
 
 def sweep_arrays(

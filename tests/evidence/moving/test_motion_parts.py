@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from nvsf_core.evidence.moving.path_fitting import smooth_poses
-from nvsf_core.evidence.moving.registration import PairMotions, make_cloud, register
-from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.object_evidence import MovingObject
+from nvsf_core.evidence.moving.path_fitting import PairMotions, make_cloud, register, smooth_poses
 from nvsf_core.evidence.moving.visibility import build_ground
 
 

@@ -7,9 +7,8 @@ from nvsf_core.demo.lidar import OWN_VEHICLE, simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_objects
-from nvsf_core.evidence.moving.object_evidence import boxes_on_way
+from nvsf_core.evidence.moving.object_evidence import MovingObjects, boxes_on_way
 from nvsf_core.evidence.moving.objects import prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObjects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts, transform_points

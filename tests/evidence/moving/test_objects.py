@@ -7,9 +7,8 @@ import pytest
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior
-from nvsf_core.evidence.moving.object_evidence import ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import NearObjects, objects_at, prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays

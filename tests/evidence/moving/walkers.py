@@ -8,8 +8,7 @@ from nvsf_core.demo.motion import ROAD_RADIUS_M, ArcMotion, EgoSpeed
 from nvsf_core.demo.shapes import Kind, ShapeList
 from nvsf_core.demo.street import Material, Mover
 from nvsf_core.demo.world import DemoWorld
-from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectRays
-from nvsf_core.evidence.moving.rigid_path import MovingObject
+from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence, ObjectRays
 from nvsf_core.geometry.se3 import exp_so3, invert_pose, pose_from_parts, transform_points
 from nvsf_core.sensors.tables import HDL_64E
 

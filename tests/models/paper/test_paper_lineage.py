@@ -23,7 +23,7 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.lidar import along_recorded_rays, sweep_arrays
-from nvsf_core.stages.views.plan import held_out_view
+from nvsf_core.stages.views.view import held_out_view
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import load_tensors
 from nvsf_core.stores.scene_store import SceneStore

@@ -8,8 +8,8 @@ from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.models.residual.camera_examples import LeftOut
 from nvsf_core.models.residual.camera_step import camera_step, depth_step, sample_window
-from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
 from nvsf_core.rendering.learned_warp import coarse_colour

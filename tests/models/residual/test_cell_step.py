@@ -2,7 +2,7 @@
 
 import torch
 
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
 from nvsf_core.recipe import LossWeights, TrainingSpec
 from nvsf_core.training.loop import make_optimiser

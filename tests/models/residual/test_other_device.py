@@ -12,10 +12,10 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
 from nvsf_core.models.residual.camera import LEARNED
+from nvsf_core.models.residual.camera_examples import LeftOut
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.family import make_fields
 from nvsf_core.models.residual.family import train as train_scene
-from nvsf_core.models.residual.left_out import LeftOut
 from nvsf_core.models.residual.pano import train_pano
 from nvsf_core.models.residual.raydrop import train_hits
 from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec

@@ -20,7 +20,7 @@ from nvsf_core.simulation.sweep_simulation import SimulatedSweep, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.views.plan import asked_view
+from nvsf_core.stages.views.view import asked_view
 
 FRAMES, AT = 9, 4
 SIZE = DemoSize(

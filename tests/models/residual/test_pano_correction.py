@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.cell_network import CellNetwork
+from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.models.residual.family import pano_network
 from nvsf_core.models.residual.pano_estimate import PanoEstimate
 from nvsf_core.models.residual.pano_neighbours import (

@@ -5,8 +5,7 @@ import numpy as np
 from nvsf_core.models.residual.pano_estimate import QUANTILES, PanoRays, combine_phases, estimate_pano
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.scan import RenderedSweep
 

@@ -13,8 +13,7 @@ from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, sweep_cells
 from nvsf_core.recipe import HitsSpec, TrainingSpec
 from nvsf_core.recording.drive import RecordedSweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.sweep_rays import SweepRays, sweep_rays
+from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.simulation.raydrop import EVEN, HitBlend
 
@@ -71,6 +70,17 @@ def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
     answered = np.isfinite(rendered.range_m)
     expected = logit(rendered.hit_prior, 0.02) + 3.0 * rendered.intensity
     assert np.allclose(logit(found.hit, 1e-9)[answered], expected[answered], atol=1e-2)
+
+
+def test_what_ends_on_a_moving_object_keeps_its_own_hit_probability() -> None:
+    scan_grids, rays, rendered = scene()
+    on_object = np.arange(len(rays.laser)) % 3 == 0
+    network = hits_network(SPEC, torch.Generator().manual_seed(0))
+    corrected = SweepRaydrop(network, scan_grids, EVEN)(rays, replace(rendered, on_object=on_object), NEAR)
+    everywhere = SweepRaydrop(network, scan_grids, EVEN)(rays, rendered, NEAR)
+    assert np.array_equal(corrected.hit[on_object], rendered.hit[on_object])
+    assert np.array_equal(corrected.hit[~on_object], everywhere.hit[~on_object])
+    assert (everywhere.hit != rendered.hit)[on_object].any(), "elsewhere it would have been corrected"
 
 
 def test_one_column_is_one_azimuth_and_each_firing_is_told_once() -> None:

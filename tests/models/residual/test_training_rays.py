@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from nvsf_core.evidence.drop_prior import DropPrior
+from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.objects import prove_objects
-from nvsf_core.evidence.moving.rigid_path import MovingObject, MovingObjects
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
@@ -18,6 +18,7 @@ from nvsf_core.recipe import FieldSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.simulation.ray_renderers import field_renderer
 
 WALL_M, PLATE_M = 12.03, 8.02
 SCANS, RETURNS, PERIOD_S = 6, 3000, 0.1
@@ -94,6 +95,21 @@ def test_an_object_is_met_where_its_ray_ends(drive: LidarRecording) -> None:
     nearest_m[rays.objects.ray] = rays.objects.range_m[rays.objects.first[:-1]]
     on_plate = (rays.intensity > 0.4) & (rays.range_m > 0)
     assert np.mean(np.abs(nearest_m - rays.range_m)[on_plate] < 0.1) > 0.9
+
+
+def test_on_an_object_no_learned_hit_is_shown(drive: LidarRecording) -> None:
+    bounds = Bounds(centre_m=(0.0, 0.0, 0.0), half_m=20.0)
+    field = LidarField(FieldSpec(levels=2, log2_table=8), bounds, torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        list(field.hit_head.parameters())[-1].fill_(9.0)  # its bias: each ray returns
+    towards = np.array([[PLATE_M, 0.0, 0.0], [PLATE_M, 3.5, 0.0]])
+    direction = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+    render = field_renderer(field, drive.evidence.static, drive.moving(), most=8, far_m=drive.far_m)
+    shown = render(np.zeros((2, 3), np.float32), direction, np.full(2, 0.3, np.float32), np.full(2, 0.25))
+    assert shown.on_object is not None and shown.on_object.tolist() == [True, False]
+    assert abs(shown.range_m[0] - PLATE_M) < 0.2 < shown.range_m[1] - PLATE_M
+    assert shown.hit_prior is not None and shown.hit[0] == shown.hit_prior[0]
+    assert shown.hit[1] > 0.99, "beside it the field decides"
 
 
 def test_rays_of_a_static_scene_carry_nothing_dynamic(drive: LidarRecording) -> None:

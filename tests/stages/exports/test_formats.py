@@ -10,9 +10,8 @@ import pytest
 from nvsf_core.clouds.laz import write_laz
 from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.drives.kitti360.calibration import read_calibration
+from nvsf_core.drives.kitti360.frames import frame_times, read_poses
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.drives.kitti360.poses import read_poses
-from nvsf_core.drives.kitti360.timestamps import frame_times
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360

@@ -17,7 +17,7 @@ from nvsf_core.stages.scoring.demo_images import demo_images
 from nvsf_core.stages.scoring.demo_truth import DemoTruth, read_demo_truth
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
-from nvsf_core.stages.views.plan import plan_arrays, plan_attrs
+from nvsf_core.stages.views.view import plan_arrays, plan_attrs
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.schemas import CONTRACT, violations
 

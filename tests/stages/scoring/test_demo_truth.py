@@ -17,7 +17,7 @@ from nvsf_core.stages.runner.run import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stages.views.plan import plan_arrays, plan_attrs
+from nvsf_core.stages.views.view import plan_arrays, plan_attrs
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 LASERS = np.arange(0, 64, 8)

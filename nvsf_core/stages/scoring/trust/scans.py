@@ -48,7 +48,7 @@ from nvsf_core.simulation.view_plan import table_of
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
-from nvsf_core.stages.views.plan import stored_plan
+from nvsf_core.stages.views.view import stored_plan
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 _LEFT_OUT = 4
@@ -248,9 +248,10 @@ def scan_cues(
         points_m = recorded.placed(scan)
         hit = a["grid_hit"][i][:, :firings].astype(np.float64)
         guessed = a["grid_support"][i][:, :firings] == Support.GUESSED
+        wrong = np.where(rays_return(hit), 1.0 - hit, hit)
         cues = {
             GUESSED: float(guessed.mean()),
-            WRONG.name: float(np.where(guessed, 0.5, np.minimum(hit, 1.0 - hit)).mean()),
+            WRONG.name: float(np.where(guessed, 0.5, wrong).mean()),
             AWAY.name: recorded.cloud.away(points_m),
             DENSITY.name: recorded.cloud.density_aware(points_m),
         }

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.drives.kitti360.frames import frame_times
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.drives.kitti360.timestamps import frame_times
 from nvsf_core.errors import DataError
 
 

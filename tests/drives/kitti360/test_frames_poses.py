@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.drives.kitti360.poses import compare_poses, read_cam0_to_world, read_poses
+from nvsf_core.drives.kitti360.frames import compare_poses, read_cam0_to_world, read_poses
 from nvsf_core.errors import DataError
 
 LINE = "{} 1 0 0 {} 0 1 0 3700.5 0 0 1 115"

@@ -1,21 +1,30 @@
-"""Sensors and instants of the views: the held-out frames, each view of the catalogue, and views as stored."""
+"""Views: sensors and instants of each, rendering them beside each other, and what is stored of them."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from nvsf_core.drives.view_entry import NO_SENSOR, ViewEntry
 from nvsf_core.drives.view_parts import CameraEntry
 from nvsf_core.errors import DataError
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import rotation_of
+from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.simulation.scan import measured_range_noise_m
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
+from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
+_One = TypeVar("_One")
 _PATH = ("path_knot_s", "path_to_world")
 
 
@@ -137,3 +146,108 @@ def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
         path.parent.name, a["frame"], a["time_s"], mount, path_time_s=a["path_time_s"], path=own,
         scene_rate=float(attrs["scene_rate"]), path_rate=float(attrs["path_rate"]),
     )  # fmt: skip
+
+
+def placed(recording: Recording, view: View) -> dict[str, np.ndarray]:
+    """Arrays of the data contract on a view's instants and poses."""
+    poses = to_world(recording, reference_poses(recording, view.plan))
+    return plan_arrays(view.plan) | {"lidar_to_world": poses}
+
+
+def view_attrs(recording: Recording, view: View, *, by_images: bool = False) -> dict[str, Any]:
+    """Attributes of the data contract on a view's plan and sensors.
+
+    Args:
+        recording: The drive.
+        view: The view.
+        by_images: Whether images supplied the rays above the recorded lasers.
+    """
+    table = None if view.sweeps is None else view.sweeps.table
+    return plan_attrs(view.plan) | {
+        "sensor": "" if table is None else table.name,
+        "sensor_max_range_m": None if table is None else table.max_range_m,
+        **_sweep_facts(recording, view),
+        "cameras_like": {name: one.like for name, one in view.other_cameras.items()},
+        **_camera_facts(recording, view),
+        "above_lasers_by_images": by_images,
+    }
+
+
+def _sweep_facts(recording: Recording, view: View) -> dict[str, Any]:
+    """What a data set needs of a view's sweeps: their duration, the lasers of the grid's rows, the noise."""
+    if recording.lidar is None or view.sweeps is None:
+        return {}
+    sweeps, table = recording.lidar.sweeps, view.sweeps.table
+    own = view.sweeps.is_recorded_sensor
+    lasers = recording.lidar.evidence.lasers if own else np.arange(table.laser_count)
+    a = sweeps.arrays
+    noise_m = measured_range_noise_m(a["range_m"], a["laser"], a["firing"], a["offsets"])
+    return {
+        "sweep_period_s": view.sweeps.sweep_s(sweeps.period_s),
+        "grid_lasers": np.asarray(lasers).astype(int).tolist(),
+        "measured_range_noise_m": noise_m if np.isfinite(noise_m) else None,
+    }
+
+
+def _camera_facts(recording: Recording, view: View) -> dict[str, Any]:
+    """Models and mountings of a view's cameras; the images of recorded ones are undistorted."""
+    models: dict[str, Pinhole | MeiFisheye] = {
+        name: recording.cameras[name].training.pinhole for name in view.images
+    }
+    in_lidar = {name: recording.cameras[name].in_lidar for name in view.images}
+    for name, camera in view.other_cameras.items():
+        models[name] = camera.model()
+        in_lidar[name] = camera_in_lidar(camera, recording.cameras[camera.like].in_lidar)
+    return {
+        "camera_models": {
+            name: {"kind": "pinhole" if isinstance(model, Pinhole) else "mei", **asdict(model)}
+            for name, model in models.items()
+        },
+        "camera_in_lidar": {name: pose.reshape(-1).tolist() for name, pose in in_lidar.items()},
+    }
+
+
+def camera_in_lidar(camera: CameraEntry, like: np.ndarray) -> np.ndarray:
+    """Mounting (4, 4), camera to LiDAR, of a camera beside the recorded one mounted at `like`."""
+    mounted = like.copy()
+    mounted[:3, :3] = rotation_of(camera.yaw_deg, camera.pitch_deg, camera.roll_deg) @ like[:3, :3]
+    mounted[:3, 3] += camera.shift_m
+    return mounted
+
+
+def camera_models(attrs: Mapping[str, Any]) -> dict[str, Pinhole | MeiFisheye]:
+    """Models of a stored view's cameras, of its attributes."""
+    return {name: _camera_model(facts) for name, facts in attrs.get("camera_models", {}).items()}
+
+
+def _camera_model(facts: Mapping[str, Any]) -> Pinhole | MeiFisheye:
+    values = {name: value for name, value in facts.items() if name != "kind"}
+    return Pinhole(**values) if facts["kind"] == "pinhole" else MeiFisheye(**values)
+
+
+def render_all(
+    task: Task, render: Callable[[int], _One], count: int, name: str
+) -> tuple[list[_One], np.ndarray]:
+    """What `render` gives for the numbers 0 to `count` - 1, and the seconds (count,) that each took.
+
+    Several are rendered at once, so each is said to take an equal share of the time of all.
+
+    Args:
+        task: Task of the stage, for its progress.
+        render: Renders one.
+        count: How many.
+        name: Of view, method and sensor, for progress.
+    """
+    started, done, lock = time.perf_counter(), 0, threading.Lock()
+
+    def one(number: int) -> _One:
+        nonlocal done
+        found = render(number)
+        with lock:
+            done += 1
+            seconds = (time.perf_counter() - started) / done
+            task.progress(f"[{task.scene.name}] novel_views: {name} {done}/{count}, {seconds:.2f} s each")
+        return found
+
+    found = in_parts(one, count, MOST_VIEWS)
+    return found, np.full(count, (time.perf_counter() - started) / max(1, count))
