@@ -12,7 +12,7 @@ from assets.scenes import key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.recipe import preset
-from nvsf_core.stages.runner.record import RECORD_NAME, read_record
+from nvsf_core.stages.runner.record import RECORD_NAME, made_s, read_record
 from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.scene_store import SceneStore, published
 
@@ -41,7 +41,7 @@ def recipe_fault(entry: SceneEntry, workspace: Workspace) -> str:
 def age_fault(entry: SceneEntry, workspace: Workspace) -> str:
     """Why a scene's newest data set is too old; empty if it is not, or if there is none."""
     records = published(workspace.home() / entry.name, f"dataset/.index/*/*/{RECORD_NAME}")
-    newest_s = max((path.stat().st_mtime for path in records), default=None)
+    newest_s = max((made_s(path.parent) for path in records), default=None)
     if newest_s is None or time.time() - newest_s <= OLDEST_DAYS * _DAY_S:
         return ""
     return f"its newest data set is older than {OLDEST_DAYS:.0f} days; launch `regenerate_synthetic`"

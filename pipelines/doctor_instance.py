@@ -18,6 +18,10 @@ _SETTINGS = {
     "freshness": "nothing says that a data set or the report is old",
 }
 
+_PATIENT_S = 600
+_PATIENCE = (("run_monitoring", "start_timeout_seconds"), ("code_servers", "local_startup_timeout"))
+"""Of three minutes each, unless the instance says otherwise; what is late is not tried again."""
+
 
 def instance_place(environ: Mapping[str, str]) -> Path:
     """DAGSTER_HOME; by default the one that `make` and `nvsf` use, in the home."""
@@ -52,6 +56,9 @@ def _faults(instance: dg.DagsterInstance) -> Iterator[str]:
     pools = (instance.get_settings("concurrency") or {}).get("pools") or {}
     if not pools.get("default_limit"):
         yield f"{TEMPLATE} lacks `concurrency: pools: default_limit: 1`: what waits for a device is not shown"
+    for name, key in _PATIENCE:
+        if (instance.get_settings(name) or {}).get(key, 0) < _PATIENT_S:
+            yield f"{TEMPLATE} lacks `{name}: {key}: {_PATIENT_S}`: a busy machine gives up a run that starts"
     stale = stale_runs(instance)
     if stale:
         named = ", ".join(run.run_id[:8] for run in stale)

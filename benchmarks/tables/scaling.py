@@ -86,14 +86,16 @@ def _seconds(recipe: str, scenes: list[Row]) -> float:
 
     The rest (preparation, rendering, metrics) is of the shares of the home's own runs, which `quick` trained.
     """
-    train, quick = (_train_seconds(name) for name in (recipe, _HOME_RECIPE))
+    train, quick = (_train_seconds(name, scenes) for name in (recipe, _HOME_RECIPE))
     shares = [one["seconds"] / one["train_seconds"] - 1.0 for one in scenes]
     return train + quick * sum(shares) / len(shares)
 
 
-def _train_seconds(recipe: str) -> float:
+def _train_seconds(recipe: str, scenes: list[Row]) -> float:
+    """Mean over what is stored of the same scenes."""
     found = json.loads((documents.RESULTS / "recipes" / f"{recipe}.json").read_text())["rows"]
-    seconds = [row["train_seconds"] for row in found]
+    names = {one["scene"] for one in scenes}
+    seconds = [row["train_seconds"] for row in found if row["scene"] in names]
     return float(sum(seconds) / len(seconds))
 
 
@@ -140,9 +142,12 @@ def many_scenes(facts: Row) -> str:
             costs = (f"{hours * cores:,.0f}", f"{hours * cores * price:,.0f}")
             disk = (f"{count * one:,.1f}" for one in (disk_gb, version_gb))
             lines.append([f"`{recipe}`", f"{count:,}", *walls, *costs, *disk])
+    frames = sum(one["frames"] for one in scenes) / len(scenes)
+    memory_gb = max(one["memory_mb"] for one in scenes) / 1e3
     words = (
-        f"\nA worker has {cores} cores and makes one scene at a time. The cost is at {price:g} for a core "
-        "and hour. A version is that of all data sets of a scene; each week's regeneration adds one.\n"
+        f"\nA scene has {frames:.0f} frames. A worker has {cores} cores, makes one scene at a time and needs "
+        f"{memory_gb:.1f} GB of memory for it. The cost is at {price:g} for a core and hour. A version "
+        "is that of all data sets of a scene; each week's regeneration adds one.\n"
     )
     return markdown_table(head, lines, "| --- |" + " ---: |" * (len(head) - 1)) + words
 

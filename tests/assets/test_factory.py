@@ -51,6 +51,8 @@ def test_an_output_has_numbers_a_picture_and_a_check(materialize, tmp_path):
     metadata = event.materialization.metadata
     assert event.partition == "demo"
     assert metadata["rows"].value == 3 and metadata["path"].value == str(tmp_path / "demo/frames")
+    took = [metadata[name] for name in ("seconds", "peak_memory_mb", "read_mb", "written_mb")]
+    assert all(isinstance(one, dg.FloatMetadataValue) and one.value == rounded(one.value) for one in took)
     assert metadata["preview_top"].value.startswith("![top](data:image/png;base64,")
     (check,) = result.get_asset_check_evaluations()
     assert check.check_name == CHECK_NAME and check.passed and check.metadata["law"].value == "holds: 3 of 3"

@@ -39,6 +39,22 @@ def test_the_image_copies_what_exists_and_what_is_not_ignored(repo: Path) -> Non
     assert names and all((repo / name).exists() and name.split("/")[0] in allowed for name in names)
 
 
+def test_every_place_waits_ten_minutes_for_a_busy_code_location(repo: Path) -> None:
+    name, seconds = "DAGSTER_GRPC_TIMEOUT_SECONDS", "600"
+    assert f"{name}={seconds} $(BIN)/dagster dev" in (repo / "Makefile").read_text()
+    services, values = _read(DEPLOY / "compose.yaml")["services"], _read(DEPLOY / "helm-values.yaml")
+    assert [services[one]["environment"][name] for one in ("daemon", "webserver")] == [seconds] * 2
+    patience = [{"name": name, "value": seconds}]
+    assert [values[one]["env"] for one in ("dagsterDaemon", "dagsterWebserver")] == [patience] * 2
+    template = _read(repo / "pipelines/dagster.yaml")
+    starts = (
+        template["run_monitoring"]["start_timeout_seconds"],
+        template["code_servers"]["local_startup_timeout"],
+    )
+    assert starts == (int(seconds), int(seconds))
+    assert values["dagsterDaemon"]["runMonitoring"]["startTimeoutSeconds"] == int(seconds)
+
+
 def test_compose_is_accepted_by_its_own_tool() -> None:
     tool = shutil.which("docker-compose")
     command = [tool] if tool else ["docker", "compose"]

@@ -12,8 +12,10 @@ import dagster as dg
 import pytest
 
 from assets.automation import KEPT_TAGS
-from assets.offers import RECIPE_CHECK
-from assets.scenes import SCENES, key_of
+from assets.drives import VERSIONS, versions_of
+from assets.offers import AGE_CHECK, RECIPE_CHECK
+from assets.scenes import DATA_VERSION, SCENES, key_of
+from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.stages import STAGE_NAMES
 from pipelines.definitions import defs
@@ -141,9 +143,22 @@ def test_a_new_drive_is_made_into_a_data_set_once(arrived: Watched) -> None:
     assert arrived.requested() == {"benchmark_report": {"all"}}
     assert arrived.tick().asset_events == [] and arrived.requested() == {}
 
+    _an_old_data_set_is_told_of_and_a_copied_one_is_no_newer(arrived)
     _a_changed_view_starts_what_reads_it(arrived)
     _a_changed_recipe_is_offered_and_changes_nothing(arrived)
     _a_changed_drive_is_followed_with_the_recipe_that_the_scene_has(arrived)
+
+
+def _an_old_data_set_is_told_of_and_a_copied_one_is_no_newer(arrived: Watched) -> None:
+    assert arrived.check("dataset", AGE_CHECK)
+    (record,) = (arrived.folder / "home/tiny/dataset/.index").rglob("stage.json")
+    said = record.read_text()
+    record.write_text(json.dumps(json.loads(said) | {"made_s": time.time() - 9 * 86_400}))
+    arrived.tick()
+    assert not arrived.check("dataset", AGE_CHECK), "although its file is new"
+    record.write_text(said)
+    arrived.tick()
+    assert arrived.check("dataset", AGE_CHECK)
 
 
 def _a_changed_view_starts_what_reads_it(arrived: Watched) -> None:
@@ -176,6 +191,20 @@ def _a_changed_drive_is_followed_with_the_recipe_that_the_scene_has(arrived: Wat
     result = arrived.run()
     assert result.success
     assert os.listdir(arrived.folder / "home/tiny/field") == ["smoke"]
+
+
+def test_what_the_ui_s_button_observes_is_what_the_sensor_reports(arrived: Watched) -> None:
+    assert arrived.requested()
+    observed = defs.resolve_implicit_global_asset_job_def().execute_in_process(
+        instance=arrived.instance, asset_selection=[key_of(name) for name in VERSIONS]
+    )
+    events = [one.asset_observation_data.asset_observation for one in observed.get_asset_observation_events()]
+    (entry,) = (one for one in catalogue() if one.name == "tiny")
+    digests = versions_of(entry, Workspace())
+    assert {(one.asset_key, one.partition, one.tags[DATA_VERSION]) for one in events} == {
+        (key_of(name), "tiny", digest) for name, digest in digests.items()
+    }
+    assert arrived.requested() == {}, "nothing changed"
 
 
 def test_a_drive_that_fails_is_not_tried_again_until_it_changes(arrived: Watched) -> None:

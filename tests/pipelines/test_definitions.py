@@ -45,6 +45,10 @@ def test_every_stage_is_an_asset_with_group_description_partitions_and_its_check
         assert all(spec.partitions_def == SCENES for spec in specs if spec.name != offer)
         assert node.owners and node.kinds and node.automation_condition
         assert (node.pools == {"device"}) == (stage.name == "field")
+        assert node.backfill_policy == dg.BackfillPolicy.multi_run(max_partitions_per_run=1)
+    assert {key.path[-1] for key in graph.get_all_asset_keys() if graph.get(key).freshness_policy} == {
+        "dataset", "benchmark_report",
+    }  # fmt: skip
 
 
 def test_the_arrows_between_groups_run_one_way():
@@ -76,6 +80,12 @@ def test_workspace_file_and_project_load_the_same_location(run_process, tmp_path
     assert by_file.returncode == by_project.returncode == 0, by_file.stderr + by_project.stderr
     assert _without_log(by_file.stdout) == _without_log(by_project.stdout)
     assert "weekly_regeneration" in _without_log(by_file.stdout)
+
+
+def test_nothing_in_the_checkout_makes_dagster_warn_at_its_start(run_process, repo, tmp_path):
+    (tmp_path / "dagster.yaml").write_text((repo / "pipelines/dagster.yaml").read_text())
+    done = run_process("dagster", "instance", "info", DAGSTER_HOME=str(tmp_path))
+    assert done.returncode == 0 and "arning" not in done.stdout + done.stderr, done.stderr
 
 
 def _without_log(text):

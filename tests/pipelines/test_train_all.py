@@ -1,5 +1,7 @@
 """One scene's failure is its own: on a tiny flow of two stages."""
 
+import json
+
 import dagster as dg
 import pytest
 
@@ -9,6 +11,7 @@ from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
+from pipelines.failures import COMMAND_VARIABLE
 from pipelines.train_all import make_train_all_scenes
 
 CATALOGUE = """
@@ -103,6 +106,15 @@ def test_a_failed_scene_has_a_failed_check(run_job):
     result, _ = run_job()
     verdicts = [event.asset_check_evaluation_data for event in _events(result, "ASSET_CHECK_EVALUATION")]
     assert [one.description for one in verdicts if not one.passed] == ["scene bad: frames: the scan is torn"]
+
+
+def test_a_failed_run_without_a_daemon_calls_the_users_command(run_job, monkeypatch, tmp_path):
+    monkeypatch.setenv(COMMAND_VARIABLE, f"tee {tmp_path / 'told.json'}")
+    run_job("good")
+    assert not (tmp_path / "told.json").exists()
+    run_job()
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert (told["job"], told["words"]) == ("train_all_scenes", "bad: frames: the scan is torn")
 
 
 def test_each_scene_s_verdict_is_of_its_newest_output_so_that_the_ui_shows_it(run_job, instance):

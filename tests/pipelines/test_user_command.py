@@ -5,10 +5,11 @@ import os
 import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from nvsf_core.stages import STAGES, find_scene, plan_run, run_named_stage
+from nvsf_core.stages import STAGES, find_scene, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.sizes import dataset_bytes, novel_views_bytes
 from nvsf_core.stages.versions import damage_of_version, make_anew, versions_of
@@ -118,6 +119,13 @@ def test_a_second_run_skips_every_stage(run_process, trained, tiny_catalogue):
     assert done.stderr.count("up to date, skipped") == 10
 
 
+def test_a_trained_home_and_its_drive_are_up_to_date_elsewhere(trained, tiny_catalogue, tmp_path):
+    shutil.copytree(trained, tmp_path / "home", copy_function=shutil.copy)  # other times and inodes
+    shutil.copytree(tiny_catalogue.parent / "drive", tmp_path / "drive", copy_function=shutil.copy)
+    scene = replace(find_scene("tiny"), root=tmp_path / "drive")
+    assert [one.stage for one in run_scene(scene, tmp_path / "home", progress=str) if not one.skipped] == []
+
+
 WEEKLY_TICK = """
 import datetime, json
 import dagster as dg
@@ -139,8 +147,7 @@ print(json.dumps([request.partition_key, request.run_key, request.run_config["re
 
 
 def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(run_process, trained, tiny_catalogue):
-    versions = trained / "tiny/dataset/shift_1m"
-    before = {path.name for path in versions.iterdir()}
+    before = _versions(trained)
     done = run_process(
         sys.executable, "-c", WEEKLY_TICK, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained)
     )
@@ -149,9 +156,17 @@ def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(run_process, train
     assert (partition, key, success) == ("tiny", "tiny-2026-W47", True)
     choice = {"recipe": "smoke", "seed": 0, "draw_seed": 202647, "dataset_label": "2026-W47"}
     assert resources == {"workspace": {"config": choice}}
-    after = {path.name for path in versions.iterdir()}
-    assert before < after and [name.startswith("2026-W47-") for name in after - before] == [True]
+    new = _versions(trained) - before
+    assert before < before | new and {place.partition("-W47-")[0] for place in new} == {
+        "shift_1m/2026", "test/2026",
+    }  # fmt: skip
+    assert len(new) == 2, "the next version of each view"
     assert "field: up to date, skipped" in done.stderr
+
+
+def _versions(home):
+    folder = home / "tiny/dataset"
+    return {path.relative_to(folder).as_posix() for path in folder.glob("[!.]*/*")}
 
 
 def _data_sets(home):
@@ -210,13 +225,18 @@ instance = dg.DagsterInstance.get()
 (run,) = instance.get_runs(dg.RunsFilter(tags={".dagster/repository": "__repository__@nvsf"}))
 print(run.remote_job_origin.location_name, run.tags["nvsf/started_by"], run.status.value)
 print(instance.get_dynamic_partitions("scenes"))
+made = instance.get_latest_materialization_event(dg.AssetKey(["nvsf", "dataset"])).asset_materialization
+print(*(made.metadata[name].value for name in ("path", "path_test", "path_shift_1m")), sep="\\n")
 """
 
 
 def test_a_run_of_the_terminal_is_of_the_code_location_and_registers_its_scenes(run_process, trained):
     done = run_process(sys.executable, "-c", LAUNCHED, DAGSTER_HOME=str(_dagster_home(trained)))
-    said = done.stdout.splitlines()[-2:]
+    *said, first, test, shifted = done.stdout.splitlines()[-5:]
     assert said == ["nvsf terminal SUCCESS", "['tiny']"], f"launched by dg, in the test above: {done.stderr}"
+    data_sets = trained / "tiny/dataset"
+    assert first == test and Path(test).parent == data_sets / "test"
+    assert Path(shifted).parent == data_sets / "shift_1m" and (Path(shifted) / "manifest.json").is_file()
 
 
 def test_logs_as_json_lines_say_scene_stage_and_run(first_run, home):

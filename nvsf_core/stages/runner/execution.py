@@ -220,6 +220,7 @@ def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task])
             "previews": output.previews,
             **_checked(stage, task(folder), output.checks),
             "seconds": time.perf_counter() - started,
+            "made_s": time.time(),
             "files": listed_files(store, folder, output.previews.values(), output.beside),
             "resources": meter.taken(),
         }

@@ -36,6 +36,15 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     return record if _is_record(record) else None
 
 
+def made_s(folder: Path) -> float:
+    """When a published output was made, seconds since the epoch.
+
+    The record says it, for a copy gives its files other times; older records do not, then the file's counts.
+    """
+    known = (read_record(folder) or {}).get("made_s")
+    return float((folder / RECORD_NAME).stat().st_mtime if known is None else known)
+
+
 def listed_files(
     store: SceneStore, folder: Path, previews: Iterable[str], beside: Iterable[str]
 ) -> dict[str, dict[str, str]]:
@@ -106,6 +115,7 @@ def _is_record(record: Mapping[str, Any]) -> bool:
         return False
     return (
         _is_number(record.get("seconds"))
+        and _is_number(record.get("made_s", 0.0))
         and all(_is_scalar(value) for value in record["metadata"].values())
         and all(_is_inside(file) for file in record["previews"].values())
         and all(_is_check(check) for check in record["checks"])

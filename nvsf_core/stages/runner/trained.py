@@ -4,7 +4,7 @@ from pathlib import Path
 
 from nvsf_core.errors import RecipeError
 from nvsf_core.recipe import is_seed_folder, preset
-from nvsf_core.stages.runner.record import RECORD_NAME, read_record
+from nvsf_core.stages.runner.record import RECORD_NAME, made_s, read_record
 from nvsf_core.stores.scene_store import published
 
 
@@ -12,7 +12,7 @@ def trained_fields(scene_root: Path) -> list[tuple[str, int]]:
     """Recipe and seed of each published field below a scene's folder, the newest last; only readable ones."""
     fields = [path.parent for path in published(scene_root, f"field/*/*/{RECORD_NAME}")]
     sound = [folder for folder in fields if _is_known(folder) and read_record(folder) is not None]
-    sound.sort(key=lambda folder: ((folder / RECORD_NAME).stat().st_mtime, str(folder)))
+    sound.sort(key=lambda folder: (made_s(folder), str(folder)))
     return [(folder.parent.name, int(folder.name)) for folder in sound]
 
 

@@ -16,6 +16,7 @@ from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.stage import Stage, StageOutput
+from nvsf_core.stages.runner.trained import newest_field
 
 WITHOUT_DAGSTER = """
 import json, sys
@@ -97,6 +98,15 @@ def test_two_recipes_lie_side_by_side(entry, tmp_path):
         for recipe in ("quick", "smoke")
     ]
     assert places == [tmp_path / "tiny/field/quick/3", tmp_path / "tiny/field/smoke/3"]
+
+
+def test_a_copied_home_has_the_same_newest_field(entry, tmp_path):
+    stages = [_make("field", (), [], per_recipe=True)]
+    for recipe in ("quick", "lean", "paper_smoke"):
+        run_scene(entry, tmp_path, recipe=recipe, progress=str, stages=stages)
+    for number, recipe in enumerate(("paper_smoke", "lean", "quick")):
+        os.utime(tmp_path / f"tiny/field/{recipe}/0/stage.json", (number, number))
+    assert newest_field(tmp_path / "tiny") == ("paper_smoke", 0)
 
 
 def test_the_recipe_asked_for_goes_before_the_catalogues(entry, tmp_path):

@@ -184,6 +184,22 @@ def test_what_would_be_made_again_and_what_is_damaged_is_said(copy: Path, tiny_c
     assert found["undistorted"].verdict is Verdict.ABSENT
 
 
+def test_verify_reads_bytes_anew_whatever_is_remembered_of_them(copy: Path, tiny_catalogue: Path) -> None:
+    entry = _entry(tiny_catalogue, copy)
+    _prepare(entry, copy / "home")
+    path = DriveLayout(entry.root, entry.sequence).scan_path(1)
+    content = bytearray(path.read_bytes())
+    content[12:16], content[28:32] = content[28:32], content[12:16]
+    path.write_bytes(content)
+    # As after a change that all of the file's facts hide.
+    known, now = copy / "home/.hashes/tiny.json", path.stat()
+    memory = json.loads(known.read_text())
+    memory["files"][str(path)][:4] = [now.st_size, now.st_mtime_ns, now.st_ctime_ns, now.st_ino]
+    known.write_text(json.dumps(memory))
+    (frames, *_) = verify_scene(plan_run(entry, copy / "home", recipe="smoke"), PREPARED)
+    assert frames.verdict is Verdict.CHANGED and frames.words == "for the files of the drive changed"
+
+
 def test_a_view_s_place_of_true_images_decides_nothing_its_cameras_do(tiny_catalogue: Path) -> None:
     from nvsf_core.stages.runner.facts import view_facts
 
