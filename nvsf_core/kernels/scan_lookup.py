@@ -32,6 +32,8 @@ class Lasers(NamedTuple):
     """(l,) float64."""
     up_m: np.ndarray
     """(l,) float64 lever arm across the ray."""
+    start_m: np.ndarray
+    """(l,) float64: where the ray's line crosses the sensor's axis, up_m / cos(elevation)."""
     left_m: np.ndarray
     """(l,) float64."""
     shift_rad: np.ndarray
@@ -55,21 +57,14 @@ class SweepGrid(NamedTuple):
     """(rows, >= f) float32."""
 
 
-def look_up_scans(points_m: np.ndarray, lasers: Lasers, sweep: SweepGrid, found: np.ndarray) -> None:
+@njit(parallel=True, cache=True)
+def look_up_scans(points, lasers, grid, found):  # type: ignore[no-untyped-def]
     """Add to `found` (n, 5) float32 what one sweep recorded towards points (n, 3) float32, scene-local.
 
     Points that are not finite are passed by. Angles are right to 0.0002, a tenth of a firing's.
     """
-    row, elevation_rad, up_m, left_m, shift_rad, turned_up_rad = lasers
-    start_m = up_m / np.cos(elevation_rad)
-    _see(points_m, row, elevation_rad, up_m, start_m, left_m, shift_rad, turned_up_rad, *sweep, found)
-
-
-@njit(parallel=True, cache=True)
-def _see(  # type: ignore[no-untyped-def]
-    points, row, elevation, up_m, start_m, left_m, shift_rad, turned_up_rad, rotation, position, fraction,
-    range_m, intensity, found,
-):  # fmt: skip
+    row, elevation, up_m, start_m, left_m, shift_rad, turned_up_rad = lasers
+    rotation, position, fraction, range_m, intensity = grid
     n, moments, firings = len(points), len(position), len(fraction)
     cos_up, sin_up = math.cos(turned_up_rad), math.sin(turned_up_rad)
     for task in prange((n + _RAYS_A_TASK - 1) // _RAYS_A_TASK):

@@ -181,9 +181,10 @@ class RecordedSweeps:
     @property
     def _lasers(self) -> Lasers:
         table, rows = self.table, self.lasers
+        elevation_rad, up_m = table.elevation_rad[rows], table.vertical_offset_m[rows]
         shift_rad = (table.phase_steps - table.firing_shift_steps)[rows] * table.step_rad
         return Lasers(
-            rows, table.elevation_rad[rows], table.vertical_offset_m[rows], table.horizontal_offset_m[rows],
+            rows, elevation_rad, up_m, up_m / np.cos(elevation_rad), table.horizontal_offset_m[rows],
             shift_rad, self.turn_up_rad,
         )  # fmt: skip
 

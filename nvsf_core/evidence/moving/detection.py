@@ -1,14 +1,25 @@
-"""Finds moving objects in the training returns, without labels and without learning."""
+"""Finds moving objects in the training returns, without labels and without learning.
 
-from dataclasses import replace
+What moves in a scan is clustered; clusters are linked to tracks; a track's path gathers the whole object.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.clusters import cluster_scan, laser_density, link_tracks
 from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
-from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path, start_path
-from nvsf_core.evidence.moving.visibility import AboveGround, TimedReturns, build_ground, classify_returns
+from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path
+from nvsf_core.evidence.moving.visibility import (
+    SEED,
+    STATIC,
+    AboveGround,
+    TimedReturns,
+    build_ground,
+    classify_returns,
+)
 
 ABOVE_GROUND_M = 0.25
 """Lower returns are taken as ground and cannot move."""
@@ -18,12 +29,231 @@ _NEAREST_M = 1.0
 _MODEL_VOXEL_M = 0.15
 _GROW_M = 0.3
 _LEAST_RETURNS = 30
-_LEAST_SCANS = 3
 _MOST_OF_WORLD_SHAPE = 0.8
 """Most voxels that an object's returns may fill in its own frame, as a share of those they fill in the world.
 What does not move, such as a hedge whose visible side changes, fills as many or more."""
 _OWN_VEHICLE_M = 2.5
 """What is never farther from the sensor than this is part of the own vehicle, such as an antenna."""
+_VOXEL_M = 0.25
+_LINK_M = 0.5
+_LEAST_SEEDS = 8
+_FEWEST_SEEDS = 3
+_USUAL_SPACING_RAD = 0.007
+"""Angle between neighbouring lasers of the 64-laser sensor for which all numbers of returns are given."""
+_SEED_SHARE = 0.4
+_SEEDS_PER_STATIC = 2.0
+_LONGEST_M = 12.0
+_NEW_GATE_M = 2.2
+"""Metres per frame that an object seen in one scan may have moved."""
+_GATE_M = 0.8
+"""Metres per frame that an object may be away from its prediction."""
+_MOST_COST = 1.6
+_SIZE_COST_M = 0.3
+_LONGEST_GAP_FRAMES = 3.5
+_LEAST_SCANS = 3
+_LEAST_MOVED_M = 0.5
+_LEAST_SPEED_M = 0.04
+"""Metres per frame; slower motion is noise."""
+_TRACK_WITHIN_M = 60.0
+_LEAST_OF_TRACK, _FEWEST_OF_TRACK = 10.0, 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """One probably moving object in one scan."""
+
+    scan: int
+    """Number of the scan."""
+    members: np.ndarray
+    """(k,) int64 indices of its returns among all returns."""
+    time_s: float
+    """Mean time of its returns."""
+    centre_m: np.ndarray
+    """(3,) float64 mean of its returns, scene-local metres."""
+    size_m: float
+    """Diagonal of its axis-aligned box."""
+    nearest_m: float
+    """Range of its nearest return."""
+
+
+def laser_density(spacing_rad: float) -> float:
+    """Returns that a sensor gets from an object, relative to a 64-laser sensor; at most 1."""
+    return min(1.0, _USUAL_SPACING_RAD / spacing_rad)
+
+
+def pull_together(
+    point_m: np.ndarray, above_sensor_m: np.ndarray, range_m: np.ndarray, spacing_rad: float
+) -> np.ndarray:
+    """Points (m, 3) moved towards the sensor's height until rows of neighbouring lasers can be linked.
+
+    Args:
+        point_m: (m, 3) scene-local, metres.
+        above_sensor_m: (m,) heights above the sensor.
+        range_m: (m,) ranges from the sensor.
+        spacing_rad: Angle between neighbouring lasers.
+    """
+    pulled = point_m.copy()
+    pulled[:, 2] -= above_sensor_m * (1.0 - np.minimum(1.0, _LINK_M / (spacing_rad * range_m)))
+    return pulled
+
+
+def cluster_scan(
+    scan: int, returns: TimedReturns, above_ground: AboveGround, range_m: np.ndarray, spacing_rad: float
+) -> list[Cluster]:
+    """Clusters of a scan's returns above the ground that probably move.
+
+    Voxels are linked to others within half a metre, but not those that are mostly static.
+
+    Args:
+        scan: Number of the scan.
+        returns: All training returns.
+        above_ground: Those that may move, with their labels.
+        range_m: (N,) ranges of all returns.
+        spacing_rad: Angle between neighbouring lasers.
+    """
+    index, label = above_ground.of_scan(scan)
+    least_seeds = max(_FEWEST_SEEDS, _LEAST_SEEDS * laser_density(spacing_rad))
+    if (label == SEED).sum() < least_seeds:
+        return []
+    point_m, range_m = returns.point_m[index], range_m[index]
+    group = _groups(pull_together(point_m, returns.recorded_m[index, 2], range_m, spacing_rad), label)
+    count = int(group.max(initial=-1)) + 1
+    seeds = np.bincount(group[(label == SEED) & (group >= 0)], minlength=count)
+    static = np.bincount(group[(label == STATIC) & (group >= 0)], minlength=count)
+    size = np.bincount(group[group >= 0], minlength=count)
+    moving = (seeds >= least_seeds) & (seeds >= _SEED_SHARE * size) & (seeds >= _SEEDS_PER_STATIC * static)
+    clusters = []
+    for chosen in np.flatnonzero(moving):
+        rows = np.flatnonzero(group == chosen)
+        points = point_m[rows].astype(np.float64)
+        extent = np.ptp(points, axis=0)
+        if np.hypot(extent[0], extent[1]) > _LONGEST_M:
+            continue
+        clusters.append(
+            Cluster(
+                scan=scan,
+                members=index[rows],
+                time_s=float(returns.time_s[index[rows]].mean()),
+                centre_m=points.mean(axis=0),
+                size_m=float(np.linalg.norm(extent)),
+                nearest_m=float(range_m[rows].min()),
+            )
+        )
+    return clusters
+
+
+def _groups(point_m: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Number (m,) of the linked group of each point (m, 3); -1 in mostly static voxels."""
+    cell = np.floor(point_m / _VOXEL_M).astype(np.int64)
+    cell -= cell.min(axis=0)
+    extent = cell.max(axis=0) + 1
+    key = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+    keys, voxel = np.unique(key, return_inverse=True)
+    static_share = np.bincount(voxel, weights=label == STATIC) / np.bincount(voxel)
+    kept = np.flatnonzero(static_share <= 0.5)
+    group = np.full(len(keys), -1)
+    if len(kept):
+        rest, z = np.divmod(keys[kept], extent[2])
+        x, y = np.divmod(rest, extent[1])
+        centre = np.stack([x, y, z], axis=1) * _VOXEL_M
+        pairs = cKDTree(centre).query_pairs(_LINK_M + 1e-6, output_type="ndarray")
+        links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(kept),) * 2)
+        group[kept] = connected_components(links, directed=False)[1]
+    return group[voxel]
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """One object's clusters, one per scan that saw it, ascending in time."""
+
+    clusters: list[Cluster]
+
+    def times_s(self) -> np.ndarray:
+        """(k,) mean times of the clusters' returns."""
+        return np.array([cluster.time_s for cluster in self.clusters])
+
+    def centres_m(self) -> np.ndarray:
+        """(k, 3) means of the clusters' returns, scene-local metres."""
+        return np.array([cluster.centre_m for cluster in self.clusters])
+
+    def predict(self, time_s: float) -> np.ndarray:
+        """Centre (3,) predicted for a time at the constant velocity of the last three clusters."""
+        last = self.clusters[-3:]
+        if len(last) == 1:
+            return last[0].centre_m
+        span_s = last[-1].time_s - last[0].time_s
+        velocity = (last[-1].centre_m - last[0].centre_m) / span_s
+        return last[-1].centre_m + velocity * (time_s - last[-1].time_s)
+
+
+def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: float = 1.0) -> list[Track]:
+    """Join clusters scan by scan, greedily by cost, and keep the tracks that have moved.
+
+    `density`, from `laser_density`, scales the number of returns that a track needs.
+    """
+    tracks: list[Track] = []
+    for clusters in clusters_by_scan:
+        if not clusters:
+            continue
+        now_s = min(cluster.time_s for cluster in clusters)
+        alive = [t for t in tracks if now_s - t.clusters[-1].time_s < _LONGEST_GAP_FRAMES * frame_s]
+        options = sorted(
+            (cost, i, k)
+            for i, track in enumerate(alive)
+            for k, cluster in enumerate(clusters)
+            if (cost := _cost(track, cluster, frame_s)) < _MOST_COST
+        )
+        used_tracks, used_clusters = set(), set()
+        for _, i, k in options:
+            if i in used_tracks or k in used_clusters:
+                continue
+            used_tracks.add(i)
+            used_clusters.add(k)
+            alive[i].clusters.append(clusters[k])
+        tracks += [Track([cluster]) for k, cluster in enumerate(clusters) if k not in used_clusters]
+    return [track for track in tracks if _has_moved(track, frame_s, density)]
+
+
+def _cost(track: Track, cluster: Cluster, frame_s: float) -> float:
+    """Distance from the prediction plus a cost of a changed size; infinite outside the gate."""
+    last = track.clusters[-1]
+    frames = (cluster.time_s - last.time_s) / frame_s
+    if frames <= 0.0:
+        return np.inf
+    distance = float(np.linalg.norm(cluster.centre_m - track.predict(cluster.time_s)))
+    gate = (_NEW_GATE_M if len(track.clusters) == 1 else _GATE_M) * max(frames, 1.0)
+    if distance > gate:
+        return np.inf
+    ratio = max(cluster.size_m, 0.1) / max(last.size_m, 0.1)
+    return distance / max(frames, 1.0) + _SIZE_COST_M * abs(float(np.log(ratio)))
+
+
+def _has_moved(track: Track, frame_s: float, density: float) -> bool:
+    if len(track.clusters) < _LEAST_SCANS:
+        return False
+    first, last = track.clusters[0], track.clusters[-1]
+    moved_m = float(np.linalg.norm(last.centre_m - first.centre_m))
+    frames = (last.time_s - first.time_s) / frame_s
+    returns = np.mean([len(cluster.members) for cluster in track.clusters])
+    return bool(
+        moved_m > _LEAST_MOVED_M
+        and moved_m > _LEAST_SPEED_M * frames
+        and min(cluster.nearest_m for cluster in track.clusters) < _TRACK_WITHIN_M
+        and returns >= max(_FEWEST_OF_TRACK, _LEAST_OF_TRACK * density)
+    )
+
+
+def start_path(track: Track) -> Path:
+    """A path through the means of a track's clusters, all with the yaw from the first to the last."""
+    centre = track.centres_m()
+    ahead = centre[-1] - centre[0]
+    heading = np.full((len(centre), 1), np.arctan2(ahead[1], ahead[0]))
+    return Path(
+        scan=[cluster.scan for cluster in track.clusters],
+        members=[cluster.members for cluster in track.clusters],
+        time_s=track.times_s(),
+        pose=np.concatenate([centre, heading], axis=1),
+    )
 
 
 def find_moving_objects(returns: TimedReturns) -> MovingObjects:

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.clusters import Track
 from nvsf_core.evidence.moving.object_evidence import MovingObject
 from nvsf_core.evidence.moving.visibility import AboveGround, TimedReturns
 from nvsf_core.geometry.voxels import PLANE_POINTS, planes_around
@@ -165,19 +164,6 @@ def solve_path(path: Path, returns: TimedReturns) -> None:
     pairs = register(clouds, i, k, path.pose[k, :3] - path.pose[i, :3])
     time_frames = (path.time_s - path.time_s[0]) / returns.frame_s
     path.pose = smooth_poses(path.pose, time_frames, pairs)
-
-
-def start_path(track: Track) -> Path:
-    """A path through the means of a track's clusters, all with the yaw from the first to the last."""
-    centre = track.centres_m()
-    ahead = centre[-1] - centre[0]
-    heading = np.full((len(centre), 1), np.arctan2(ahead[1], ahead[0]))
-    return Path(
-        scan=[cluster.scan for cluster in track.clusters],
-        members=[cluster.members for cluster in track.clusters],
-        time_s=track.times_s(),
-        pose=np.concatenate([centre, heading], axis=1),
-    )
 
 
 def carry_on(path: Path, returns: TimedReturns, above_ground: AboveGround) -> bool:
