@@ -13,7 +13,7 @@ from pathlib import Path
 import dagster as dg
 import pytest
 
-from assets.scenes import SCENES
+from assets.scenes import SCENES, key_of
 from nvsf_core.stages import STAGE_NAMES
 from tests.conftest import TINY_CATALOGUE, clean_environment
 
@@ -85,11 +85,9 @@ def test_a_drive_dropped_into_a_folder_becomes_data_sets(
         _wait("a second run", lambda: len(scenes_runs()) == 2, daemon, folder)
         _wait("its end", all_made, daemon, folder)
         again, _ = scenes_runs()
-        made = {
-            record.asset_key.path[-1]: record.asset_materialization.metadata["was_up_to_date"].value
-            for name in STAGE_NAMES
-            for record in [instance.get_latest_materialization_event(dg.AssetKey(["nvsf", name]))]
-            if record is not None and record.run_id == again.run_id
-        }
+        newest = [instance.get_latest_materialization_event(key_of(name)) for name in STAGE_NAMES]
+        assert [one.run_id for one in newest if one is not None] == [again.run_id] * len(STAGE_NAMES)
+        made = [one.asset_materialization for one in newest if one is not None]
+        anew = [one.asset_key.path[-1] for one in made if one and not one.metadata["was_up_to_date"].value]
         assert again.status is dg.DagsterRunStatus.SUCCESS
-        assert [name for name in STAGE_NAMES if not made[name]] == ["frames", "sweeps"], "they read the drive"
+        assert anew == ["frames", "sweeps"], "they read the drive"
