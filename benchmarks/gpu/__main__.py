@@ -20,7 +20,7 @@ from benchmarks.gpu.document import PARTS, page
 from benchmarks.gpu.kernels import kernel_rows
 from benchmarks.gpu.paper import step_rows, training_rows
 from benchmarks.gpu.plan import Plan, full_plan, smoke_plan
-from benchmarks.gpu.tests import test_rows
+from benchmarks.gpu.tests import Row, test_rows
 from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
 from nvsf_core.stages.runner.host import machine
 
@@ -55,16 +55,19 @@ def main() -> None:
 
 
 def measure(plan: Plan, parts: list[str], results: Path, document: Path) -> None:
-    """Store each part when it is done, and the page of all that is stored."""
+    """Store each row when it is measured, and the page of all that is stored: a lent GPU may go any time."""
+    results.parent.mkdir(parents=True, exist_ok=True)
     for part in parts:
-        rows = _MEASURE[part](plan)
-        about = {
-            "machine": machine(), "triton": _triton(), "commit": commit(),
-            "measured": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "rows": rows,
-        }  # fmt: skip
-        known = json.loads(results.read_text()) if results.is_file() else {}
-        results.write_text(json.dumps(known | {part: about}, indent=1) + "\n")
-        write_page(results, document)
+        rows: list[Row] = []
+        for row in _MEASURE[part](plan):
+            rows.append(row)
+            about = {
+                "machine": machine(), "triton": _triton(), "commit": commit(),
+                "measured": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "rows": rows,
+            }  # fmt: skip
+            known = json.loads(results.read_text()) if results.is_file() else {}
+            results.write_text(json.dumps(known | {part: about}, indent=1) + "\n")
+            write_page(results, document)
 
 
 def write_page(results: Path, document: Path) -> None:

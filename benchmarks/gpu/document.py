@@ -13,7 +13,8 @@ PARTS = {
     "training": "Held-out errors after minutes of training",
 }
 _ABOUT = {
-    "tests": "Anything that failed is named.",
+    "tests": "Anything that failed is named; where Open3D or OpenCV's contrib modules are absent, what needs "
+    "them fails.",
     "kernels": "*least*: each input read once and each output written once, of the table at most what is "
     "looked up, at the rate of a copy from and to the GPU's memory. *error*: largest difference to torch on "
     "the CPU, of the largest value.",
