@@ -108,11 +108,6 @@ def _splat(inverse, label, motions, fx, fy, cx, cy, view, labels):  # type: igno
             first_row, last_row = max(0, math.ceil(v - half)), min(rows - 1, math.floor(v + half))
             first_column, last_column = max(0, math.ceil(u - half)), min(columns - 1, math.floor(u + half))
             found = np.float32(q * scale)
-            if last_row - first_row == 0 and last_column - first_column == 0:
-                is_front = found > view[first_row, first_column]
-                view[first_row, first_column] = found if is_front else view[first_row, first_column]
-                labels[first_row, first_column] = own if is_front else labels[first_row, first_column]
-                continue
             for r in range(first_row, last_row + 1):
                 for c in range(first_column, last_column + 1):
                     if found > view[r, c]:
@@ -136,9 +131,8 @@ def _agree(inverse, label, weight, least_share, expected, depth, support, labels
             if first < 0:
                 continue
             second = -1
-            # Where all agree with the first there is no other.
-            for i in range(maps if mass[first] < total else 0):
-                if mass[i] > 0.0 and not _agrees(q, what, i, first):
+            for i in range(maps):
+                if mass[i] > 0.0 and not _agrees(q[i], what[i], q[first], what[first]):
                     second = i if second < 0 or mass[i] > mass[second] else second
             for place, i in ((0, first), (1, second)):
                 if i >= 0:
@@ -189,9 +183,7 @@ def _agreeing(inverse, label, weight, mass, mean):  # type: ignore[no-untyped-de
             total += own
             # No branches: this loop is computed several maps at a time.
             for i in range(len(inverse)):
-                apart, nearer = abs(own_q - inverse[i]), max(own_q, inverse[i])
-                agree = (apart <= _AGREE_SHARE * nearer + _AGREE_PER_M) & (label[i] == own_label)
-                added = own if agree else _ZERO
+                added = own if _agrees(inverse[i], label[i], own_q, own_label) else _ZERO
                 mass[i] += added
                 mean[i] += added * own_q
     for i in range(len(inverse)):
@@ -200,7 +192,7 @@ def _agreeing(inverse, label, weight, mass, mean):  # type: ignore[no-untyped-de
 
 
 @njit(inline="always")
-def _agrees(inverse, label, i, j):  # type: ignore[no-untyped-def]
-    """Whether the maps i and j, of which j knows the pixel, show the same there."""
-    apart = abs(inverse[j] - inverse[i])
-    return (apart <= _AGREE_SHARE * max(inverse[i], inverse[j]) + _AGREE_PER_M) & (label[i] == label[j])
+def _agrees(inverse, label, other, other_label):  # type: ignore[no-untyped-def]
+    """Whether two maps show the same at a pixel that the other one knows."""
+    near = abs(other - inverse) <= _AGREE_SHARE * max(inverse, other) + _AGREE_PER_M
+    return near & (label == other_label)

@@ -5,8 +5,6 @@ import math
 import numpy as np
 from numba import njit
 
-N_AGREED = 6
-"""Numbers of a point that `agreement` gives: spread, pair, share and mean colour."""
 N_FEATURES = 12
 _NOTHING = np.float32(13.0)
 """Planes farther than this from the LiDAR's depth: exp(-x^2 / 2) is 0 in single precision."""
