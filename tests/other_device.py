@@ -5,7 +5,6 @@ these hold numbers. What CUDA refuses is refused: tensors of two devices in one 
 tensor there, a CPU generator that draws there. What it cannot show: CUDA's arithmetic, speed and memory.
 """
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -17,7 +16,6 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 from torch.utils._pytree import tree_flatten, tree_map
 
 OTHER = torch.device("meta")
-_FUSING = "_get_fused_kernels_supported_devices"
 _MOVES = ("_to_copy", "copy_")
 _INDEXING = ("index", "index_put", "index_put_", "_index_put_impl_", "_unsafe_index")
 """Operations whose indices may lie on the CPU, as for CUDA."""
@@ -103,6 +101,4 @@ def other_device() -> Iterator[torch.device]:
     """Within, tensors may lie on the device that is given, and trainings choose it."""
     with pytest.MonkeyPatch.context() as patch, _Data(), _Mode():
         patch.setattr("nvsf_core.models.family._kind", lambda: OTHER.type)
-        # Adam fuses its step on devices that it knows.
-        patch.setattr(sys.modules["torch.optim.optimizer"], _FUSING, lambda: ["cpu", "cuda", OTHER.type])
         yield OTHER

@@ -23,6 +23,7 @@ from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
+from nvsf_core.training.adam import Adam
 
 RESULTS = documents.RESULTS / "paper_step.json"
 DOCUMENT = documents.DOCS / "paper_fidelity.md"
@@ -45,13 +46,13 @@ def iterations(recipe: PaperRecipe, frames: PaperFrames, steps: int) -> dict[str
         torch.cuda.reset_peak_memory_stats()
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(0)).to(training_device())
     groups = trainee.field.parameter_groups(recipe.optimiser)
-    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    optimiser = Adam(groups, betas=(0.9, 0.99), eps=1e-15)
     generator = torch.Generator().manual_seed(0)
     seconds: list[float] = []
     terms: set[str] = set()
     for step in range(steps + 1):
         started = time.perf_counter()
-        optimiser.zero_grad(set_to_none=True)
+        optimiser.zero_grad()
         loss = 0.0
         for one in (one for part in paper_step(trainee, frames, 0, step, generator) for one in part()):
             one.total.backward()

@@ -39,8 +39,12 @@ def network(sizes: tuple[int, ...], generator: torch.Generator, *, zero_outputs:
 
 
 def undrawn(kind: type[_Layer], *sizes: int, **options: int | tuple[int, ...]) -> _Layer:
-    """A layer with uninitialised weights; torch's global generator is not used."""
-    return cast(_Layer, nn.utils.skip_init(kind, *sizes, **options))  # type: ignore[no-untyped-call]
+    """A layer whose weights the caller must set; torch's global generator is left as it was.
+
+    `torch.nn.utils.skip_init` would not draw at all, and import sympy for it: two seconds in each process.
+    """
+    with torch.random.fork_rng(devices=[]):
+        return kind(*sizes, **options)
 
 
 def bias_free(

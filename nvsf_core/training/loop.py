@@ -11,6 +11,7 @@ from nvsf_core.errors import DivergedError, StoreError
 from nvsf_core.kernels.threads import in_parts, use_threads
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import TrainingSpec
+from nvsf_core.training.adam import Adam
 from nvsf_core.training.ema import WeightAverage
 
 _SAY_EVERY_S = 4.0
@@ -31,7 +32,7 @@ class TrainingState:
     """All state of a training: what a checkpoint holds."""
 
     model: nn.Module
-    optimiser: torch.optim.Adam
+    optimiser: Adam
     generator: torch.Generator
     step: int = 0
     seconds: float = 0.0
@@ -103,14 +104,14 @@ class TrainingState:
         return [p for group in self.optimiser.param_groups for p in group["params"]]
 
 
-def make_optimiser(model: nn.Module, spec: TrainingSpec) -> torch.optim.Adam:
+def make_optimiser(model: nn.Module, spec: TrainingSpec) -> Adam:
     """Adam with one learning rate for hash tables (parameters named `grid.*`) and one for networks."""
     tables = [p for name, p in model.named_parameters() if name.startswith("grid.")]
     networks = [p for name, p in model.named_parameters() if not name.startswith("grid.")]
     groups = [{"params": tables, "lr": spec.table_rate}, {"params": networks, "lr": spec.network_rate}]
     for group in groups:
         group["initial_lr"] = group["lr"]
-    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    return Adam(groups, betas=(0.9, 0.99), eps=1e-15)
 
 
 def side_by_side(
@@ -167,7 +168,7 @@ def train(
     started = time.perf_counter()
     while state.step < spec.steps:
         _set_rates(state.optimiser, spec, state.step)
-        state.optimiser.zero_grad(set_to_none=True)
+        state.optimiser.zero_grad()
         generator_state = state.generator.get_state()
         is_due = state.step > first and time.perf_counter() - saved >= spec.checkpoint_s
         before = _copied(state) if is_due else None
@@ -313,7 +314,7 @@ def _first_broken(state: TrainingState) -> str:
     return "all weights are finite: the batch is not, or overflows"
 
 
-def _set_rates(optimiser: torch.optim.Adam, spec: TrainingSpec, step: int) -> None:
+def _set_rates(optimiser: Adam, spec: TrainingSpec, step: int) -> None:
     share = spec.final_share ** (step / max(1, spec.steps))
     for group in optimiser.param_groups:
         group["lr"] = group["initial_lr"] * share

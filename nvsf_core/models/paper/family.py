@@ -20,6 +20,7 @@ from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
+from nvsf_core.training.adam import Adam
 from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Part, Step, TrainingState
 
@@ -74,7 +75,7 @@ def _state(trainee: PaperTrainee, recipe: PaperRecipe, seed: int) -> TrainingSta
     groups = trainee.field.parameter_groups(recipe.optimiser)
     for group in groups:
         group["initial_lr"] = group["lr"]
-    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    optimiser = Adam(groups, betas=(0.9, 0.99), eps=1e-15)
     average = WeightAverage(trainee.field, recipe.optimiser.ema_decay)
     return TrainingState(trainee, optimiser, torch.Generator().manual_seed(seed), average=average)
 

@@ -13,6 +13,7 @@ from nvsf_core.fields.flow import FlowField
 from nvsf_core.losses.chamfer import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
+from nvsf_core.training.adam import Adam
 from nvsf_core.training.loop import Part, TrainingState, train
 
 
@@ -83,7 +84,7 @@ def train_flow(
     spec, generator = recipe.optimiser, torch.Generator().manual_seed(seed)
     flow = FlowField(recipe.flow, generator)
     groups = [{"params": list(flow.parameters()), "lr": spec.head_rate, "initial_lr": spec.head_rate}]
-    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    optimiser = Adam(groups, betas=(0.9, 0.99), eps=1e-15)
     state = TrainingState(flow, optimiser, generator)
     last = max(1, count - 1)
 

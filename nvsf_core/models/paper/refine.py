@@ -12,6 +12,7 @@ from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.recipe.paper import RefinementSpec
+from nvsf_core.training.adam import Adam
 from nvsf_core.training.loop import Save, TrainingState, train
 
 _MOST_BOXES = 31
@@ -28,7 +29,7 @@ _SEED_RANGE = 2**62
 def refinement_state(unet: nn.Module, spec: RefinementSpec, generator: torch.Generator) -> TrainingState:
     """The state of a U-Net before its first step; a checkpoint is restored into it."""
     groups = [{"params": list(unet.parameters()), "lr": spec.rate, "initial_lr": spec.rate}]
-    optimiser = torch.optim.Adam(groups, fused=True)
+    optimiser = Adam(groups)
     return TrainingState(unet, optimiser, generator)
 
 
