@@ -94,8 +94,8 @@ class ViewEntry:
     """Whether beams have the width that the sensor's table states: the strongest return of five rays
     counts."""
     hits: str = "sampled"
-    """Which rays of a data set return: `sampled` by their hit probability, or those of 0.4 and more:
-    `threshold`."""
+    """Which rays of a data set return: `sampled` by their hit probability, or by `threshold`: those of 0.4
+    and more, and one of two neighbours where one of them more likely returns than none."""
     range_noise_m: float | str | None = None
     """Range noise of a data set, one sigma in metres; 0 = off; `measured` = that of the drive's own scans.
     None given = 0.015."""

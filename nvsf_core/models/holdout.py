@@ -24,8 +24,7 @@ from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import evidence_renderer
-from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.scan import RenderedSweep
+from nvsf_core.simulation.scan import RenderedSweep, returns_of_sweep
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel, SweepCorrector
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import recorded_sweep
@@ -158,7 +157,7 @@ def score_left_out(
         **range_image_metrics(shown[0], truth[0]),
         **intensity_image_metrics(shown[1], truth[1]),
     }
-    expected = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
+    expected = np.isfinite(rendered.range_m) & returns_of_sweep(rays, rendered.hit)
     returned = prior.is_hit[number, rays.laser, prior.nearest_firing(number, rays.fraction)]
     return [*(found[name].value for name in list(SCAN_METRICS)[:-1]), float((expected == returned).mean())]
 

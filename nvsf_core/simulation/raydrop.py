@@ -3,7 +3,8 @@
 The field's ray head and the raydrop network each give a hit probability. Their errors differ from each other
 and from drive to drive. So their logits are blended by logistic regression (Platt scaling of two scores): the
 weights and the offset maximise the likelihood of left-out scans. A rendered scan holds the rays of
-probability 0.4 or more; in a data set the returns are sampled at random.
+probability 0.4 or more, and one of two neighbours where one of them more likely returns than none; in a data
+set the returns are sampled at random.
 """
 
 from dataclasses import dataclass
@@ -12,11 +13,11 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-HIT_THRESHOLD = 0.4
+_HIT_THRESHOLD = 0.4
 """Below one half, as the two errors do not cost the same: a missing return leaves a hole, one too many mostly
 lies among others on the same surface (docs/lean.md)."""
-_CELL_THRESHOLD = 0.5
-"""Of the papers' panos, whose metrics take a probability above it for a return."""
+_EVEN_CHANCE = 0.5
+"""For panos that of the papers, whose metrics take a probability above it for a return."""
 SAMPLING_SHARPNESS = 3.0
 """Factor of hit logits before sampling, as real rays are dropped in patches and not one by one."""
 _PULL = 1e-4
@@ -24,13 +25,28 @@ _PULL = 1e-4
 
 
 def rays_return(hit: np.ndarray) -> np.ndarray:
-    """Whether rays return, bool, by their hit probabilities; both of any one shape."""
-    return hit >= HIT_THRESHOLD
+    """Whether the rays of a rendered scan return, bool of the same shape.
+
+    A ray of probability 0.4 or more returns. Of two neighbouring firings that are both below it, the likelier
+    one returns if any of the two more likely does than none, by ``1 - (1 - p) (1 - q) >= 1 / 2``: a window of
+    which one ray in three returns is no hole.
+
+    Args:
+        hit: (..., firings) hit probabilities, of each laser's firings in order.
+    """
+    returns = np.asarray(hit >= _HIT_THRESHOLD)
+    paired = hit.shape[-1] // 2 * 2
+    first, second = hit[..., 0:paired:2], hit[..., 1:paired:2]
+    empty = ~(returns[..., 0:paired:2] | returns[..., 1:paired:2])
+    filled = empty & (1.0 - (1.0 - first) * (1.0 - second) >= _EVEN_CHANCE)
+    returns[..., 0:paired:2] |= filled & (first >= second)
+    returns[..., 1:paired:2] |= filled & (first < second)
+    return returns
 
 
 def cells_return(hit: np.ndarray) -> np.ndarray:
     """Whether pixels of a pano show a return, bool of any shape, by the threshold of the papers' protocol."""
-    return hit > _CELL_THRESHOLD
+    return hit > _EVEN_CHANCE
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,6 +112,11 @@ def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: Scen
     return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
 
 
+def returns_of_sweep(rays: SweepRays, hit: np.ndarray) -> np.ndarray:
+    """Which rays (r,) bool of a sweep return, by `rays_return` of their hit probabilities (r,)."""
+    return rays_return(hit.reshape(rays.shape)).reshape(-1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSweep:
     """The r rendered rays of a sweep as points in the sensor's frame at firing time."""
@@ -147,7 +152,7 @@ class RenderedSweep:
 
         Laser by laser from the top, and by azimuth ascending in [0, 360) degrees within each laser.
         """
-        returned = np.flatnonzero(rays_return(self.rendered.hit) & self.is_known)
+        returned = np.flatnonzero(returns_of_sweep(self.rays, self.rendered.hit) & self.is_known)
         azimuth = self.azimuth_rad[returned]
         azimuth = np.where(azimuth < 0.0, azimuth + 2.0 * np.pi, azimuth)
         # Rays lie laser by laser: each sorted by itself takes a sixth of the time.
@@ -205,7 +210,7 @@ def sample_scan(
             firing time.
         generator: Source of all randomness.
         range_noise_m: Standard deviation of the range.
-        by_threshold: Rays of a hit probability of 0.4 and more return, and nothing is sampled but noise.
+        by_threshold: Those rays return that `rays_return` names, and nothing is sampled but noise.
 
     Returns:
         (N, 4) float32 x, y, z, intensity: laser by laser from the top, azimuth ascending in [0, 360) degrees;

@@ -17,8 +17,13 @@ from nvsf_core.simulation.footprint import render_beams
 from nvsf_core.simulation.hits_elsewhere import SCANS, hit_prior_elsewhere
 from nvsf_core.simulation.mirrored import add_mirrored
 from nvsf_core.simulation.ray_renderers import render_in_chunks
-from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.scan import RenderedSweep, by_lasers, measured_when_stationary, put_back_own_vehicle
+from nvsf_core.simulation.scan import (
+    RenderedSweep,
+    by_lasers,
+    measured_when_stationary,
+    put_back_own_vehicle,
+    returns_of_sweep,
+)
 from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
 from nvsf_core.simulation.view_plan import SweepPlan
 
@@ -246,7 +251,7 @@ def support_of_sweep(
     has_end = np.isfinite(rendered.range_m)
     ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
     ends_m = ends_m.astype(np.float32)
-    returned = rays_return(rendered.hit) & has_end
+    returned = returns_of_sweep(rays, rendered.hit) & has_end
     agreed, others = np.zeros((2, len(ends_m)), np.float32)
     looked = np.zeros(len(ends_m), bool)
     for scan in near.tolist():

@@ -43,7 +43,7 @@ from nvsf_core.stores.removal import carry_pin, removal_of
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
-_VERSION = "8"
+_VERSION = "9"
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 

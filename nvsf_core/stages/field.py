@@ -102,7 +102,7 @@ STAGE = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="20",
+    version="21",
     run=_run,
     estimate_bytes=field_bytes,
     per_recipe=True,

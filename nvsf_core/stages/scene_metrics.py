@@ -188,7 +188,7 @@ STAGE = Stage(
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
         "and of every view what can be said without its truth."
     ),
-    version="11",
+    version="12",
     run=_run,
     per_recipe=True,
     reads_truth=True,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from nvsf_core.simulation.raydrop import EVEN, HitBlend, fit_blend, nats
+from nvsf_core.simulation.raydrop import EVEN, HitBlend, fit_blend, nats, rays_return
 
 
 def two_answers(truth: HitBlend, n: int = 60_000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -42,3 +42,20 @@ def test_nats_are_the_mean_of_minus_log_probability() -> None:
     logit, returned = np.array([2.0, -1.0, 700.0]), np.array([True, True, True])
     assert nats(logit, returned) == pytest.approx(-np.log(expit(logit)).mean())
     assert nats(np.array([-1e4]), np.array([True])) == pytest.approx(1e4)
+
+
+def test_a_ray_of_four_in_ten_returns_and_of_two_below_it_the_likelier_where_one_is_likely() -> None:
+    hit = np.array([[0.4, 0.1, 0.39, 0.38, 0.3, 0.3, 0.2, 0.39, 0.28, 0.28, 0.39]], np.float32)
+    expected = [[True, False, True, False, True, False, False, True, False, False, False]]
+    assert rays_return(hit).tolist() == expected, "the last has no neighbour"
+    assert rays_return(hit.astype(np.float64)[0]).tolist() == expected[0]
+    assert not rays_return(np.full((2, 3), np.nan)).any()
+
+
+def test_where_a_third_of_the_rays_return_the_pairs_of_a_scan_are_as_full_as_most_recorded_ones() -> None:
+    """Chance decides each recorded ray by itself; a scan without any of these has only holes there."""
+    hit = np.full((64, 2000), 1 / 3)
+    recorded = (np.random.default_rng(0).random(hit.shape) < hit).reshape(64, -1, 2).any(-1)
+    shown = rays_return(hit).reshape(64, -1, 2)
+    assert shown.any(-1).all() and not shown.all(-1).any()
+    assert 0.5 < recorded.mean() < 0.6

@@ -11,7 +11,7 @@ from torch import Tensor
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays
-from nvsf_core.simulation.raydrop import rays_return
+from nvsf_core.simulation.scan import returns_of_sweep
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import recorded_sweep
@@ -113,13 +113,13 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     scan = int(np.abs(sweeps.arrays["time_s"] - time_s).argmin())
     # A few lasers represent the whole scan, in a tenth of the time.
     lasers = evidence.lasers[np.unique(np.linspace(0, len(evidence.lasers) - 1, _MOST_LASERS).astype(int))]
-    _, rendered = fire_sweep(
+    rays, rendered = fire_sweep(
         replace(model, correct=None, unobserved=None),
         replace(recording.lidar, evidence=replace(evidence, lasers=lasers)),
         recorded_sweep(sweeps.table, time_s), time_s,
         leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
     )  # fmt: skip
-    returned = np.isfinite(rendered.range_m) & rays_return(rendered.hit)
+    returned = np.isfinite(rendered.range_m) & returns_of_sweep(rays, rendered.hit)
     place = f"training frame {int(sweeps.arrays['frame'][scan])}"
     recorded = _recorded_intensity(sweeps, scan, lasers)
     rate = float(returned.mean()) - len(recorded) / (len(lasers) * float(norms.firings[middle]))

@@ -11,7 +11,7 @@ from nvsf_core.drives.view_entry import MEASURED, ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.simulation.raydrop import HIT_THRESHOLD, SAMPLING_SHARPNESS
+from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
 from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
 from nvsf_core.stages.runner.stage import RunConfig
@@ -19,7 +19,7 @@ from nvsf_core.stages.views.files import cameras_of, file_numbers
 from nvsf_core.stages.views.instances import depth_m, object_ids
 from nvsf_core.stages.views.view import camera_models
 
-_BY_THRESHOLD = f"as rendered (probability of {HIT_THRESHOLD:g} and more)"
+_BY_THRESHOLD = "as rendered (the most likely returns)"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
