@@ -142,6 +142,9 @@ with dg.instance_for_test() as instance:
     result = defs.resolve_job_def("regenerate_synthetic").execute_in_process(
         partition_key=request.partition_key, run_config=request.run_config, instance=instance
     )
+    # A daemon that died within the tick evaluates it again: Dagster launches a run key once.
+    (again,) = weekly_regeneration.evaluate_tick(context).run_requests
+assert again == request
 print(json.dumps([request.partition_key, request.run_key, request.run_config["resources"], result.success]))
 """
 
