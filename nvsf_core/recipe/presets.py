@@ -23,12 +23,12 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
-# As quick, but trained as long as it helps: eight times the LiDAR's steps. Camera networks gain nothing from
+# As quick, but trained as long as it helps: six times the LiDAR's steps. Camera networks gain nothing from
 # more steps (docs/lean.md), but from company and from aligned images.
 _LEAN = replace(
     _QUICK,
     name="lean",
-    lidar_training=TrainingSpec(steps=10_000, rays=4096),
+    lidar_training=TrainingSpec(steps=7_500, rays=4096),
     hits=HitsSpec(training=TrainingSpec(steps=600, rays=17_000)),
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, aligned=True, members=3),
