@@ -157,7 +157,7 @@ def score_left_out(
         **range_image_metrics(shown[0], truth[0]),
         **intensity_image_metrics(shown[1], truth[1]),
     }
-    expected = np.isfinite(rendered.range_m) & returns_of_sweep(rays, rendered.hit)
+    expected = returns_of_sweep(rays, rendered)
     returned = prior.is_hit[number, rays.laser, prior.nearest_firing(number, rays.fraction)]
     return [*(found[name].value for name in list(SCAN_METRICS)[:-1]), float((expected == returned).mean())]
 

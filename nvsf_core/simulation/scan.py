@@ -112,8 +112,9 @@ def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: Scen
     return RenderedRays(range_m=range_m, hit=hit, intensity=intensity)
 
 
-def returns_of_sweep(rays: SweepRays, hit: np.ndarray) -> np.ndarray:
-    """Which rays (r,) bool of a sweep return, by `rays_return` of their hit probabilities (r,)."""
+def returns_of_sweep(rays: SweepRays, rendered: RenderedRays) -> np.ndarray:
+    """Which rays (r,) bool of a sweep return, by `rays_return`; none does that meets no surface."""
+    hit = np.where(np.isfinite(rendered.range_m), rendered.hit, 0.0)
     return rays_return(hit.reshape(rays.shape)).reshape(-1)
 
 
@@ -152,7 +153,7 @@ class RenderedSweep:
 
         Laser by laser from the top, and by azimuth ascending in [0, 360) degrees within each laser.
         """
-        returned = np.flatnonzero(returns_of_sweep(self.rays, self.rendered.hit) & self.is_known)
+        returned = np.flatnonzero(returns_of_sweep(self.rays, self.rendered))
         azimuth = self.azimuth_rad[returned]
         azimuth = np.where(azimuth < 0.0, azimuth + 2.0 * np.pi, azimuth)
         # Rays lie laser by laser: each sorted by itself takes a sixth of the time.

@@ -251,7 +251,7 @@ def support_of_sweep(
     has_end = np.isfinite(rendered.range_m)
     ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
     ends_m = ends_m.astype(np.float32)
-    returned = returns_of_sweep(rays, rendered.hit) & has_end
+    returned = returns_of_sweep(rays, rendered)
     agreed, others = np.zeros((2, len(ends_m)), np.float32)
     looked = np.zeros(len(ends_m), bool)
     for scan in near.tolist():

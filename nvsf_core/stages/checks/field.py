@@ -119,7 +119,7 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         recorded_sweep(sweeps.table, time_s), time_s,
         leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,
     )  # fmt: skip
-    returned = np.isfinite(rendered.range_m) & returns_of_sweep(rays, rendered.hit)
+    returned = returns_of_sweep(rays, rendered)
     place = f"training frame {int(sweeps.arrays['frame'][scan])}"
     recorded = _recorded_intensity(sweeps, scan, lasers)
     rate = float(returned.mean()) - len(recorded) / (len(lasers) * float(norms.firings[middle]))
