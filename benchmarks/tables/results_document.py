@@ -170,11 +170,12 @@ def error_of(row: Row, protocol: str, metric: str, split: str = HELD_OUT) -> flo
 
 
 def cell(values: Sequence[float | None], digits: int) -> str:
-    """Mean and spread over seeds; - where nothing is known."""
+    """Mean and spread over seeds; - where nothing is known, no spread where a mean is infinite."""
     known = [value for value in values if value is not None]
     if not known:
         return "-"
-    spread = f" ± {statistics.stdev(known):.{digits}f}" if len(known) > 1 else ""
+    has_spread = len(known) > 1 and all(math.isfinite(value) for value in known)
+    spread = f" ± {statistics.stdev(known):.{digits}f}" if has_spread else ""
     return f"{statistics.fmean(known):,.{digits}f}{spread}"
 
 

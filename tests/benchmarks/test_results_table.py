@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from benchmarks.tables.results_document import as_document, error_of
+from benchmarks.tables.results_document import as_document, cell, error_of
 from benchmarks.tables.results_table import as_markdown, write
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
@@ -170,3 +170,9 @@ def _moved(errors: dict, by: float) -> dict:
         place: {metric: None if value is None else value + by for metric, value in mine.items()}
         for place, mine in errors.items()
     }
+
+
+def test_a_mean_of_seeds_has_a_spread_unless_it_is_infinite() -> None:
+    assert cell([1.0, 2.0], 2) == "1.50 ± 0.71"
+    assert cell([2.0, None], 1) == "2.0" and cell([None], 1) == "-"
+    assert cell([1.0, float("inf")], 1) == "inf", "a percentile of rays of which too many have no answer"
