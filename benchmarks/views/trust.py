@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.common.documents import commit, markdown_table, write_between
+from benchmarks.common.documents import markdown_table, write_between
+from benchmarks.tables.results_document import commits_of
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import HELD_OUT, Row, mean_rows
 from nvsf_core.metrics.trust.verdict import LIDAR, Trust, Verdict, verdicts
@@ -62,7 +63,7 @@ def main() -> None:
         if row["recipe"] == recipe
     ]
     for name, text in (
-        ("orders", orders(rows, f"Recipe `{recipe}`, seed 0, commit {commit()}.")),
+        ("orders", orders(rows, f"Recipe `{recipe}`, seed 0, commit {commits_of(rows)}.")),
         ("support", support_table(rows)),
     ):
         print(text)

@@ -23,8 +23,8 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
-# As quick, but trained as long as it helps: six times the LiDAR's steps. Camera networks gain nothing from
-# more steps (docs/lean.md), but from company and from aligned images.
+# As quick, but with six times the LiDAR's steps; ten thousand gain too little (docs/lean.md). Camera networks
+# gain nothing from more steps, but from company and from aligned images.
 _LEAN = replace(
     _QUICK,
     name="lean",

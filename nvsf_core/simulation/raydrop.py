@@ -17,7 +17,7 @@ _HIT_THRESHOLD = 0.4
 """Below one half, as the two errors do not cost the same: a missing return leaves a hole, one too many mostly
 lies among others on the same surface (docs/lean.md)."""
 _EVEN_CHANCE = 0.5
-"""For panos that of the papers, whose metrics take a probability above it for a return."""
+"""Of a pair of rays, and of the papers' panos, whose metrics take a probability above it for a return."""
 SAMPLING_SHARPNESS = 3.0
 """Factor of hit logits before sampling, as real rays are dropped in patches and not one by one."""
 _PULL = 1e-4
