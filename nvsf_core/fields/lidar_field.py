@@ -168,6 +168,8 @@ class SurfaceBatch:
     """(r + 1,) int64: where each ray's surfaces begin, in ascending range, and m."""
     is_there: Tensor
     """(r, k) bool: True for as many surfaces as the ray has."""
+    place: Tensor
+    """(m,) int64: where each surface stands in `is_there`, flattened."""
     point_m: Tensor
     """(m, 3): where the surface's corrections are stored: at its own point, or for a moving object as in
     `object_places`."""
@@ -186,9 +188,8 @@ class SurfaceBatch:
 
     def spread(self, values: Tensor) -> Tensor:
         """`values` (m, c) of all surfaces as (r, k, c), with 0 behind a ray's last surface."""
-        rows = self.is_there.view(-1).nonzero()
         full = values.new_zeros(self.is_there.numel(), values.shape[1])
-        full = full.scatter(0, rows.expand_as(values), values)
+        full = full.scatter(0, self.place[:, None].expand_as(values), values)
         return full.view(*self.is_there.shape, values.shape[1])
 
 
@@ -221,10 +222,12 @@ def surface_batch(
     )  # fmt: skip
     count = np.diff(first)
     step = np.arange(max(1, int(count.max(initial=1))))
+    is_there = step < count[:, None]
     return SurfaceBatch(
         direction=torch.from_numpy(towards),
         first=torch.from_numpy(first),
-        is_there=torch.from_numpy(step < count[:, None]),
+        is_there=torch.from_numpy(is_there),
+        place=torch.from_numpy(np.flatnonzero(is_there)),
         point_m=torch.from_numpy(point_m),
         range_m=torch.from_numpy(range_m),
         logit=torch.from_numpy(logit),

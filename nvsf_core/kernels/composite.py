@@ -1,12 +1,13 @@
-"""Compositing of rays with differing numbers of surfaces, and its adjoint, in numba on the CPU.
+"""Compositing of rays with differing numbers of surfaces, and its adjoint: in numba, on CUDA by Triton.
 
-Tensors of another device are copied to the CPU, and the results back to that device.
+Without Triton, tensors of another device are copied to the CPU, and the results back to that device.
 
 Of a ray's surfaces i, front to back, with a = sigmoid(logit): w_i = a_i prod_{j<i} (1 - a_j). A ray's
 summary is (sum w f, W, sum w t / W / 50, sum w c / W, sum w b / W) with features f (d), W = sum w, range t,
 cosine c and brightness b; W is at least 1.2e-7 where it divides. A ray's sums belong to one thread.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
+from nvsf_core.kernels.encodings.backend import Backend, choose_backend
 from nvsf_core.kernels.voxel_march import RAYS_A_TASK
 
 RANGE_UNIT_M = 50.0
 N_MEANS = 4
 _COSINE, _BRIGHTNESS = 1, 4
-_LEAST_TOTAL = float(np.finfo(np.float32).eps)
+LEAST_TOTAL = float(np.finfo(np.float32).eps)
 OWN_PRIOR_SHARE = 0.3
 """Share of a ray's weight from which surfaces with a hit prior of their own (moving objects) decide its end.
 By the likeliest end alone a wheel that most rays pass by would vanish from the scan."""
@@ -60,7 +62,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
                     own_prior += weight * surface_hit_prior[i]
                 for c in range(width):
                     summary[ray, c] += np.float32(weight) * features[i, c]
-            divisor = max(total, _LEAST_TOTAL)
+            divisor = max(total, LEAST_TOTAL)
             summary[ray, width] = total
             summary[ray, width + 1] = distance / divisor / RANGE_UNIT_M
             summary[ray, width + 2] = cosine / divisor
@@ -90,9 +92,9 @@ def _adjoint(  # type: ignore[no-untyped-def]
     for task in prange((n + RAYS_A_TASK - 1) // RAYS_A_TASK):
         for ray in range(task * RAYS_A_TASK, min(n, (task + 1) * RAYS_A_TASK)):
             total = float(summary[ray, width])
-            divisor = max(total, _LEAST_TOTAL)
+            divisor = max(total, LEAST_TOTAL)
             # Below the least total the divisor is constant, and the means' own share of it has no gradient.
-            pull = 1.0 if total > _LEAST_TOTAL else 0.0
+            pull = 1.0 if total > LEAST_TOTAL else 0.0
             by_range = grad_summary[ray, width + 1] / divisor
             by_cosine = grad_summary[ray, width + 2] / divisor
             by_brightness = grad_summary[ray, width + 3] / divisor
@@ -116,33 +118,42 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor,
-        surface_hit_prior: Tensor, hit_prior: Tensor,
+        surface_hit_prior: Tensor, hit_prior: Tensor, backend: Backend,
     ) -> tuple[Tensor, ...]:  # fmt: skip
-        given = (logit, range_m, features, facts)
-        arrays = [_array(tensor) for tensor in (first, *given, surface_hit_prior, hit_prior)]
-        found = tuple(torch.from_numpy(array).to(logit.device) for array in _forward(*arrays))
-        ctx.save_for_backward(*given, first, *found[:2])
+        given = (first, logit, range_m, features, facts, surface_hit_prior, hit_prior)
+        found = _composite_by_triton(*given) if backend == "triton" else _by_numba(_forward, *given)
+        ctx.save_for_backward(first, logit, range_m, features, facts, *found[:2])
+        ctx.backend = backend
         ctx.mark_non_differentiable(*found[2:])
         return found
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        logit, range_m, features, facts, first, weights, summary = (
-            _array(tensor) for tensor in ctx.saved_tensors
-        )
-        by_weights, by_summary = (_array(grad) for grad in grads[:2])
-        found = _adjoint(first, logit, range_m, features, facts, weights, summary, by_weights, by_summary)
-        return (*(torch.from_numpy(array).to(grads[0].device) for array in found), None, None, None, None)
+        given = (*ctx.saved_tensors, *grads[:2])
+        found = _adjoint_by_triton(*given) if ctx.backend == "triton" else _by_numba(_adjoint, *given)
+        return (*found, None, None, None, None, None)
 
 
-def _array(tensor: Tensor) -> np.ndarray:
-    array: np.ndarray = tensor.detach().cpu().contiguous().numpy()
-    return array
+def _by_numba(kernel: Callable[..., tuple[np.ndarray, ...]], *given: Tensor) -> tuple[Tensor, ...]:
+    found = kernel(*(tensor.detach().cpu().contiguous().numpy() for tensor in given))
+    return tuple(torch.from_numpy(array).to(given[0].device) for array in found)
+
+
+def _composite_by_triton(*given: Tensor) -> tuple[Tensor, ...]:
+    from nvsf_core.kernels.composite_triton import forward
+
+    return forward(*given)
+
+
+def _adjoint_by_triton(*given: Tensor) -> tuple[Tensor, ...]:
+    from nvsf_core.kernels.composite_triton import adjoint
+
+    return adjoint(*given)
 
 
 def composite_rays(
     logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor, surface_hit_prior: Tensor,
-    hit_prior: Tensor,
+    hit_prior: Tensor, backend: Backend | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     """Weights, summaries and median surfaces of n rays with m surfaces in all; differentiable.
 
@@ -154,6 +165,8 @@ def composite_rays(
         first: (n + 1,) int64: where each ray's surfaces begin.
         surface_hit_prior: (m,) float32, negative where the surface has none of its own.
         hit_prior: (n,) float32.
+        backend: Overrides the choice, "numba" or "triton"; the latter takes CPU tensors only under Triton's
+            interpreter.
 
     Returns:
         weights (m,); summary (n, d + 4), see above; index (n,) int64 of the first surface with at least half
@@ -163,6 +176,7 @@ def composite_rays(
         they do.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
-        logit, range_m, features, facts, first, surface_hit_prior, hit_prior
-    )
+        logit, range_m, features, facts, first, surface_hit_prior, hit_prior,
+        backend or ("triton" if choose_backend(logit, features) == "triton" else "numba"),
+    )  # fmt: skip
     return found

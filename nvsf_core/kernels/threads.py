@@ -73,6 +73,15 @@ def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = Non
     return list(_pool(threads).map(one, range(parts)))
 
 
+def background(most: int) -> ThreadPoolExecutor:
+    """Threads that work while the calling thread does something else: all others of the process, but `most`.
+
+    At least one, even where the calling thread then waits for it.
+    """
+    threads = min(most, thread_count() - 1) if kernels_bear_threads() else 1
+    return ThreadPoolExecutor(max(1, threads), "nvsf-ahead", initializer=_begin)
+
+
 @functools.cache
 def kernels_bear_threads() -> bool:
     """Whether several threads may call our kernels at once: whether numba finds OpenMP, that is, libgomp1.

@@ -1,5 +1,6 @@
 """The total loss: named terms, weighted and added. A term that is not finite is an error, never 0."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
@@ -48,12 +49,12 @@ def total_loss(
     reduced = {
         name: term.sum() if name in sums else term.mean() for name, term in terms.items() if term.numel()
     }
-    for name, value in reduced.items():
-        if not torch.isfinite(value):
-            raise DivergedError(
-                f"loss term {name!r} is {value.item()}; lower the step size or look at its input"
-            )
     if not reduced:
         return LossBreakdown(torch.zeros((), requires_grad=True), {})
+    # All at once: each number that a GPU is asked for waits for all that it has yet to do.
+    values = torch.stack([value.detach().float() for value in reduced.values()]).tolist()
+    for name, found in zip(reduced, values, strict=True):
+        if not math.isfinite(found):
+            raise DivergedError(f"loss term {name!r} is {found}; lower the step size or look at its input")
     total = torch.stack([weights[name] * value for name, value in reduced.items()]).sum()
-    return LossBreakdown(total, {name: float(value.detach()) for name, value in reduced.items()}, reduced)
+    return LossBreakdown(total, dict(zip(reduced, values, strict=True)), reduced)

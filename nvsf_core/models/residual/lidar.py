@@ -1,69 +1,35 @@
-"""The LiDAR field of the residual family: its training rays and steps; its comparison with `reproject`."""
+"""The LiDAR field of the residual family: its training rays and training; its comparison with `reproject`."""
 
 import time
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.moving.objects import objects_at
-from nvsf_core.evidence.surfels import Surfels
-from nvsf_core.fields.lidar_field import (
-    LidarField,
-    ObjectSurfaces,
-    SurfaceBatch,
-    join_surfaces,
-    object_surfaces,
-    surface_batch,
-)
-from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
-from nvsf_core.losses.total import LossBreakdown, total_loss
+from nvsf_core.fields.lidar_field import LidarField, object_surfaces
 from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
+from nvsf_core.models.residual.lidar_step import (
+    LidarBatch,
+    LidarRays,
+    join_rays,
+    lidar_step,
+    sampled_batch,
+)
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
-from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.simulation.ray_renderers import field_renderer
+from nvsf_core.training.ahead import Ahead
 from nvsf_core.training.loop import fresh_state, side_by_side
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
-
-
-@dataclass(frozen=True, slots=True)
-class LidarRays:
-    """n rays of the training frames, scene-local."""
-
-    origin_m: np.ndarray
-    """(n, 3) float32."""
-    direction: np.ndarray
-    """(n, 3) float32, unit."""
-    range_m: np.ndarray
-    """(n,) float32, metres; 0 = dropped."""
-    intensity: np.ndarray
-    """(n,) float32, 0..1; 0 = dropped."""
-    hit_prior: np.ndarray
-    """(n,) float32: share of the nearest other training scans that have a return there."""
-    objects: ObjectSurfaces | None = None
-    """Surfaces of moving objects, from the other scans, at these rays' times; None in a static scene."""
-
-    def __len__(self) -> int:
-        """Number of rays."""
-        return len(self.range_m)
-
-
-def join_rays(parts: list[LidarRays]) -> LidarRays:
-    """Rays of several parts, one after the other."""
-    names = ("origin_m", "direction", "range_m", "intensity", "hit_prior")
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    objects = [part.objects for part in parts if part.objects is not None]
-    joined = join_surfaces(objects, [len(part) for part in parts]) if objects else None
-    return LidarRays(**columns, objects=joined)
 
 
 def _dropped_rays(lidar: LidarRecording, number: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
@@ -169,16 +135,29 @@ def train_lidar(
         lidar: The recording.
     """
     started, spec = time.perf_counter(), recipe.lidar_training
-    rays = training_rays(lidar, recipe, field)
-    state = fresh_state(field.to(training_device()), spec, session.seed * 2)
+    rays, device = training_rays(lidar, recipe, field), training_device()
+    state = fresh_state(field.to(device), spec, session.seed * 2)
     preparation = time.perf_counter() - started
-    static = lidar.evidence.static
-    fit(
-        session, "lidar", state, spec,
-        lambda _, generator: side_by_side(
-            spec.parts, generator, lambda own: lidar_step(field, static, rays, recipe, lidar.far_m, own)
-        ),
-    )  # fmt: skip
+
+    def sampled(own: Sequence[torch.Generator]) -> LidarBatch:
+        return sampled_batch(lidar.evidence.static, rays, recipe, lidar.far_m, own)
+
+    if device.type == "cpu":
+        fit(
+            session, "lidar", state, spec,
+            lambda _, generator: side_by_side(
+                spec.parts, generator, lambda own: lidar_step(field, sampled([own]), recipe)
+            ),
+        )  # fmt: skip
+    else:
+        # Each of a GPU's operations takes as long for a part of the rays as for all.
+        with Ahead(spec.parts, sampled) as ahead:
+            fit(
+                session, "lidar", state, spec,
+                lambda _, generator: [
+                    lambda: [lidar_step(field, ahead.take(generator).to(device), recipe)]
+                ],
+            )  # fmt: skip
     field.to("cpu")
     validating = time.perf_counter()
     shows_field, verdict = choose(field, recipe, lidar)
@@ -220,52 +199,3 @@ def choose(
     figures = found.figures({"field": "lidar_judged_", "reproject": "lidar_judged_reproject_"})
     shown = "field" if shows_field else "reproject: learning did not beat it"
     return shows_field, {"lidar_shows": shown, **figures}
-
-
-def lidar_step(
-    field: LidarField, surfels: Surfels, rays: LidarRays, recipe: ResidualRecipe, far_m: float,
-    generator: torch.Generator,
-) -> LossBreakdown:  # fmt: skip
-    """The loss of a part of a step: a batch of rays, sampled from all training scans.
-
-    Args:
-        field: Is trained.
-        surfels: Of the static scene; moving objects come with the rays.
-        rays: Of all training scans.
-        recipe: Rays and parts a step, surfaces a ray, loss weights.
-        far_m: How far a ray is followed.
-        generator: Samples the rays.
-    """
-    spec, device = recipe.lidar_training, next(field.parameters()).device
-    sampled = torch.randint(len(rays), (spec.rays // spec.parts,), generator=generator).numpy()
-    most = recipe.evidence.lidar_candidates
-    batch = surface_batch(
-        surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,
-        objects=None if rays.objects is None else rays.objects.of(sampled),
-    ).to(device)  # fmt: skip
-    true_range_m, true_intensity, hit_prior = (
-        torch.from_numpy(column[sampled]).to(device)
-        for column in (rays.range_m, rays.intensity, rays.hit_prior)
-    )
-    rendered = render_lidar(field, batch, hit_prior)
-    returned = (true_range_m > 0) & batch.is_there[:, 0]
-    corrected = batch.is_there[:, 0] & ~rendered.on_object
-    terms = {
-        "depth": _depth(rendered, batch, returned, true_range_m),
-        "hit": raydrop_loss(rendered.hit_logit[corrected], (true_range_m[corrected] > 0).float()),
-        "intensity": intensity_loss(rendered.intensity_logit[returned], true_intensity[returned]),
-    }
-    return total_loss(terms, asdict(recipe.losses))
-
-
-def _depth(rendered: LidarRender, batch: SurfaceBatch, returned: Tensor, true_range_m: Tensor) -> Tensor:
-    """Depth loss of each ray that `returned` (r,) bool: weighted range error, on moving objects a likelihood.
-
-    A moving object is thin, met by few rays and mostly edges: there the weights must stay shares of rays.
-    """
-    of_returns = rendered.weights[returned], rendered.range_m[returned], true_range_m[returned]
-    off_m = depth_loss(*of_returns)
-    if not bool((batch.hit_prior >= 0.0).any()):
-        return off_m
-    meets = batch.spread((batch.hit_prior >= 0.0).float()[:, None])[returned, :, 0].any(dim=1)
-    return torch.where(meets, surface_likelihood(*of_returns), off_m)
