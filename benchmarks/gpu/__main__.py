@@ -58,15 +58,18 @@ def measure(plan: Plan, parts: list[str], results: Path, document: Path) -> None
     """Store each row when it is measured, and the page of all that is stored: a lent GPU may go any time."""
     results.parent.mkdir(parents=True, exist_ok=True)
     for part in parts:
-        rows: list[Row] = []
+        rows = dict[str, list[Row]]()
         for row in _MEASURE[part](plan):
-            rows.append(row)
+            # Scenes may be measured on different days, on different machines.
+            scene = str(row.get("scene", ""))
+            rows.setdefault(scene, []).append(row)
             about = {
                 "machine": machine(), "triton": _triton(), "commit": commit(),
-                "measured": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "rows": rows,
+                "measured": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "rows": rows[scene],
             }  # fmt: skip
             known = json.loads(results.read_text()) if results.is_file() else {}
-            results.write_text(json.dumps(known | {part: about}, indent=1) + "\n")
+            known[part] = known.get(part, {}) | {scene: about}
+            results.write_text(json.dumps(known, indent=1) + "\n")
             write_page(results, document)
 
 

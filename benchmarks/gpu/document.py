@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 Row = dict[str, Any]
-Measured = Mapping[str, Mapping[str, Any]]
-"""By part: the machine, the commit, and rows."""
+Measured = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""By part and scene ("" where there is none): the machine, the commit, and rows."""
 PARTS = {
     "tests": "The tests that a CUDA device lets run, with all others of their folders",
     "kernels": "The encodings' Triton kernels beside the memory's bandwidth",
@@ -32,8 +32,9 @@ measured on KITTI-360's ten scenes.
 
 Networks are trained on the device that `nvsf_core/models/family.py` names, the first CUDA device if there
 is one: all of `paper`, and of `lean` and `quick` the LiDAR field, the raydrop network, the pano network and
-the camera networks. `paper` and the camera networks also render there; evidence, simulated sweeps and the
-compositing of a ray's surfaces stay on the CPU. The tests train all of them on a device that is the CPU by
+the camera networks. `paper` and the camera networks also render there; evidence and simulated sweeps stay on
+the CPU, and so does the search for the surfaces along training rays, which CPU threads do for later steps
+while the GPU computes one. The tests train all of them on a device that is the CPU by
 another name, and that refuses what CUDA refuses.
 """
 _Cell = Callable[[Row], str]
@@ -62,6 +63,7 @@ _TABLES: dict[str, dict[str, _Cell]] = {
     "training": {
         "scene": lambda row: f"`{row['scene']}`", "method": lambda row: f"`{row['method']}`",
         "iterations": _number("steps", 0), "train s": _number("train_s", 0),
+        "of LiDAR": _number("lidar_s", 0), "of camera": _number("camera_s", 0),
         "CD m²": _number("chamfer_m2", 3), "F": _number("f_score", 3),
         "range PSNR dB": _number("range_psnr_db", 1), "hit acc.": _number("hit_accuracy", 3),
         "image PSNR": _number("image_psnr_db", 1), "sweep s": _number("sweep_s", 2),
@@ -75,12 +77,16 @@ def page(measured: Measured) -> str:
     return _INTRODUCTION + "".join(_section(part, measured.get(part)) for part in PARTS)
 
 
-def _section(part: str, found: Mapping[str, Any] | None) -> str:
+def _section(part: str, found: Mapping[str, Mapping[str, Any]] | None) -> str:
     head = f"\n## {PARTS[part]}\n\n"
-    if found is None:
+    if not found:
         return f"{head}Not run on a GPU.\n"
-    where = f"{found['machine']}, triton {found['triton']}; commit {found['commit']}, {found['measured']}."
-    return f"{head}{where} {_ABOUT[part]}\n\n{_table(_TABLES[part], found['rows'])}"
+    tables = [
+        f"{one['machine']}, triton {one['triton']}; commit {one['commit']}, {one['measured']}.\n\n"
+        + _table(_TABLES[part], one["rows"])
+        for one in found.values()
+    ]
+    return f"{head}{_ABOUT[part]}\n\n" + "\n".join(tables)
 
 
 def _table(columns: Mapping[str, _Cell], rows: Sequence[Row]) -> str:

@@ -57,7 +57,7 @@ def _double(pointer, at, there):
     return tl.load(pointer + at, mask=there, other=0.0).to(tl.float64)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["rays"])
 def _forward(
     first, logit, range_m, features, facts, surface_hit_prior, hit_prior, weights, summary, median, asked,
     is_own, rays, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
@@ -120,7 +120,7 @@ def _forward(
     tl.store(median + ray, where, mask=inside)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["rays"])
 def _adjoint(
     first, logit, range_m, features, facts, weights, summary, grad_weights, grad_summary, grad_logit,
     grad_range, grad_features, rays, FEATURES: tl.constexpr, WIDTH: tl.constexpr,

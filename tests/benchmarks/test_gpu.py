@@ -10,15 +10,15 @@ def test_every_part_runs_tiny_on_this_machine_and_stands_on_the_page(run_process
     assert done.returncode == 0, done.stderr
     measured = json.loads((tmp_path / "gpu.json").read_text())
     assert list(measured) == list(PARTS)
-    (tests,) = measured["tests"]["rows"]
+    (tests,) = measured["tests"][""]["rows"]
     assert tests["passed"] > 0 and tests["failed"] == []
-    for row in measured["kernels"]["rows"]:
+    for row in measured["kernels"][""]["rows"]:
         assert row["relative_error"] < 1e-5 and row["ms"] > row["least_ms"] > 0.0
-    steps = measured["steps"]["rows"]
+    steps = measured["steps"]["tiny"]["rows"]
     # How many rays are held at once is a matter of memory, not of the result.
     assert len(steps) == 2 and abs(steps[0]["loss"] - steps[1]["loss"]) < 1e-3 * steps[0]["loss"]
-    methods = [row["method"] for row in measured["training"]["rows"]]
-    assert methods == ["copy_nearest", "reproject", "paper_smoke", "smoke"]
+    methods = [row["method"] for row in measured["training"]["tiny"]["rows"]]
+    assert methods == ["smoke", "paper_smoke", "copy_nearest", "reproject"]
     text = (tmp_path / "gpu.md").read_text()
     assert text == page(measured) and "Not run on a GPU." not in text
 

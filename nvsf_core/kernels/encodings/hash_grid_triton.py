@@ -1,7 +1,8 @@
 """The hash-grid encoding and its gradients on CUDA, compiled by Triton at first use.
 
-Triton brings its own compiler. With the environment variable TRITON_INTERPRET=1, set before this module is
-imported, the same kernels run on CPU tensors (slowly, for tests).
+Triton brings its own compiler. Numbers of points are not specialised: each kernel would be compiled again for
+those that 16 divides. With the environment variable TRITON_INTERPRET=1, set before this module is imported,
+the same kernels run on CPU tensors (slowly, for tests).
 
 Every launch switches fused multiply-add off. So positions in grid units are rounded after the product and
 after the sum, as in the torch oracle, and the forward pass is bit-identical to it; fused, weights would
@@ -82,7 +83,7 @@ def _weight(fx, fy, fz, CORNER: tl.constexpr, DIMENSIONS: tl.constexpr):
     return weight
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["points"])
 def _forward(
     positions, table, out, points, scales, resolutions, dense, offsets, entry_mask,
     LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
@@ -105,7 +106,7 @@ def _forward(
     tl.store(out + (point * LEVELS + level)[:, None] * FEATURES + feature, total, mask=shown)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["points"])
 def _table_adjoint(
     positions, grad, grad_table, points, scales, resolutions, dense, offsets, entry_mask,
     LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,
@@ -129,7 +130,7 @@ def _table_adjoint(
         tl.atomic_add(grad_table + entry[:, None] * FEATURES + feature, share, mask=shown, sem="relaxed")
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["points"])
 def _position_adjoint(
     positions, table, grad, grad_positions, points, scales, resolutions, dense, offsets, entry_mask,
     LEVELS: tl.constexpr, DIMENSIONS: tl.constexpr, FEATURES: tl.constexpr, WIDTH: tl.constexpr,

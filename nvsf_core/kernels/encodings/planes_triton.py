@@ -41,7 +41,7 @@ def _entry(u, v, height, width, CORNER: tl.constexpr):
     return (row * width + column).to(tl.int64)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["points"])
 def _forward(
     coordinates, plane, out, points, height, width, rows, columns,
     FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
@@ -61,7 +61,7 @@ def _forward(
     tl.store(out + point[:, None] * FEATURES + feature, total, mask=shown)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["points"])
 def _plane_adjoint(
     coordinates, grad, grad_plane, points, height, width, rows, columns,
     FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
@@ -81,7 +81,7 @@ def _plane_adjoint(
         tl.atomic_add(target, weight[:, None] * cotangent, mask=shown, sem="relaxed")
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["points"])
 def _coordinate_adjoint(
     coordinates, plane, grad, grad_coordinates, points, height, width, rows, columns,
     FEATURES: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
