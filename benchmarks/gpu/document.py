@@ -20,9 +20,10 @@ _ABOUT = {
     "the CPU, of the largest value.",
     "steps": "By how many rays are held in memory at once; 2048 rays a sensor, 768 samples each. *loss*: "
     "of the last iteration, the same sum for each number of rays.",
-    "training": "`paper`: as many iterations as fit into the minutes asked for, without U-Net; the others "
-    "with their own number of steps. Protocols as in [speed_and_error](speed_and_error.md): a quarter of the "
-    "rays and a sixteenth of the pixels, so that rows compare with each other and with that page only.",
+    "training": "*train s*: with the evidence that our LiDAR field starts from. `paper`: as many iterations "
+    "as fit into the minutes asked for, without U-Net; the others with their own number of steps. Protocols "
+    "as in [speed_and_error](speed_and_error.md): a quarter of the rays and a sixteenth of the pixels, so "
+    "that rows compare with each other and with that page only.",
 }
 _INTRODUCTION = """\
 # On a GPU
