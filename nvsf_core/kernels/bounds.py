@@ -67,7 +67,7 @@ def _in_its_frame(origin, direction, time_s, path_time_s, path_pose):  # type: i
     )  # fmt: skip
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def rays_into_bounds(  # type: ignore[no-untyped-def]
     origins, directions, time_s, box
 ):

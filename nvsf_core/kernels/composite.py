@@ -37,7 +37,7 @@ def _seen_and_left(logit):  # type: ignore[no-untyped-def]
     return small / (1.0 + small), 1.0 / (1.0 + small)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prior):  # type: ignore[no-untyped-def]
     n, width = len(first) - 1, features.shape[1]
     weights = np.empty(len(logit), np.float32)
@@ -81,7 +81,7 @@ def _forward(first, logit, range_m, features, facts, surface_hit_prior, hit_prio
     return weights, summary, median, asked, is_own
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def _adjoint(  # type: ignore[no-untyped-def]
     first, logit, range_m, features, facts, weights, summary, grad_weights, grad_summary
 ):

@@ -73,7 +73,7 @@ def _of_scan(  # type: ignore[no-untyped-def]
     return total / weight
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def share_of_scans(  # type: ignore[no-untyped-def]
     places_m, to_sensor, weights, lasers, scans, fraction, is_hit
 ):

@@ -14,7 +14,7 @@ def _turned_up(x, y, z, cos_a, sin_a, cos_up, sin_up):  # type: ignore[no-untype
     return ahead * cos_a - left * sin_a, ahead * sin_a + left * cos_a, up
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def move_sweep(  # type: ignore[no-untyped-def]
     origin_m, direction, azimuth_rad, angle_rad, mount, rotation, position_m
 ):

@@ -15,7 +15,7 @@ _BRICK = 8
 
 
 # Wide: columns of the rays, of what the scan recorded and of the result.
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def add_agreement(  # type: ignore[no-untyped-def]
     ends_m, direction, range_m, returned, position_m, found, agreed, others, looked
 ):
@@ -58,7 +58,7 @@ def _is_alike(end_m, direction, range_m, position_m):  # type: ignore[no-untyped
     return along_m >= _SAME_DIRECTION_COSINE * distance_m and is_same_far
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def holds_points(points_m, origin_m, voxel_m, bricks, cells):  # type: ignore[no-untyped-def]
     """Whether (n,) bool points lie in a voxel that holds a return.
 

@@ -141,7 +141,7 @@ def _solve(system, right):  # type: ignore[no-untyped-def]
     return right
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def register_pairs(clouds, sources, targets, start, yaw_free, gates_m):  # type: ignore[no-untyped-def]
     """Register cloud `sources[i]` to cloud `targets[i]`, for all pairs i.
 

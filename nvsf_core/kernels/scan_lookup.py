@@ -57,7 +57,7 @@ class SweepGrid(NamedTuple):
     """(rows, >= f) float32."""
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def look_up_scans(points, lasers, grid, found):  # type: ignore[no-untyped-def]
     """Add to `found` (n, 5) float32 what one sweep recorded towards points (n, 3) float32, scene-local.
 

@@ -27,7 +27,7 @@ def _describe(distance, opacity, cosine, is_planar, hits, intensity, at, range_m
     facts[at, 5] = distance / 50.0
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def list_surfaces(  # type: ignore[no-untyped-def]
     origins, directions, grid, surfaces, limits, met
 ):  # fmt: skip

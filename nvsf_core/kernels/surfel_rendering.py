@@ -9,7 +9,7 @@ _HANDS = 16
 """Groups that tasks are dealt out to, so that each thread gets an equal share of every part of a sweep."""
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def render_by_surfels(  # type: ignore[no-untyped-def]
     origins, directions, grid, surfaces, limits
 ):  # fmt: skip

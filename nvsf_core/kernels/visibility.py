@@ -99,7 +99,7 @@ def _look(image, first_row, end_row, column, range_m, margin_m):  # type: ignore
     return _CONFIRMED if farther + nearer < filled else _UNKNOWN
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def look_back(  # type: ignore[no-untyped-def]
     points, scans, images, to_sensor, lasers, near_m, per_range
 ):

@@ -163,7 +163,7 @@ def count_passes(
     return counted
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def _count_passes(  # type: ignore[no-untyped-def]
     origins, directions, stops_m, grid, means, precisions, n_threads
 ):  # fmt: skip
@@ -326,7 +326,7 @@ def walk(  # type: ignore[no-untyped-def]
             return found
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, nogil=True)
 def find_candidates(  # type: ignore[no-untyped-def]
     origins, directions, grid, surfaces, limits
 ):  # fmt: skip

@@ -244,6 +244,13 @@ class LidarRecording:
 
     def moving(self, *, leave_out: int | None = None) -> NearObjects | None:
         """Moving objects at any time, built without the training scan `leave_out`; None without any."""
+        return self._by_all_scans if leave_out is None else self._near_objects(leave_out)
+
+    @cached_property
+    def _by_all_scans(self) -> NearObjects | None:
+        return self._near_objects(None)
+
+    def _near_objects(self, leave_out: int | None) -> NearObjects | None:
         dynamic = self.evidence.dynamic
         if dynamic is None:
             return None

@@ -6,6 +6,7 @@ import torch
 from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField, object_surfaces, surface_batch
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import render_rays
@@ -39,14 +40,17 @@ def field_renderer(
         if moving is not None and places is not None:
             there = moving.at(time_s, origin_m)
             objects = object_surfaces(there, places, origin_m, direction, time_s, near_m=NEAR_M, far_m=far_m)
-        parts = []
-        for part in _parts(len(hit_prior), _FIELD_RAYS):
+        parts = _parts(len(hit_prior), _FIELD_RAYS)
+
+        def rendered(number: int) -> RenderedRays:
+            part = parts[number]
             met = None if objects is None else objects.of(np.arange(part.start, part.stop))
             batch = surface_batch(
                 surfels, origin_m[part], direction[part], most=most, near_m=NEAR_M, far_m=far_m, objects=met
             )
-            parts.append(render_rays(field, batch, torch.from_numpy(hit_prior[part])))
-        return _joined(parts)
+            return render_rays(field, batch, torch.from_numpy(hit_prior[part]))
+
+        return _joined(in_parts(rendered, len(parts)))
 
     return render
 

@@ -1,6 +1,7 @@
 """Collects moving objects' rays in their own frames, and finds objects' surfaces along rays to render."""
 
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 
@@ -20,6 +21,8 @@ _MOST_CANDIDATES = 12
 _MARGIN_M = 0.1
 _STEPS_A_FRAME = 8
 """Instants per frame at which objects' surfels are built; an object that bends moves 2 cm between them."""
+_KEPT = 16
+"""Instants and places whose objects are kept: a sweep asks for two, and up to eight are rendered at once."""
 _SOME = 256
 """Rays from which a sweep's mean origin and time are estimated, to decimetres and hundredths of a second."""
 
@@ -139,7 +142,10 @@ def objects_at(
 
 
 class NearObjects:
-    """Moving objects about the times of rays; built once for a sweep whose rays come in parts."""
+    """Moving objects about the times of rays; built once for a sweep whose rays come in parts.
+
+    Several threads may ask at once, each for a sweep of its own.
+    """
 
     def __init__(
         self,
@@ -152,8 +158,8 @@ class NearObjects:
         self.evidence = evidence
         self._hit_priors = hit_priors
         self._leave_out = leave_out
-        self._about: tuple[float, ...] | None = None
-        self._objects: tuple[ObjectSurfels, ...] = ()
+        self._built: dict[tuple[float, ...], tuple[ObjectSurfels, ...]] = {}
+        self._lock = Lock()
 
     def at(self, time_s: np.ndarray, origin_m: np.ndarray) -> tuple[ObjectSurfels, ...]:
         """The objects about the median of the rays' times, rounded to eighths of a frame; none without rays.
@@ -169,13 +175,17 @@ class NearObjects:
         instant = round(_STEPS_A_FRAME * float(np.median(time_s)) / frame_s)
         from_m = np.round(_some(origin_m).mean(axis=0, dtype=np.float64))
         about = (instant, *from_m.tolist())
-        if about != self._about:
-            self._objects = objects_at(
+        found = self._built.get(about)
+        if found is None:
+            found = objects_at(
                 self.evidence, instant * frame_s / _STEPS_A_FRAME, self._hit_priors,
                 leave_out=self._leave_out, from_m=from_m,
             )  # fmt: skip
-            self._about = about
-        return self._objects
+            with self._lock:
+                if len(self._built) >= _KEPT:
+                    del self._built[next(iter(self._built))]
+                self._built[about] = found
+        return found
 
 
 def candidates_on(

@@ -185,6 +185,16 @@ def test_parts_of_a_sweep_share_what_was_built(passing) -> None:
     assert near.at(np.zeros(0), HERE) == ()
     elsewhere = near.at(np.array([0.22, 0.252, 0.28]), HERE + 9.0)
     assert elsewhere is not half_way
+    # Sweeps that are rendered at once ask in turn.
+    assert near.at(np.array([0.2]), HERE) is first
+
+
+def test_what_was_built_is_forgotten_after_some_instants(passing) -> None:
+    near = NearObjects(passing[0].objects, ALWAYS)
+    first = near.at(np.array([0.2]), HERE)
+    for step in range(20):
+        near.at(np.array([0.2]), HERE + 3.0 * (step + 1))
+    assert near.at(np.array([0.2]), HERE) is not first
 
 
 def test_an_object_seen_from_elsewhere_is_built_from_scans_that_saw_it_from_there(passing) -> None:
