@@ -151,6 +151,7 @@ def _adjoint_by_triton(*given: Tensor) -> tuple[Tensor, ...]:
     return adjoint(*given)
 
 
+# Wide: seven columns of the same rays and surfaces; the last is for tests.
 def composite_rays(
     logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, first: Tensor, surface_hit_prior: Tensor,
     hit_prior: Tensor, backend: Backend | None = None,

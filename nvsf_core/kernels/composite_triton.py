@@ -192,6 +192,7 @@ def forward(
     return found
 
 
+# Wide: columns of the same rays and surfaces, and the gradients by them.
 def adjoint(
     first: Tensor, logit: Tensor, range_m: Tensor, features: Tensor, facts: Tensor, weights: Tensor,
     summary: Tensor, grad_weights: Tensor, grad_summary: Tensor,

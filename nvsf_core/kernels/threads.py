@@ -73,7 +73,7 @@ def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = Non
     return list(_pool(threads).map(one, range(parts)))
 
 
-def background(most: int) -> ThreadPoolExecutor:
+def other_threads(most: int) -> ThreadPoolExecutor:
     """Threads that work while the calling thread does something else: all others of the process, but `most`.
 
     At least one, even where the calling thread then waits for it.

@@ -8,8 +8,8 @@ from typing import Generic, TypeVar
 
 import torch
 
-from nvsf_core.kernels.threads import background
-from nvsf_core.training.loop import drawn_seeds
+from nvsf_core.kernels.threads import other_threads
+from nvsf_core.training.loop import seeds_of_parts
 
 _STEPS_AHEAD = 8
 _MOST_THREADS = 4
@@ -33,7 +33,7 @@ class Ahead(Generic[_Prepared]):
             prepare: Gives a step's input from the generators of its parts. Called by several threads.
         """
         self._parts, self._prepare = parts, prepare
-        self._threads = background(_MOST_THREADS)
+        self._threads = other_threads(_MOST_THREADS)
         self._copy = torch.Generator()
         self._coming: deque[tuple[list[int], Future[_Prepared]]] = deque()
 
@@ -50,12 +50,12 @@ class Ahead(Generic[_Prepared]):
     def take(self, generator: torch.Generator) -> _Prepared:
         """The input of the step that `generator` (on the CPU) is of."""
         state = generator.get_state()
-        seeds = drawn_seeds(self._parts, generator)
+        seeds = seeds_of_parts(self._parts, generator)
         if not self._coming or self._coming[0][0] != seeds:
             self._coming.clear()
             self._copy.set_state(state)
         while len(self._coming) <= _STEPS_AHEAD:
-            ahead = drawn_seeds(self._parts, self._copy)
+            ahead = seeds_of_parts(self._parts, self._copy)
             self._coming.append((ahead, self._threads.submit(self._of_seeds, ahead)))
         return self._coming.popleft()[1].result()
 

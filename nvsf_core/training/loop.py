@@ -128,10 +128,10 @@ def side_by_side(
     def part(seed: int) -> Part:
         return lambda: [loss(torch.Generator().manual_seed(seed)).scaled(1.0 / parts)]
 
-    return [part(seed) for seed in drawn_seeds(parts, generator)]
+    return [part(seed) for seed in seeds_of_parts(parts, generator)]
 
 
-def drawn_seeds(parts: int, generator: torch.Generator) -> list[int]:
+def seeds_of_parts(parts: int, generator: torch.Generator) -> list[int]:
     """Seeds of the generators of a step's parts, drawn from the step's generator."""
     return [int(seed) for seed in torch.randint(_SEEDS, (parts,), generator=generator).tolist()]
 

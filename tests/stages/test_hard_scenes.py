@@ -14,7 +14,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError, DivergedError, MissingLibraryError
-from nvsf_core.models.residual import lidar as steps
+from nvsf_core.models.residual import lidar_step as steps
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import Outcome, mesh, plan_run, run_named_stage, scene_metrics

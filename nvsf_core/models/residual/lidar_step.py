@@ -45,9 +45,14 @@ class LidarRays:
 
 
 def join_rays(parts: list[LidarRays]) -> LidarRays:
-    """Rays of several parts, one after the other."""
-    names = ("origin_m", "direction", "range_m", "intensity", "hit_prior")
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    """Rays of several parts, one after the other; all of a ray lies together in memory, as it is sampled."""
+    table = np.empty((sum(len(part) for part in parts), 9), np.float32)
+    columns = {
+        "origin_m": table[:, :3], "direction": table[:, 3:6], "range_m": table[:, 6],
+        "intensity": table[:, 7], "hit_prior": table[:, 8],
+    }  # fmt: skip
+    for name, column in columns.items():
+        np.concatenate([getattr(part, name) for part in parts], out=column)
     objects = [part.objects for part in parts if part.objects is not None]
     joined = join_surfaces(objects, [len(part) for part in parts]) if objects else None
     return LidarRays(**columns, objects=joined)

@@ -89,7 +89,7 @@ def train(root: Path, home: Path, recipe: Recipe, phase: str = "") -> None:
 def exit_code_of(*arguments: object) -> int | None:
     """Of a process that calls `train`. All share one server: it loads the libraries and the code once."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["nvsf_core.stages.field", "torch._dynamo"])
+    context.set_forkserver_preload(["nvsf_core.stages.field"])
     child = context.Process(target=train, args=arguments)
     child.start()
     child.join()
