@@ -13,8 +13,8 @@ from nvsf_core.training.loop import seeds_of_parts
 
 _STEPS_AHEAD = 8
 _MOST_THREADS = 4
-"""Enough to prepare a step's input while a GPU computes one; all take turns at the interpreter's lock with the
-thread that starts the GPU's kernels."""
+"""Enough to prepare a step's input while a GPU computes one; all take turns at the interpreter's lock with
+the thread that starts the GPU's kernels."""
 _Prepared = TypeVar("_Prepared")
 
 

@@ -11,20 +11,6 @@ from nvsf_core.kernels.composite import composite_rays
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="Triton is not installed")
 
 
-@pytest.fixture(scope="module")
-def device():
-    """Where the kernels run: interpreted where there is no CUDA device."""
-    # Triton itself without the variable, or nothing else in this process could compile; our module with it.
-    import triton  # noqa: F401
-
-    if torch.cuda.is_available():
-        return "cuda"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TRITON_INTERPRET", "1")
-        from nvsf_core.kernels import composite_triton  # noqa: F401
-    return "cpu"
-
-
 def _surfaces(counts, features, *, moving):
     """Surfaces of rays with `counts` (n,) of them, a few extreme logits; every other ray meets an object."""
     generator = torch.Generator().manual_seed(0)

@@ -1,7 +1,8 @@
 """The LiDAR field of the residual family: its training rays and training; its comparison with `reproject`."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,7 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.training.ahead import Ahead
-from nvsf_core.training.loop import fresh_state, side_by_side
+from nvsf_core.training.loop import Step, fresh_state, side_by_side
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
@@ -135,29 +136,11 @@ def train_lidar(
         lidar: The recording.
     """
     started, spec = time.perf_counter(), recipe.lidar_training
-    rays, device = training_rays(lidar, recipe, field), training_device()
-    state = fresh_state(field.to(device), spec, session.seed * 2)
+    rays = training_rays(lidar, recipe, field)
+    state = fresh_state(field.to(training_device()), spec, session.seed * 2)
     preparation = time.perf_counter() - started
-
-    def sampled(own: Sequence[torch.Generator]) -> LidarBatch:
-        return sampled_batch(lidar.evidence.static, rays, recipe, lidar.far_m, own)
-
-    if device.type == "cpu":
-        fit(
-            session, "lidar", state, spec,
-            lambda _, generator: side_by_side(
-                spec.parts, generator, lambda own: lidar_step(field, sampled([own]), recipe)
-            ),
-        )  # fmt: skip
-    else:
-        # Each of a GPU's operations takes as long for a part of the rays as for all.
-        with Ahead(spec.parts, sampled) as ahead:
-            fit(
-                session, "lidar", state, spec,
-                lambda _, generator: [
-                    lambda: [lidar_step(field, ahead.take(generator).to(device), recipe)]
-                ],
-            )  # fmt: skip
+    with _steps(field, rays, recipe, lidar) as step:
+        fit(session, "lidar", state, spec, step)
     field.to("cpu")
     validating = time.perf_counter()
     shows_field, verdict = choose(field, recipe, lidar)
@@ -167,6 +150,29 @@ def train_lidar(
         states={"lidar": state}, preparation_seconds=preparation,
         metadata={"training_rays": len(rays), **verdict}, facts={SHOWS_FIELD: shows_field},
     )  # fmt: skip
+
+
+@contextmanager
+def _steps(
+    field: LidarField, rays: LidarRays, recipe: ResidualRecipe, lidar: LidarRecording
+) -> Iterator[Step]:
+    """The steps of a training: on the CPU in parts that threads compute, on a GPU as one batch of all parts.
+
+    Each of a GPU's operations takes as long for a part of the rays as for all; what the CPU has to find for
+    a batch it finds ahead.
+    """
+    spec, device = recipe.lidar_training, next(field.parameters()).device
+
+    def sampled(own: Sequence[torch.Generator]) -> LidarBatch:
+        return sampled_batch(lidar.evidence.static, rays, recipe, lidar.far_m, own)
+
+    if device.type == "cpu":
+        yield lambda _, generator: side_by_side(
+            spec.parts, generator, lambda own: lidar_step(field, sampled([own]), recipe)
+        )
+        return
+    with Ahead(spec.parts, sampled) as ahead:
+        yield lambda _, generator: [lambda: [lidar_step(field, ahead.take(generator).to(device), recipe)]]
 
 
 def choose(

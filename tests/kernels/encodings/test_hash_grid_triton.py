@@ -19,21 +19,6 @@ on_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA devi
 PAPER = GridLayout(levels=8, features=4, log2_table=19, base_resolution=512, finest_resolution=32768)
 
 
-@pytest.fixture(scope="module")
-def device():
-    """Where the kernels run: interpreted where there is no CUDA device."""
-    # Triton itself without the variable, or nothing else in this process could compile; our module with it.
-    import triton  # noqa: F401
-
-    if torch.cuda.is_available():
-        return "cuda"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TRITON_INTERPRET", "1")
-        from nvsf_core.kernels.encodings import hash_grid_triton
-    assert hash_grid_triton.is_interpreted()
-    return "cpu"
-
-
 def _layout(dimensions, features, finest=50):
     """In 3-D one dense level and two hashed ones, in 2-D the other way round."""
     return GridLayout(

@@ -14,21 +14,6 @@ pytestmark = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reas
 on_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 
 
-@pytest.fixture(scope="module")
-def device():
-    """Where the kernels run: interpreted where there is no CUDA device."""
-    # Triton itself without the variable, or nothing else in this process could compile; our module with it.
-    import triton  # noqa: F401
-
-    if torch.cuda.is_available():
-        return "cuda"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TRITON_INTERPRET", "1")
-        from nvsf_core.kernels.encodings import planes_triton
-    assert planes_triton.is_interpreted()
-    return "cpu"
-
-
 def _plane(shape, device="cpu"):
     return torch.empty(shape).uniform_(-1, 1, generator=torch.Generator().manual_seed(0)).to(device)
 
