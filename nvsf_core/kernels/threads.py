@@ -74,7 +74,7 @@ def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = Non
 
 
 def other_threads(most: int) -> ThreadPoolExecutor:
-    """Threads that work while the calling thread does something else: all others of the process, but `most`.
+    """At most `most` threads that work while the calling thread does something else: one less than there are.
 
     At least one, even where the calling thread then waits for it.
     """

@@ -52,7 +52,7 @@ def total_loss(
     if not reduced:
         return LossBreakdown(torch.zeros((), requires_grad=True), {})
     # All at once: each number that a GPU is asked for waits for all that it has yet to do.
-    values = torch.stack([value.detach().float() for value in reduced.values()]).tolist()
+    values = torch.stack([value.detach().double() for value in reduced.values()]).tolist()
     for name, found in zip(reduced, values, strict=True):
         if not math.isfinite(found):
             raise DivergedError(f"loss term {name!r} is {found}; lower the step size or look at its input")

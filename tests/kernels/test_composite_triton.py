@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reas
 
 
 def _surfaces(counts, features, *, moving):
-    """Surfaces of rays with `counts` (n,) of them, a few extreme logits; every other ray meets an object."""
+    """Surfaces of rays with `counts` (n,) of them, a few logits extreme; if moving, some are an object's."""
     generator = torch.Generator().manual_seed(0)
     total = int(sum(counts))
     logit = 3.0 * torch.randn(total, generator=generator)

@@ -26,6 +26,12 @@ def test_intensity_is_a_squared_error() -> None:
     assert torch.allclose(intensity_loss(torch.zeros(1), torch.tensor([0.2])), torch.tensor([0.09]))
 
 
+def test_a_term_in_double_precision_is_reported_as_it_is() -> None:
+    """Larger than any number in single precision, it is no divergence."""
+    loss = total_loss({"a": torch.tensor([1e300], dtype=torch.float64)}, {"a": 1.0})
+    assert loss.terms == {"a": 1e300}
+
+
 def test_an_empty_term_is_absent_and_not_nan() -> None:
     loss = total_loss({"a": torch.tensor([2.0]), "b": torch.zeros(0)}, {"a": 0.5, "b": 1.0})
     assert float(loss.total) == 1.0
