@@ -8,26 +8,32 @@ override NVSF_HOME := $(abspath $(NVSF_HOME))
 override DAGSTER_HOME := $(abspath $(DAGSTER_HOME))
 export NVSF_HOME DAGSTER_HOME SEED SEEDS SCENES RECIPE RECIPES SPLITS MARKS NVSF_SCENES NVSF_KITTI360_ROOT NVSF_EXECUTOR
 export DAGSTER_MODULE_NAME := pipelines.definitions
+# Packages are installed without bytecode (PIP below): where none may be kept, each start would compile them anew.
+unexport PYTHONDONTWRITEBYTECODE
 
-BIN   := .venv/bin
-STAMP := .venv/.installed
-DEV   := .venv/.installed-dev
+BIN     := .venv/bin
+STAMP   := .venv/.installed
+KERNELS := .venv/.compiled
+DEV     := .venv/.installed-dev
 # Compiled where they are first imported: compiling every file of torch and Dagster ahead takes longer.
-PIP   := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
+PIP     := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 # Dagster advises `dg launch` at every start; the bare command is what users know.
-TRAIN := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
+TRAIN   := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo train test test-fast check docs bench ablation stability chaos gpu contract ui clean
+.PHONY: help install demo train test test-fast check style types contracts docs bench ablation stability chaos gpu contract ui clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  \1\t/' | expand -t 14
 
-install: $(STAMP) ## make .venv with what the product needs: 3.1 GB, one to two minutes from a warm pip cache
+install: $(STAMP) $(KERNELS) ## make .venv with what the product needs: 3.1 GB, one to two minutes from a warm pip cache
 $(STAMP): pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "installing into .venv: 3.1 GB; one to two minutes where pip has the packages, else as long as 1 GB takes to come"
 	@$(PIP) -e .
+	@touch $@
+
+$(KERNELS): $(STAMP)
 	@echo "compiling the kernels: a minute, once"
 	@$(BIN)/python -c 'import pipelines.definitions' & $(BIN)/python -m nvsf_core.stages.runner.compile_kernels && wait
 	@touch $@
@@ -49,17 +55,20 @@ demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and t
 train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes
 	$(TRAIN)
 
-test: $(DEV) ## the whole suite
+test: install $(DEV) ## the whole suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # What says most about a change in least time: no training, no process of its own but the contracts'.
 FAST := architecture cameras drives encodings geometry losses metrics recipe rendering sampling sensors stores
-test-fast: $(DEV) ## the quick half of the suite, for the first green
+test-fast: install $(DEV) ## the quick half of the suite, for the first green
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(FAST:%=tests/%)
 
-check: $(DEV) docs ## ruff, mypy strict on the core, import contracts, the documentation site
+check: style types contracts docs ## ruff, mypy strict on the core, import contracts, the documentation site
+style: $(DEV)
 	$(BIN)/ruff check .
+types: $(DEV)
 	$(BIN)/mypy
+contracts: $(DEV)
 	$(BIN)/lint-imports
 
 # Both variables silence notices about future versions of the tools, which are pinned.
@@ -72,7 +81,7 @@ bench: install $(DAGSTER_HOME)/dagster.yaml ## SCENES, RECIPES, SEEDS="0 1 2", S
 ablation: install ## the paper's ablation at a size for CPUs; docs/ablation.md
 	$(BIN)/python -m benchmarks.paper.ablation
 
-stability: $(DEV) ## hard numerical cases, measured; docs/numerical_stability.md
+stability: install $(DEV) ## hard numerical cases, measured; docs/numerical_stability.md
 	$(BIN)/python -m benchmarks.numerics.stability
 
 chaos: install ## MINUTES=60 SEED=0: kill, fill, cut and flip a home at work; docs/chaos.md
