@@ -7,6 +7,7 @@ asked for again.
 """
 
 import multiprocessing
+import sys
 import time
 from collections.abc import Iterator
 from multiprocessing.context import ForkServerProcess
@@ -18,7 +19,6 @@ from dagster._core.executor.multiprocess import MultiprocessExecutor
 
 from nvsf_core.errors import StageKilledError
 
-_PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4
 """Of one step. Whatever kills one server after the other is not outlived by a further one."""
 _PAUSE_S = 0.5
@@ -86,8 +86,18 @@ class StepProcesses(MultiprocessExecutor):
 def _executor(context: dg.InitExecutorContext) -> StepProcesses:
     return StepProcesses(
         retries=RetryMode.ENABLED, max_concurrent=context.executor_config["max_concurrent"],
-        start_method="forkserver", explicit_forkserver_preload=[_PRELOADED],
+        start_method="forkserver", explicit_forkserver_preload=_preloaded(),
     )  # fmt: skip
+
+
+def _preloaded() -> list[str]:
+    """Modules that the server imports, so that no step has to.
+
+    Besides the definitions those of Dagster that this process has needed: it has opened the instance, whose
+    storages take a second to import.
+    """
+    opened = [name for name in sys.modules if name.partition(".")[0].startswith("dagster")]
+    return ["pipelines.definitions", *sorted(opened)]
 
 
 def step_processes(most_steps: int) -> dg.ExecutorDefinition:
