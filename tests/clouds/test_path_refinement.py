@@ -58,7 +58,7 @@ def _drive(
 
 
 def test_errors_of_an_odometry_do_not_add_up() -> None:
-    scans, true, drifted = _drive(34)
+    scans, true, drifted = _drive(22)
     found = refine_path(iter(scans), drifted)
     off_m = np.linalg.norm(found.poses[:, :3, 3] - true[:, :3, 3], axis=1)
     assert np.linalg.norm(drifted[-1, :3, 3] - true[-1, :3, 3]) > 0.1
