@@ -77,6 +77,7 @@ class MovingWorld:
             return None
         images, times = camera.training, camera.training_time_s
         nothing = np.zeros(images.rgb.shape[1:3], np.bool_)
+        self._divide(times)
 
         def shadow(number: int) -> np.ndarray:
             points = [one.points_m for one in self.moving(times[number], times)]
@@ -93,6 +94,14 @@ class MovingWorld:
             return None
         sweeps = self.recording.lidar.sweeps
         return int(np.argmin(np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)))
+
+    def _divide(self, image_time_s: np.ndarray) -> None:
+        """Divide the scans around images, each once, before threads ask for them."""
+        if self.recording.lidar is not None:
+            sweeps = self.recording.lidar.sweeps
+            near = {one for time_s in image_time_s for one in depth_scans(sweeps, time_s)[:_SHADOW_SCANS]}
+            scans = sorted(near - set(self._static))
+            in_parts(lambda number: self._static_of(sweeps, scans[number]), len(scans))
 
     def _static_of(self, sweeps: Sweeps, scan: int) -> np.ndarray:
         if scan not in self._static:
@@ -124,7 +133,9 @@ def _holds(path: MovingObject, points_m: np.ndarray, fired_s: np.ndarray) -> np.
     # Only the few returns near its path are transformed to its frame.
     way = path.pose_at(ends_s)[:, :3]
     reach_m = np.linalg.norm(np.maximum(np.abs(path.low_m), np.abs(path.high_m))) + _MARGIN_M
-    near = ((points_m > way.min(axis=0) - reach_m) & (points_m < way.max(axis=0) + reach_m)).all(axis=1)
+    first_m, last_m = way.min(axis=0) - reach_m, way.max(axis=0) + reach_m
+    near = np.flatnonzero((points_m[:, 0] > first_m[0]) & (points_m[:, 0] < last_m[0]))
+    near = near[((points_m[near] > first_m) & (points_m[near] < last_m)).all(axis=1)]
     local = path.to_object(points_m[near], fired_s[near])
     inside = (local >= path.low_m - _MARGIN_M) & (local <= path.high_m + _MARGIN_M)
     held[near] = inside.all(axis=1) & path.is_there(fired_s[near])

@@ -12,6 +12,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.moving.objects import objects_at
 from nvsf_core.fields.lidar_field import LidarField, object_surfaces
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
 from nvsf_core.models.residual.lidar_step import (
@@ -61,18 +62,21 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
     """
     sweeps, evidence = lidar.sweeps, lidar.evidence
     alone = int((~evidence.prior.is_unidentified).sum()) == 1
-    parts = []
-    for number, scan in learned_scans(lidar):
+    learned = learned_scans(lidar)
+
+    def rays_of(place: int) -> list[LidarRays]:
+        number, scan = learned[place]
         time_s = float(sweeps.arrays["time_s"][scan])
         prior_scans = evidence.prior.nearest_scans(
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
         )
         both = (_returned_rays(lidar, scan, prior_scans), _dropped_rays(lidar, number, prior_scans))
-        parts += [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
-    joined = join_rays(parts)
+        return [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
+
+    joined = join_rays([rays for both in in_parts(rays_of, len(learned)) for rays in both])
     if len(joined) == 0:
         raise DataError(
-            f"field: expected LiDAR rays to train on, found none in {len(parts) // 2} training scans: no "
+            f"field: expected LiDAR rays to train on, found none in {len(learned)} training scans: no "
             "return that is not the own vehicle's, and no firing that was dropped"
         )
     return joined
