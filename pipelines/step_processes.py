@@ -19,6 +19,7 @@ from dagster._core.executor.multiprocess import MultiprocessExecutor
 
 from nvsf_core.errors import StageKilledError
 
+_PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4
 """Of one step. Whatever kills one server after the other is not outlived by a further one."""
 _PAUSE_S = 0.5
@@ -97,7 +98,7 @@ def _preloaded() -> list[str]:
     storages take a second to import.
     """
     opened = [name for name in sys.modules if name.partition(".")[0].startswith("dagster")]
-    return ["pipelines.definitions", *sorted(opened)]
+    return [_PRELOADED, *sorted(opened)]
 
 
 def step_processes(most_steps: int) -> dg.ExecutorDefinition:

@@ -9,7 +9,7 @@ import time
 import dagster as dg
 import pytest
 
-from pipelines.step_processes import step_processes
+from pipelines.step_processes import _preloaded, step_processes
 
 
 @dg.op
@@ -72,3 +72,9 @@ def test_a_run_whose_servers_are_killed_again_and_again_ends_in_plain_words(run_
     done, said = run_under_fire(9)
     assert not done.success
     assert "while it started the step answer; so were the 3 in its place. Run again" in said
+
+
+def test_the_server_imports_what_the_instance_needs_before_a_step_has_to(tmp_path):
+    with dg.DagsterInstance.local_temp(str(tmp_path)) as instance:
+        opened = [instance.event_log_storage, instance.run_storage, instance.compute_log_manager]
+        assert {type(one).__module__ for one in opened} <= set(_preloaded())
