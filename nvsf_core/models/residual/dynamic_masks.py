@@ -97,11 +97,11 @@ class MovingWorld:
 
     def _divide(self, image_time_s: np.ndarray) -> None:
         """Divide the scans around images, each once, before threads ask for them."""
-        if self.recording.lidar is not None:
-            sweeps = self.recording.lidar.sweeps
-            near = {one for time_s in image_time_s for one in depth_scans(sweeps, time_s)[:_SHADOW_SCANS]}
-            scans = sorted(near - set(self._static))
-            in_parts(lambda number: self._static_of(sweeps, scans[number]), len(scans))
+        assert self.recording.lidar is not None  # nothing else finds what moves
+        sweeps = self.recording.lidar.sweeps
+        near = {one for time_s in image_time_s for one in depth_scans(sweeps, time_s)[:_SHADOW_SCANS]}
+        scans = list(near)
+        in_parts(lambda number: self._static_of(sweeps, scans[number]), len(scans))
 
     def _static_of(self, sweeps: Sweeps, scan: int) -> np.ndarray:
         if scan not in self._static:
