@@ -10,8 +10,6 @@ from assets.factory import FRESH
 from assets.scenes import OWNERS, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data
-from nvsf_core.reporting.scene_outputs import measured_scenes
-from nvsf_core.stages.benchmark_report import make_benchmark_report
 
 METRICS_STAGE, REPORT = "scene_metrics", "benchmark_report"
 CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curves"
@@ -52,6 +50,10 @@ class WrittenReport(NamedTuple):
 
 def write_benchmark_report(home: Path) -> WrittenReport:
     """Make the page from all metrics under `home`, without Dagster."""
+    # Here, because they load matplotlib and zarr, for which no start of Dagster should wait.
+    from nvsf_core.reporting.scene_outputs import measured_scenes
+    from nvsf_core.stages.benchmark_report import make_benchmark_report
+
     measured = measured_scenes(home)
     no_data = [entry.name for entry in catalogue() if entry.name not in measured and not has_data(entry)]
     path = make_benchmark_report(home, [], {}, no_data, CURVES)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import dagster as dg
 
 from nvsf_core.errors import MissingLibraryError, RecipeError
-from nvsf_core.kernels.threads import thread_count
+from nvsf_core.thread_count import thread_count
 from pipelines.step_processes import step_processes
 
 _THREADS_A_STEP = 4

@@ -18,6 +18,8 @@ from dagster._core.execution.retries import RetryMode
 from dagster._core.executor.multiprocess import MultiprocessExecutor
 
 from nvsf_core.errors import StageKilledError
+from nvsf_core.stages import STAGES
+from nvsf_core.stages.runner.later import Later
 
 _PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4
@@ -94,11 +96,12 @@ def _executor(context: dg.InitExecutorContext) -> StepProcesses:
 def _preloaded() -> list[str]:
     """Modules that the server imports, so that no step has to.
 
-    Besides the definitions those of Dagster that this process has needed: it has opened the instance, whose
-    storages take a second to import.
+    Besides the definitions those that the stages work with, which this process does not need itself, and
+    those of Dagster that it has needed: it has opened the instance, whose storages take a second to import.
     """
     opened = [name for name in sys.modules if name.partition(".")[0].startswith("dagster")]
-    return [_PRELOADED, *sorted(opened)]
+    works = [stage.run.module for stage in STAGES if isinstance(stage.run, Later)]
+    return [_PRELOADED, *works, *sorted(opened)]
 
 
 def step_processes(most_steps: int) -> dg.ExecutorDefinition:

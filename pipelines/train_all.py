@@ -18,7 +18,7 @@ from pydantic import Field
 from assets.factory import events_of, failed_checks
 from assets.metadata import exported_folders
 from assets.origin import TERMINAL_TAG, say_whose_run_it_is
-from assets.report import CURVES, METRICS_STAGE, REPORT
+from assets.report import CURVES, REPORT
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
@@ -26,9 +26,8 @@ from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.metrics.headline import headline
 from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage
-from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.flow import SCENE_METRICS
 from nvsf_core.stages.runner.run import write_demo_where_absent
-from nvsf_core.stores.tables import read_rows
 from pipelines.failures import CALLED_TAG, call_command
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
@@ -169,6 +168,9 @@ def report_all(
             rows += _metrics(workspace, scene)
         except NvsfError as error:
             failures[scene] = f"report: {error}"
+    # Here, because it loads matplotlib and zarr, for which no start of Dagster should wait.
+    from nvsf_core.stages.benchmark_report import make_benchmark_report
+
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
     context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata))
@@ -225,9 +227,10 @@ def _short(path: Path) -> str:
 
 
 def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
+    from nvsf_core.stores.tables import read_rows  # loads pyarrow: see `report_all`
+
     run = workspace.plan(scene)
-    stage = next(stage for stage in STAGES if stage.name == METRICS_STAGE)
-    return read_rows(run.store.require(stage.location(run.config)) / "metrics.parquet")
+    return read_rows(run.store.require(SCENE_METRICS.location(run.config)) / "metrics.parquet")
 
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from nvsf_core.kernels.threads import VARIABLE, use_threads
+from nvsf_core.kernels.threads import use_threads
+from nvsf_core.thread_count import VARIABLE
 
 REPO = Path(__file__).resolve().parents[1]
 SHARED = REPO.parent / "shared"

@@ -16,7 +16,8 @@ from benchmarks.data_sets.odometry import recorded
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.metrics.trust.path_error import step_error_m
-from nvsf_core.stages import frames, run_scene, sweeps
+from nvsf_core.stages import run_scene
+from nvsf_core.stages.flow import FRAMES, SWEEPS
 from nvsf_core.stages.imports.odometry import kiss_path, path_of_scans
 from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.stores.scene_store import SceneStore
@@ -32,7 +33,7 @@ def main() -> None:
     """Measure every scene, print the table, and write it into the page."""
     home, rows = home_from_environment(os.environ), []
     for name in (os.environ.get("SCENES") or "k360_street kitti0005_van_cyclist").split():
-        run_scene(find_scene(name), home, stages=[frames.STAGE, sweeps.STAGE])
+        run_scene(find_scene(name), home, stages=[FRAMES, SWEEPS])
         drive = recorded(SceneStore(home=home, scene=name))
         for words, path in found_paths(drive.scans):
             rows.append([f"`{name}`", words, *errors(path, drive.poses)])

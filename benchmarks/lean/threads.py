@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.common.documents import DOCS
-from nvsf_core.kernels.threads import VARIABLE, use_threads
+from nvsf_core.kernels.threads import use_threads
 from nvsf_core.models.family import ResumedPart, family_of
 from nvsf_core.models.residual import lidar as residual_lidar
 from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
@@ -25,6 +25,7 @@ from nvsf_core.recording.drive import Recording
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.thread_count import VARIABLE
 from nvsf_core.training import loop
 from nvsf_core.training.loop import TrainingState
 

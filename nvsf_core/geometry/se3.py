@@ -5,7 +5,7 @@ A twist is (rho, phi): rho (3,) the translational part, phi (3,) the rotation ve
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # its parts are imported when they are first used: commands need only the other functions
 
 from nvsf_core.errors import ShapeError
 
@@ -28,7 +28,7 @@ def log_so3(rotation: np.ndarray) -> np.ndarray:
     flat = np.asarray(rotation, np.float64).reshape(-1, 3, 3)
     if len(flat) == 0:
         return np.zeros(rotation.shape[:-1])
-    vectors: np.ndarray = Rotation.from_matrix(flat).as_rotvec()
+    vectors: np.ndarray = scipy.spatial.transform.Rotation.from_matrix(flat).as_rotvec()
     return vectors.reshape(rotation.shape[:-1])
 
 

@@ -8,7 +8,6 @@ any number. Threads of torch also spin while they wait, and take the time of wha
 
 import functools
 import importlib
-import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -17,28 +16,11 @@ from typing import TypeVar
 import numba
 import torch
 
-from nvsf_core.errors import RecipeError
+from nvsf_core.thread_count import thread_count
 
-VARIABLE = "NVSF_THREADS"
 MOST_VIEWS = 8
 """Most views that are rendered at once: an image of full size takes up to a GB."""
 _Part = TypeVar("_Part")
-
-
-def thread_count() -> int:
-    """CPU threads that this process uses: NVSF_THREADS, or all cores that it may run on.
-
-    Raises:
-        RecipeError: NVSF_THREADS is not a whole number from 1 on.
-    """
-    wanted = os.environ.get(VARIABLE, "")
-    if not wanted:
-        return len(os.sched_getaffinity(0))
-    if not wanted.isdecimal() or int(wanted) < 1:
-        raise RecipeError(
-            f"{VARIABLE}={wanted!r}: expected a whole number of threads, 1 or more; correct or unset it"
-        )
-    return int(wanted)
 
 
 def use_threads() -> None:

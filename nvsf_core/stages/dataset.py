@@ -29,13 +29,10 @@ from nvsf_core.stages.exports.manifest import (
 )
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
-from nvsf_core.stages.field import STAGE as FIELD
-from nvsf_core.stages.kept_versions import tidy_versions
-from nvsf_core.stages.novel_views import STAGE as NOVEL_VIEWS
+from nvsf_core.stages.flow import DATASET, FIELD, NOVEL_VIEWS
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import dataset_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.documents import read_document
@@ -43,7 +40,6 @@ from nvsf_core.stores.removal import carry_pin, removal_of
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
-_VERSION = "9"
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
@@ -61,7 +57,7 @@ def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> 
         "sources": dict(sources),
         "licence": task.scene.licence,
         "rendered_from": _rendered_from(task),
-        "code": [NOVEL_VIEWS.version, _VERSION],
+        "code": [NOVEL_VIEWS.version, DATASET.version],
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
     return f"{task.config.dataset_label}-{digest[:8]}"
@@ -84,7 +80,8 @@ def is_there(task: Task, location: str) -> bool:
     return is_sealed(folder) and damaged_data_set(folder) is None and bool(_rendered_from(task))
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Export each view as a version of its data set; the stage `dataset`."""
     recipe, seed = task.config.recipe, task.config.seed
     rendered = task.store.require(f"novel_views/{recipe.name}/{seed}")
     sources = source_checksums(task)
@@ -297,19 +294,3 @@ def _checks(made: list[dict[str, Any]]) -> list[Check]:
             blocking=True,
         ),
     ]
-
-
-STAGE = Stage(
-    name="dataset",
-    group="export",
-    inputs=("frames", "evidence", "novel_views", "scene_metrics"),
-    description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
-    " with a manifest of what they came from and a card of how wrong they are.",
-    version=_VERSION,
-    run=_run,
-    per_recipe=True,
-    per_draw=True,
-    reads_views=True,
-    estimate_bytes=dataset_bytes,
-    tidy=tidy_versions,
-)

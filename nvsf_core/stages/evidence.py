@@ -10,13 +10,13 @@ from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene
 from nvsf_core.stages.inputs import read_sweeps
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import proof_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.tables import write_table
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Prove what can be proven from the training sweeps; the stage `evidence`."""
     sweeps = read_sweeps(task.store)
     if sweeps is None:
         write_arrays(task.folder / "evidence.zarr", {})
@@ -90,15 +90,3 @@ def _moving(evidence: SceneEvidence) -> dict[str, float]:
         "moving_objects_with_flow": evidence.dynamic.flowing,
         "moving_returns_share": hits / float(evidence.surfels.hits.sum()),
     }
-
-
-STAGE = Stage(
-    name="evidence",
-    group="prepare",
-    inputs=("frames", "sweeps"),
-    description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
-    "hit priors, the own vehicle, and what moves and how.",
-    version="16",
-    run=_run,
-    estimate_bytes=proof_bytes,
-)

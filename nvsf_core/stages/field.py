@@ -9,12 +9,12 @@ from nvsf_core.models.family import Trained, family_of
 from nvsf_core.recipe import recipe_from_json
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.checks.field import NAMED_CHECKS, check_loss, check_rendering, check_weights
+from nvsf_core.stages.checks.field import check_loss, check_rendering, check_weights
+from nvsf_core.stages.flow import FIELD
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.divergence import go_on
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import field_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.checkpoints import StoredWeights, save_tensors
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import write_table
@@ -27,7 +27,7 @@ def load_model(task: Task, recording: Recording) -> SceneModel:
         StoreError: It was never published, or its weights cannot be read.
         RecipeError: The stored recipe is of another version.
     """
-    return load_trained(task.store.require(STAGE.location(task.config)), recording)
+    return load_trained(task.store.require(FIELD.location(task.config)), recording)
 
 
 def load_trained(folder: Path, recording: Recording, *, with_camera: bool = True) -> SceneModel:
@@ -47,9 +47,10 @@ def load_trained(folder: Path, recording: Recording, *, with_camera: bool = True
     return family_of(recipe).load(recipe, weights, recording, with_camera=with_camera)
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Train the model and write it with its curves; the stage `field`."""
     recording = read_recording(task.store)
-    location = STAGE.location(task.config)
+    location = FIELD.location(task.config)
     recipe = task.config.recipe
     family = family_of(recipe)
     work = task.store.work_dir(location)
@@ -94,17 +95,3 @@ def _write(task: Task, trained: Trained, recording: Recording) -> None:
     # Sensors have different loss terms: a missing one is None in the sensor's rows.
     names = dict.fromkeys(name for row in rows for name in row)
     write_table(task.folder / "curve.parquet", {name: [row.get(name) for row in rows] for name in names})
-
-
-STAGE = Stage(
-    name="field",
-    group="train",
-    inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
-    description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
-    "training curve.",
-    version="21",
-    run=_run,
-    estimate_bytes=field_bytes,
-    per_recipe=True,
-    named_checks=NAMED_CHECKS,
-)

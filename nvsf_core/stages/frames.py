@@ -16,7 +16,7 @@ from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import path_preview
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.runner.heartbeat import sparse
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.tables import write_table
 
 FRAME_COLUMNS = (
@@ -43,7 +43,8 @@ _JUMP_M_S = 700.0
 """Speed between poses above which one of them is certainly wrong; twice the speed of sound."""
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Read the drive and write its table of frames; the stage `frames`."""
     if not has_data(task.scene):
         entry = task.scene
         raise NoDataError(
@@ -245,14 +246,3 @@ def _speeds_m_s(drive: Drive) -> list[tuple[float, int, int]]:
         (float(np.linalg.norm(there_m - here_m)) / (then_s - now_s), here, there)
         for (here, now_s, here_m), (there, then_s, there_m) in itertools.pairwise(placed)
     ]
-
-
-STAGE = Stage(
-    name="frames",
-    group="ingest",
-    inputs=(),
-    description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="3",
-    run=_run,
-    reads_drive=True,
-)

@@ -6,8 +6,7 @@ from nvsf_core.clouds.mesh import Mesh, poisson_mesh
 from nvsf_core.errors import DataError, MissingLibraryError
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.inputs import read_sweeps
-from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
-from nvsf_core.stages.sizes import proof_bytes
+from nvsf_core.stages.runner.stage import StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 
@@ -30,7 +29,8 @@ def read_mesh(store: SceneStore) -> Mesh | None:
     return Mesh(**arrays) if arrays else None
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Reconstruct the mesh of the training scans; the stage `mesh`."""
     sweeps = read_sweeps(task.store)
     try:
         if sweeps is None:
@@ -66,14 +66,3 @@ def _make(sweeps: Sweeps) -> Mesh:
         depth=DEPTH,
         trim_m=TRIM_M,
     )
-
-
-STAGE = Stage(
-    name="mesh",
-    group="prepare",
-    inputs=("frames", "sweeps"),
-    description="A Poisson mesh of the training scans (open3d): the baseline that a library gives.",
-    version="2",
-    run=_run,
-    estimate_bytes=proof_bytes,
-)

@@ -15,18 +15,15 @@ from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
-from nvsf_core.stages.checks.images import NAMED_CHECKS as IMAGE_CHECKS
 from nvsf_core.stages.checks.images import check_images
-from nvsf_core.stages.checks.own_vehicle import GHOSTS, check_ghosts
-from nvsf_core.stages.checks.support import GUESSED, check_support
-from nvsf_core.stages.checks.views import NAMED_CHECKS as VIEW_CHECKS
+from nvsf_core.stages.checks.own_vehicle import check_ghosts
+from nvsf_core.stages.checks.support import check_support
 from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import novel_views_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stages.views.camera import copied_images, image_arrays, other_image_arrays
 from nvsf_core.stages.views.files import (
     describe_view,
@@ -58,7 +55,8 @@ MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
 NO_LIDAR = "not rendered: this drive has no LiDAR"
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Render the held-out frames and the asked views; the stage `novel_views`."""
     recording = read_recording(task.store)
     models = {MODEL: load_model(task, recording), REPROJECT: reprojection(recording)}
     output = StageOutput()
@@ -223,22 +221,6 @@ def asks_images(recording: Recording, view: View, model: SceneModel) -> bool:
     return looks_above(recording.lidar, view.sweeps)
 
 
-def _check(task: Task) -> list[Check]:
+def check(task: Task) -> list[Check]:
+    """Check the views in the task's folder: numbers, images, ghosts of the recording vehicle, support."""
     return [*check_views(task), *check_images(task), *check_ghosts(task), *check_support(task)]
-
-
-STAGE = Stage(
-    name="novel_views",
-    group="synthesis",
-    inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
-    description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
-    "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="24",
-    run=_run,
-    per_recipe=True,
-    reads_views=True,
-    estimate_bytes=novel_views_bytes,
-    check=_check,
-    check_version="3",
-    named_checks=(*VIEW_CHECKS, *IMAGE_CHECKS, GHOSTS, GUESSED),
-)

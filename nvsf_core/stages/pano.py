@@ -11,8 +11,7 @@ from nvsf_core.sensors.beam_table import BeamPano
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.tables import LaserTable, recorded_table
 from nvsf_core.stages.runner.heartbeat import sparse
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import pano_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 
 ARRAYS_NAME = "pano.zarr"
@@ -21,7 +20,8 @@ _ROUND_TRIP_SCANS = 3
 """Number of scans whose round trip is measured: a KD-tree of 120,000 points takes half a second."""
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Project each recorded scan; the stage `pano`."""
     source = task.store.require("sweeps") / "returns.zarr"
     returns = read_arrays(source, "frame", "offsets", "points_m", "intensity", "laser")
     attrs = read_attrs(source)
@@ -116,14 +116,3 @@ def _attrs(linear: LinearPano, table: LaserTable) -> dict[str, Any]:
         "horizontal_offset_m": table.horizontal_offset_m.tolist(),
         "phase_steps": table.phase_steps.tolist(),
     }  # fmt: skip
-
-
-STAGE = Stage(
-    name="pano",
-    group="prepare",
-    inputs=("sweeps",),
-    description="Recorded scans as range images: the papers' linear 66x1030 grid and one row a laser.",
-    version="1",
-    run=_run,
-    estimate_bytes=pano_bytes,
-)

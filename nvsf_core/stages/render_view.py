@@ -14,8 +14,8 @@ from nvsf_core.recipe import Recipe
 from nvsf_core.stages.dataset import dataset_version, identity_of, is_there, source_checksums
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
-from nvsf_core.stages.field import STAGE as FIELD
 from nvsf_core.stages.field import load_trained
+from nvsf_core.stages.flow import FIELD
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.kept_versions import keep_newest
 from nvsf_core.stages.novel_views import asks_images, render_view_arrays, with_images

@@ -15,9 +15,9 @@ from nvsf_core.metrics.lpips import Lpips, load_lpips
 from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.reporting.scene_outputs import METHODS
-from nvsf_core.stages.checks.metrics import NAMED_CHECKS, TABLE_NAME, check_metrics
+from nvsf_core.stages.checks.metrics import TABLE_NAME
 from nvsf_core.stages.runner.host import code_commit, machine
-from nvsf_core.stages.runner.stage import Stage, StageOutput, Task
+from nvsf_core.stages.runner.stage import StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
 from nvsf_core.stages.scoring.demo_images import demo_images
 from nvsf_core.stages.scoring.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
@@ -47,7 +47,8 @@ class _Part:
     """Adds rows to a ledger; yields progress."""
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Measure what was rendered; the stage `scene_metrics`."""
     config = task.config
     views = task.store.require(f"novel_views/{config.recipe.name}/{config.seed}")
     ledger = Ledger(facts={"scene": task.scene.name, "commit": code_commit()})
@@ -177,22 +178,3 @@ def _draw_error_cloud(task: Task, path: Path, recording: RecordedScans | None, o
     output.previews[f"range errors above {WRONG_M:.0f} m in red, frame {frame}"] = ERROR_CLOUD_NAME
     output.metadata["error_cloud_frame"] = frame
     output.metadata["error_cloud_wrong_share"] = float(np.mean(~(error_m <= WRONG_M)))
-
-
-STAGE = Stage(
-    name="scene_metrics",
-    group="measure",
-    inputs=("frames", "sweeps", "undistorted", "novel_views"),
-    description=(
-        "Errors and times of the held-out frames under each protocol, whole and around moving objects, for "
-        "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
-        "and of every view what can be said without its truth."
-    ),
-    version="12",
-    run=_run,
-    per_recipe=True,
-    reads_truth=True,
-    check=check_metrics,
-    check_version="2",
-    named_checks=NAMED_CHECKS,
-)

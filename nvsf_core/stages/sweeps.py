@@ -18,11 +18,9 @@ from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehi
 from nvsf_core.sensors.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.sensors.sweep import Trajectory, compensate, trajectory_of
 from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, SENSOR_TABLES, LaserTable, sensor_table, table_facts
-from nvsf_core.stages.checks.registration import FRAME_CHECK, ORDER_CHECK, check_registration
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.heartbeat import sparse
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import sweeps_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
@@ -55,7 +53,8 @@ class _Scan:
     timing: ScanTiming
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Read each scan and place its rays in the world; the stage `sweeps`."""
     frames_dir = task.store.require("frames")
     rows = read_rows(frames_dir / "frames.parquet")
     drive: dict[str, Any] = read_document(frames_dir / "drive.json")
@@ -362,18 +361,3 @@ def _shared_cells(timing: ScanTiming, laser_count: int) -> int:
     known = (timing.laser >= 0) & (timing.firing >= 0)
     cell = timing.firing[known].astype(np.int64) * laser_count + timing.laser[known]
     return len(cell) - len(np.unique(cell))
-
-
-STAGE = Stage(
-    name="sweeps",
-    group="ingest",
-    inputs=("frames",),
-    description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="9",
-    run=_run,
-    reads_drive=True,
-    check=check_registration,
-    check_version="3",
-    named_checks=(FRAME_CHECK, ORDER_CHECK),
-    estimate_bytes=sweeps_bytes,
-)

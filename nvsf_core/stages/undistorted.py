@@ -14,8 +14,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.reporting.previews import image_preview
 from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.runner.heartbeat import sparse
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput, Task
-from nvsf_core.stages.sizes import undistorted_bytes
+from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.tables import read_rows
@@ -25,7 +24,8 @@ _LEAST_EDGES = 0.02
 """Least share of edges; street images of the demo and of KITTI-360 have a quarter and more."""
 
 
-def _run(task: Task) -> StageOutput:
+def run(task: Task) -> StageOutput:
+    """Rectify the images of each camera; the stage `undistorted`."""
     frames = task.store.require("frames")
     drive: dict[str, Any] = read_document(frames / "drive.json")
     rows = read_rows(frames / "cameras.parquet")
@@ -152,14 +152,3 @@ def _beside(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     rows = np.arange(height) * first.shape[0] // height
     columns = np.arange(width) * first.shape[1] // width
     return np.concatenate([first[rows][:, columns], second], axis=1)
-
-
-STAGE = Stage(
-    name="undistorted",
-    group="prepare",
-    inputs=("frames",),
-    description="Camera frames as pinhole images: perspective as rectified, fisheye undistorted, with masks.",
-    version="1",
-    run=_run,
-    estimate_bytes=undistorted_bytes,
-)

@@ -3,8 +3,8 @@
 import sys
 
 from benchmarks.lean import threads
-from nvsf_core.kernels.threads import VARIABLE
 from nvsf_core.recipe import preset
+from nvsf_core.thread_count import VARIABLE
 from tests.stages.lidar_drive import proven_drive
 
 

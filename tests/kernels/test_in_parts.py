@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from nvsf_core.errors import RecipeError
-from nvsf_core.kernels.threads import VARIABLE, in_parts, thread_count, use_threads
+from nvsf_core.kernels.threads import in_parts, use_threads
+from nvsf_core.thread_count import VARIABLE, thread_count
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])

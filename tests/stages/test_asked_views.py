@@ -20,6 +20,7 @@ from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages import Outcome, mesh, novel_views, plan_run, run_named_stage, scene_metrics
+from nvsf_core.stages.flow import NOVEL_VIEWS, SCENE_METRICS
 from nvsf_core.stages.render_view import render_view
 from nvsf_core.stages.runner.contents import truth_digest
 from nvsf_core.stages.runner.run import SceneRun
@@ -241,13 +242,13 @@ def recorded(run: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     view = ViewEntry(name="second_camera", frames=(1, 3), truth=(("image_00", folder / "truth"),))
     unknown = ViewEntry(name="unknown", frames=(1,))
     task = _without_world(run, folder / "views", (view, unknown))
-    novel_views.STAGE.run(task)
+    novel_views.run(task)
     published = run.plan.store.path("novel_views/smoke/1")
     shutil.move(task.folder, published)
     measuring = _without_world(run, folder / "metrics", (view, unknown), seed=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scene_metrics, "load_lpips", lambda: None)
-        scene_metrics.STAGE.run(measuring)
+        scene_metrics.run(measuring)
     assert [path.parent.name for path in measuring.folder.glob("*/truth.zarr")] == ["second_camera"]
     return published, read_rows(measuring.folder / "metrics.parquet")
 
@@ -344,4 +345,4 @@ def test_changed_true_images_are_measured_again_and_render_nothing_anew(run: Run
     assert before == digest(scene) != digest(replace(scene, views=()))
     (tmp_path / "truth" / source.name).write_bytes(source.read_bytes() + b" ")
     assert digest(scene) != before
-    assert scene_metrics.STAGE.reads_truth and not novel_views.STAGE.reads_truth
+    assert SCENE_METRICS.reads_truth and not NOVEL_VIEWS.reads_truth

@@ -14,7 +14,7 @@ from nvsf_core.recipe import preset
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.scan import sample_scan
-from nvsf_core.stages.dataset import STAGE
+from nvsf_core.stages.flow import DATASET
 from nvsf_core.stages.runner.facts import facts_of, scene_facts
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
@@ -96,7 +96,7 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
 
 
 def _run(task: Task) -> tuple[StageOutput, dict[str, Path]]:
-    output = STAGE.run(task)
+    output = DATASET.run(task)
     made = json.loads((task.folder / "versions.json").read_text())
     return output, {entry["view"]: task.store.path(entry["location"]) for entry in made}
 
@@ -186,12 +186,12 @@ def test_another_licence_changes_the_card_and_no_training() -> None:
     assert scene_facts(licensed) == scene_facts(entry)
     config, inputs, hashes = (
         RunConfig(recipe=preset("quick")),
-        dict.fromkeys(STAGE.inputs, ""),
+        dict.fromkeys(DATASET.inputs, ""),
         FileHashes(Path("unused")),
     )
-    facts = facts_of(STAGE, licensed, config, inputs, hashes)
+    facts = facts_of(DATASET, licensed, config, inputs, hashes)
     assert facts["licence"] == "CC BY 4.0"
-    assert "licence" not in facts_of(STAGE, entry, config, inputs, hashes)
+    assert "licence" not in facts_of(DATASET, entry, config, inputs, hashes)
     with pytest.raises(DataError, match="licence: expected a line"):
         replace(entry, licence="two\nlines")
 

@@ -11,7 +11,7 @@ from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.geometry.se3 import pose_from_parts, pose_of_angles
 from nvsf_core.recipe import preset
-from nvsf_core.stages.frames import STAGE
+from nvsf_core.stages import flow
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.execution import StagePlace, run_stage
 from nvsf_core.stages.runner.stage import Outcome, RunConfig
@@ -57,7 +57,7 @@ def drive(root: Path) -> SceneEntry:
 def run(entry: SceneEntry, home: Path) -> Outcome:
     store = SceneStore(home, entry.name)
     config = RunConfig(recipe=preset("quick"))
-    place = StagePlace(stage=STAGE, scene=entry, store=store, config=config, inputs={})
+    place = StagePlace(stage=flow.FRAMES, scene=entry, store=store, config=config, inputs={})
     return run_stage(place, lambda line: None)
 
 

@@ -12,7 +12,7 @@ from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
-from nvsf_core.stages.scene_metrics import STAGE, TABLE_NAME
+from nvsf_core.stages.scene_metrics import TABLE_NAME, run
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_rows
@@ -142,7 +142,7 @@ def _prepare(task: Task, frames: tuple[int, ...], *, moving: bool = False) -> No
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
     task = _task(tmp_path_factory.mktemp("measured"))
     _prepare(task, FRAMES)
-    output = STAGE.run(task)
+    output = run(task)
     return output, read_rows(task.folder / TABLE_NAME)
 
 
@@ -198,7 +198,7 @@ def test_undefined_values_are_nan_counted_and_explained(tmp_path: Path) -> None:
     returns = task.store.path("sweeps") / "returns.zarr"
     arrays = read_arrays(returns)
     write_arrays(returns, arrays | {"laser": np.full_like(arrays["laser"], -1)})
-    output = STAGE.run(task)
+    output = run(task)
     rows = read_rows(task.folder / TABLE_NAME)
     assert math.isnan(_value(rows, "smoke", "raw", "hit_accuracy"))
     check = next(check for check in output.checks if check.name == "all_metrics_of_whole_frames_are_finite")
@@ -211,7 +211,7 @@ def test_undefined_values_are_nan_counted_and_explained(tmp_path: Path) -> None:
 def test_a_drive_without_a_lidar_is_measured_by_its_images(tmp_path: Path) -> None:
     task = _task(tmp_path)
     _prepare(task, ())
-    STAGE.run(task)
+    run(task)
     rows = read_rows(task.folder / TABLE_NAME)
     assert {row["sensor"] for row in rows} == {"image_00"}
     # Published camera depth is the one camera metric of that protocol.
@@ -225,7 +225,7 @@ def test_a_rendered_frame_that_was_never_recorded_is_an_error(tmp_path: Path) ->
     _write_images(task.store)
     _write_prediction(task.store, "model", 1.0, FRAMES)
     with pytest.raises(StoreError, match="frame 10"):
-        STAGE.run(task)
+        run(task)
 
 
 def test_a_drive_without_moving_boxes_has_no_rows_of_regions_and_says_why(measured: Measured) -> None:
@@ -261,7 +261,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Moving:
     # The recorded walls lie 8 to 16 m away; a depth of 12 m everywhere is off by less than 4 m.
     stored = read_arrays(model) | {"image_00_range_m": np.full((2, 40, 48), 12.0, np.float16)}
     write_arrays(model, stored, read_attrs(model))
-    output = STAGE.run(task)
+    output = run(task)
     return output, read_rows(task.folder / TABLE_NAME), task.folder
 
 

@@ -11,7 +11,7 @@ from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.stages import frames, pano, sweeps
+from nvsf_core.stages import flow, frames, pano, sweeps
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.run import run_scene
 from nvsf_core.stages.runner.stage import RunConfig, Task
@@ -96,7 +96,7 @@ def _task(drive, folder, **changes):
 
 def test_every_return_is_a_ray_onto_the_walls(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
-    output = sweeps.STAGE.run(_task(drive, tmp_path / "out"))
+    output = sweeps.run(_task(drive, tmp_path / "out"))
     # The walls are of one colour.
     assert [c.name for c in output.checks if not c.passed] == ["intensities_are_recorded"], output.checks
     a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
@@ -115,7 +115,7 @@ def test_every_return_is_a_ray_onto_the_walls(drive, tmp_path, monkeypatch):
 
 def test_without_compensation_the_walls_smear(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
-    output = sweeps.STAGE.run(_task(drive, tmp_path / "out", compensate=False))
+    output = sweeps.run(_task(drive, tmp_path / "out", compensate=False))
     assert output.metadata["compensated"] is False
     assert read_attrs(tmp_path / "out" / sweeps.ARRAYS_NAME)["compensated"] is False
     a = read_arrays(tmp_path / "out" / sweeps.ARRAYS_NAME)
@@ -130,7 +130,7 @@ def test_the_catalogue_switches_compensation_off_and_a_turn_then_has_one_pose(ti
         text = tiny_catalogue.read_text().replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"')
         written.write_text(text.replace('recipe = "smoke"', f'recipe = "smoke"\n{line}'))
         entry = next(entry for entry in load_catalogue([written], None) if entry.name == "tiny")
-        stages = [frames.STAGE, sweeps.STAGE]
+        stages = [flow.FRAMES, flow.SWEEPS]
         outcomes = run_scene(entry, tmp_path / name, stages=stages, progress=lambda line: None)
         return SceneStore(home=tmp_path / name, scene="tiny"), outcomes[1].fingerprint
 
@@ -158,7 +158,7 @@ def test_the_catalogue_switches_compensation_off_and_a_turn_then_has_one_pose(ti
 
 
 def test_the_published_facts_say_how_lasers_were_found(drive, tmp_path):
-    output = sweeps.STAGE.run(_task(drive, tmp_path / "out"))
+    output = sweeps.run(_task(drive, tmp_path / "out"))
     attrs = read_attrs(tmp_path / "out" / sweeps.ARRAYS_NAME)
     assert attrs["laser_source"] == "file_order"
     assert "64 turns" in attrs["laser_evidence"]
@@ -172,9 +172,9 @@ def test_the_published_facts_say_how_lasers_were_found(drive, tmp_path):
 def test_both_range_images_are_published_with_their_round_trip(drive, tmp_path):
     _, store = drive
     with store.publish("sweeps") as folder:
-        sweeps.STAGE.run(_task(drive, tmp_path / "made"))
+        sweeps.run(_task(drive, tmp_path / "made"))
         (tmp_path / "made" / sweeps.ARRAYS_NAME).rename(folder / sweeps.ARRAYS_NAME)
-    output = pano.STAGE.run(_task(drive, tmp_path / "out"))
+    output = pano.run(_task(drive, tmp_path / "out"))
     a = read_arrays(tmp_path / "out" / pano.ARRAYS_NAME)
     assert a["linear_range_m"].shape == a["linear_intensity"].shape == (5, 66, 1030)
     assert a["beam_range_m"].shape == a["beam_intensity"].shape == (5, 64, 1030)
@@ -199,14 +199,14 @@ def test_a_camera_only_drive_has_no_returns_and_no_range_images(drive, tmp_path)
     with store.publish("sweeps") as folder:
         task = Task(scene=entry, store=store, config=RunConfig(recipe=preset("smoke")), folder=folder,
                     progress=lambda line: None)  # fmt: skip
-        assert sweeps.STAGE.run(task).metadata["returns"] == 0
+        assert sweeps.run(task).metadata["returns"] == 0
     a = read_arrays(store.require("sweeps") / sweeps.ARRAYS_NAME)
     assert a["points_m"].shape == (0, 3)
     assert a["offsets"].tolist() == [0]
     (tmp_path / "out").mkdir()
     task = Task(scene=entry, store=store, config=RunConfig(recipe=preset("smoke")),
                 folder=tmp_path / "out", progress=lambda line: None)  # fmt: skip
-    assert pano.STAGE.run(task).metadata["scans"] == 0
+    assert pano.run(task).metadata["scans"] == 0
     assert read_arrays(tmp_path / "out" / pano.ARRAYS_NAME)["linear_range_m"].shape == (0, 66, 1030)
 
 
@@ -218,7 +218,7 @@ def test_a_real_map_is_thin_with_the_correction_and_thick_without(tmp_path, monk
         last_frame=3027, test_frames=(3026,), sweep_period_s=0.1046, cameras=(),
     )  # fmt: skip
     outcomes = run_scene(
-        entry, tmp_path, recipe="smoke", stages=[frames.STAGE, sweeps.STAGE], progress=lambda line: None
+        entry, tmp_path, recipe="smoke", stages=[flow.FRAMES, flow.SWEEPS], progress=lambda line: None
     )
     found = outcomes[1].metadata
     assert found["laser_source"] == "file_order"
@@ -227,7 +227,7 @@ def test_a_real_map_is_thin_with_the_correction_and_thick_without(tmp_path, monk
     assert 100 < found["own_vehicle_returns_per_scan"] < 165
     monkeypatch.setattr(sweeps, "SENSOR", _uncorrected())
     store = SceneStore(home=tmp_path, scene="part")
-    plain = sweeps.STAGE.run(_task((entry, store), tmp_path / "plain"))
+    plain = sweeps.run(_task((entry, store), tmp_path / "plain"))
     assert plain.metadata["map_thickness_m"] > 1.05 * found["map_thickness_m"]
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
-from nvsf_core.kernels.threads import VARIABLE
 from nvsf_core.recipe import CameraSpec, PanoSpec, PaperRecipe, Recipe, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.thread_count import VARIABLE
 
 UPSTREAM = ("frames", "sweeps", "mesh", "pano", "undistorted")
 

@@ -9,8 +9,8 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import NvsfError
 from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.stages.flow import UNDISTORTED
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
-from nvsf_core.stages.undistorted import STAGE
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows
@@ -45,7 +45,7 @@ def run(
     config = RunConfig(recipe=ResidualRecipe(name="quick"))
     with store.publish("undistorted") as folder:
         task = Task(scene=scene, store=store, config=config, folder=folder, progress=lambda _: None)
-        return STAGE.run(task)
+        return UNDISTORTED.run(task)
 
 
 def images(tmp_path: Path) -> Path:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import DataError
-from nvsf_core.kernels.threads import VARIABLE
+from nvsf_core.thread_count import VARIABLE
 from nvsf_core.training.ahead import Ahead
 from nvsf_core.training.loop import side_by_side
 

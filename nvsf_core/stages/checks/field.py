@@ -15,46 +15,22 @@ from nvsf_core.simulation.scan import returns_of_sweep
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep
 from nvsf_core.simulation.view_plan import recorded_sweep
+from nvsf_core.stages.checks.declared import (
+    LOSS,
+    RAYS_IN_LIMITS,
+    TRAINED_HIT_RATE,
+    TRAINED_INTENSITY,
+    WEIGHTS,
+)
 from nvsf_core.stages.checks.norms import (
     LEVER,
     NO_NORMS,
-    RATE_LIMIT,
-    SPREAD_LIMIT,
     check_likeness,
     norms_of,
 )
-from nvsf_core.stages.runner.stage import Check, NamedCheck
+from nvsf_core.stages.runner.stage import Check
 
-WEIGHTS = NamedCheck(
-    name="weights_are_finite",
-    description="No trained number is NaN or infinite. Value: share that is.",
-    blocking=True,
-)
-LOSS = NamedCheck(
-    name="training_lowered_the_loss",
-    description="Each part's loss ends no higher than it began, by the medians of the first and the last "
-    "fifth of its curve and two standard errors of their difference: single batches differ much. Value: the "
-    "worst part's last, less these two, over its first.",
-)
-RAYS_IN_LIMITS = NamedCheck(
-    name="training_scan_is_rendered_within_limits",
-    description="Lasers of the middle training scan, rendered by the model just trained, have no NaN, no "
-    "range below 0 or beyond the sensor's (and a tenth, for its lever arms), no probability or intensity "
-    "outside 0..1. Value: share of the rays that break this.",
-    blocking=True,
-)
-HIT_RATE = NamedCheck(
-    name="hit_rate_is_as_trained",
-    description="Share of the rays that return in the middle training scan: rendered (without that scan's "
-    f"own returns) less recorded. {RATE_LIMIT}",
-)
-INTENSITY = NamedCheck(
-    name="intensities_are_as_trained",
-    description="Earth mover's distance between the intensity histograms of the middle training scan, "
-    f"rendered and recorded. {SPREAD_LIMIT}",
-)
-NAMED_CHECKS = (WEIGHTS, LOSS, RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
-_OF_RENDERING = (RAYS_IN_LIMITS, HIT_RATE, INTENSITY)
+_OF_RENDERING = (RAYS_IN_LIMITS, TRAINED_HIT_RATE, TRAINED_INTENSITY)
 _FIFTH = 5
 _FEWEST = 5
 _NORMAL_MAD, _MEDIAN_ERROR = 1.4826, 1.2533
@@ -100,7 +76,7 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     """Render some lasers of the middle training scan and compare them with the recorded ones.
 
     Returns:
-        Checks of `RAYS_IN_LIMITS`, `HIT_RATE` and `INTENSITY`; "not run" without a LiDAR.
+        Checks of `RAYS_IN_LIMITS`, `TRAINED_HIT_RATE` and `TRAINED_INTENSITY`; "not run" without a LiDAR.
     """
     if recording.lidar is None or model.lidar is None:
         return [named.not_run("drive or model has no LiDAR") for named in _OF_RENDERING]
@@ -130,7 +106,7 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         spreads = [(apart, place)]
     return [
         _within_limits(rendered, recording.lidar.far_m * LEVER, place),
-        *check_likeness(HIT_RATE, INTENSITY, [(rate, place)], spreads, norms),
+        *check_likeness(TRAINED_HIT_RATE, TRAINED_INTENSITY, [(rate, place)], spreads, norms),
     ]
 
 

@@ -6,25 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.metrics.norms import LEAST_LEVELS, ImageNorms, image_norms
+from nvsf_core.metrics.norms import ImageNorms, image_norms
+from nvsf_core.stages.checks.declared import BLANK, GREYS
 from nvsf_core.stages.checks.norms import training_frames
-from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
+from nvsf_core.stages.runner.stage import Check, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
-
-BLANK = NamedCheck(
-    name="rendered_images_are_not_blank",
-    description="A rendered image is blank where its grey values deviate less than half as far from their "
-    f"mean as those of its camera's plainest training image, or less than {LEAST_LEVELS:.0f} of 255 levels "
-    "(one grey all over then reaches 30 dB), or where no pixel has a finite depth. Value: share of the "
-    "images that are.",
-)
-GREYS = NamedCheck(
-    name="images_are_like_the_training_images",
-    description="Earth mover's distance between the grey values' histograms of a rendered image and of the "
-    "training image of its camera that is most like it: the worst image of all views, as a share of its "
-    "camera's limit: half the way to an image of one grey, or as far as its training images are apart.",
-)
-NAMED_CHECKS = (BLANK, GREYS)
 
 _MODEL = "model"
 _NAMED = 3
@@ -57,12 +43,12 @@ def check_images(task: Task) -> list[Check]:
     """Check the model's images of all views in the task's folder.
 
     Returns:
-        One outcome per check of `NAMED_CHECKS`.
+        One outcome per check of `BLANK` and `GREYS`.
     """
     images = list(_images(task))
     if not images:
         reason = "no rendered image with training images of its camera"
-        return [named.not_run(reason) for named in NAMED_CHECKS]
+        return [named.not_run(reason) for named in (BLANK, GREYS)]
     blank = [image for image in images if image.is_blank]
     named = blank[:_NAMED] or [min(images, key=lambda image: image.deviation / image.blank_below)]
     words = "; ".join(image.in_words() for image in named)

@@ -10,53 +10,18 @@ from nvsf_core.metrics.norms import intensity_spread, spread_distance
 from nvsf_core.metrics.table import BASELINES, HEADLINES, HELD_OUT, Row, mean_rows
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.reporting.html import higher_is_better
+from nvsf_core.stages.checks.declared import BETTER, HELD_OUT_HIT_RATE, HELD_OUT_INTENSITY, IN_RANGE, TRUSTED
 from nvsf_core.stages.checks.norms import (
     NO_NORMS,
-    RATE_LIMIT,
-    SPREAD_LIMIT,
     Apart,
     check_likeness,
     read_norms,
 )
-from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
+from nvsf_core.stages.runner.stage import Check, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
 TABLE_NAME = "metrics.parquet"
-
-DEFINED = NamedCheck(
-    name="all_metrics_of_whole_frames_are_finite",
-    description="Every metric of a whole held-out frame has a finite value. (Around moving objects, and "
-    "where nothing was recorded, none is a finding and no fault.) Value: how many have not.",
-)
-IN_RANGE = NamedCheck(
-    name="metrics_lie_in_their_ranges",
-    description="Shares, F-scores and likenesses lie in 0..1 (SSIM in -1..1), errors are not negative. "
-    "Value: how many values lie outside; a metric that does is computed wrongly.",
-    blocking=True,
-)
-BETTER = NamedCheck(
-    name="model_is_better_than_copying",
-    description="At the held-out frames the model beats the recorded scan and image nearest in time, copied "
-    "as they are, in at least half of the main numbers. Value: share in which it is worse.",
-)
-HIT_RATE = NamedCheck(
-    name="hit_rate_is_as_recorded",
-    description="Share of the rays that return in held-out scans: rendered less recorded, the worst scan. "
-    f"{RATE_LIMIT}",
-)
-INTENSITY = NamedCheck(
-    name="intensities_are_spread_as_recorded",
-    description="Earth mover's distance between the intensity histograms of held-out scans, rendered and "
-    f"recorded, the worst scan. {SPREAD_LIMIT}",
-)
-TRUSTED = NamedCheck(
-    name="views_can_be_trusted",
-    description="No view is so far from the recorded data, or so much of it guessed, that it must not be "
-    "used. The verdict needs no truth; its limits stand in the report. Value: how many views, by one sensor "
-    "each, must not be used.",
-)
-NAMED_CHECKS = (DEFINED, IN_RANGE, BETTER, HIT_RATE, INTENSITY, TRUSTED)
 
 _HALF = 0.5
 _NAMED = 5
@@ -130,7 +95,7 @@ def _as_recorded(task: Task, view: Path) -> list[Check]:
     norms = read_norms(task.store)
     if norms is None or not view.is_dir() or not read_attrs(view).get("sensor"):
         reason = NO_NORMS if norms is None else "no held-out scan was rendered"
-        return [HIT_RATE.not_run(reason), INTENSITY.not_run(reason)]
+        return [HELD_OUT_HIT_RATE.not_run(reason), HELD_OUT_INTENSITY.not_run(reason)]
     recorded = read_arrays(
         task.store.require("sweeps") / "returns.zarr", "frame", "offsets", "firings", "intensity"
     )
@@ -145,7 +110,7 @@ def _as_recorded(task: Task, view: Path) -> list[Check]:
             if len(own) and len(truth) and np.isfinite(own).all():
                 apart = spread_distance(intensity_spread(own), intensity_spread(truth))
                 spreads.append((apart, f"frame {frame}"))
-    return check_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
+    return check_likeness(HELD_OUT_HIT_RATE, HELD_OUT_INTENSITY, rates, spreads, norms)
 
 
 def _scan(arrays: dict[str, np.ndarray], i: int) -> np.ndarray:

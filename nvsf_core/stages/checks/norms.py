@@ -11,14 +11,6 @@ from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 
 NO_NORMS = "no training scan with returns to compare with"
-RATE_LIMIT = (
-    "Limit, from training scans alone: half the way to a scan of which every ray (or none) returns, or as "
-    "far as training scans are apart."
-)
-SPREAD_LIMIT = (
-    "Limit, from training scans alone: half the way to a scan of one intensity, or as far as training scans "
-    "are apart."
-)
 LEVER = 1.1
 """Largest valid range over the sensor's: room for lever arms and the way driven during a sweep."""
 _RATE_WORDS, _SPREAD_WORDS = "{:+.3f} of the rays", "intensities {:.3f} apart"

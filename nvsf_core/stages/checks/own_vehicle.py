@@ -8,18 +8,12 @@ import numpy as np
 
 from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.sensors.own_vehicle import NEAR_M
+from nvsf_core.stages.checks.declared import GHOSTS
 from nvsf_core.stages.checks.norms import training_frames
 from nvsf_core.stages.inputs import scene_frame
-from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
+from nvsf_core.stages.runner.stage import Check, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
-GHOSTS = NamedCheck(
-    name="views_hold_no_ghosts_of_the_recording_vehicle",
-    description="The parts of the recording vehicle that its LiDAR sees sweep through space along its path. "
-    "Share of a rendered scan's returns that lie there, over 2.5 m from the sensor: the worst scan of all "
-    "views. Limit, from training scans alone: twice their largest share, and 5 in 10,000, because "
-    "another sensor's returns are spread otherwise.",
-)
 _CUBE_M, _STEP_M = 0.2, 0.1
 _BESIDE = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3), axis=-1).reshape(-1, 3)
 _STRIDE = 1 << 20

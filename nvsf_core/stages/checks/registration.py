@@ -5,37 +5,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nvsf_core.clouds.registration import LEAST_ACROSS, Registration, register
+from nvsf_core.clouds.registration import Registration, register
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.geometry.se3 import poses_in
+from nvsf_core.stages.checks.declared import (
+    FEWEST_MATCHED,
+    FRAME_CHECK,
+    MOST_OF_MEDIAN,
+    MOST_TURN_DEG,
+    ORDER_CHECK,
+    SWEEP_CHECKS,
+)
 from nvsf_core.stages.inputs import scene_frame
-from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
+from nvsf_core.stages.runner.stage import Check, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 
 MOST_SHIFT_M = 0.15
 """Largest shift of a pair. Registration was off by 0.024 m at most over 91 pairs of three streets."""
-MOST_TURN_DEG = 0.5
-"""Largest rotation of a pair; 0.08 degrees at most in those pairs."""
-FEWEST_MATCHED = 0.5
-"""Least share of matched points; 0.87 at least in those pairs. With fewer the scans do not overlap."""
-FRAME_CHECK = NamedCheck(
-    name="neighbouring_scans_agree_with_their_poses",
-    description="Neighbouring scans, laid over each other by their poses, are registered (open3d's "
-    f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
-    f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times. Motions that "
-    f"slide along all surfaces, as in a tunnel or on a plain (less than {LEAST_ACROSS:.0%} across them), are "
-    "named and not counted.",
-)
 MOST_MISFIT = 1.15
 """Measured: at most 0.8 over real streets, 1.1 with 8 lasers and 64 firings; from 1.3 for swapped scans."""
-_MOST_OF_MEDIAN = 2.2
-"""Measured: at most 1.5 over real streets, 2.9 for scans of none of the neighbouring frames."""
-ORDER_CHECK = NamedCheck(
-    name="scans_fit_their_own_poses_best",
-    description="Each scan is laid over those before and after it, by its own pose and by each of theirs. "
-    "Value: the largest mean distance at the own pose over that at the best other; more says that scans were "
-    f"swapped. A scan that lies {_MOST_OF_MEDIAN:g} times as far off as the median scan fits none of them.",
-)
 _MOST_PAIRS = 12
 """Pairs are chosen evenly over the drive; they hold three quarters of the scans of a drive with 32."""
 _NAMED = 5
@@ -55,7 +43,7 @@ def check_registration(task: Task) -> list[Check]:
     """Both checks of the sweeps in the task's folder."""
     path = task.folder / "returns.zarr"
     if read_arrays(path, "frame")["frame"].size == 0:
-        return [named.not_run("this drive has no scan") for named in (FRAME_CHECK, ORDER_CHECK)]
+        return [named.not_run("this drive has no scan") for named in SWEEP_CHECKS]
     names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
     arrays = read_arrays(path, *names)
     poses = poses_in(scene_frame(read_attrs(path)), arrays["lidar_to_world"])
@@ -82,7 +70,7 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
         )
     misfit = np.where(known, own_m / np.maximum(other_m, _LEAST_M), 0.0)
     of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_M)
-    wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > _MOST_OF_MEDIAN))
+    wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > MOST_OF_MEDIAN))
     named = _first([str(arrays["frame"][k]) for k in wrong.tolist()])
     return Check(
         name=ORDER_CHECK.name,

@@ -6,14 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
+from nvsf_core.stages.checks.declared import GUESSED
+from nvsf_core.stages.runner.stage import Check, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
 
-GUESSED = NamedCheck(
-    name="little_of_a_view_is_guessed",
-    description="Share of a view's returns, or of a camera's pixels, that are guessed, where nothing was "
-    "recorded: the worst. Limit: a tenth; a model trained on such data learns from the guesses, too.",
-)
 _LIMIT = 0.1
 
 

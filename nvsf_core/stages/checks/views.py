@@ -10,47 +10,16 @@ import numpy as np
 from nvsf_core.metrics.norms import ScanNorms
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.tables import sensor_table
+from nvsf_core.stages.checks.declared import FINITE, RETURNS, VIEW_HIT_RATE, VIEW_INTENSITY, WITHIN
 from nvsf_core.stages.checks.norms import (
     LEVER,
     NO_NORMS,
-    RATE_LIMIT,
-    SPREAD_LIMIT,
     Apart,
     check_likeness,
     read_norms,
 )
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
-
-FINITE = NamedCheck(
-    name="stored_views_are_finite",
-    description="No number of a rendered view, nor of a baseline's, is NaN or infinite (only the range along "
-    "a ray without an answer is). Value: share of the numbers that are.",
-    blocking=True,
-)
-WITHIN = NamedCheck(
-    name="stored_views_lie_within_limits",
-    description="Returns of the model lie within the sensor's greatest range (and a tenth, for lever arms "
-    "and the way driven in a sweep), intensities and hit probabilities in 0..1. Value: share that does not.",
-    blocking=True,
-)
-RETURNS = NamedCheck(
-    name="held_out_scans_hold_returns",
-    description="Most held-out scans are rendered with returns, where the training scans have them. Value: "
-    "share of scans without any where there should be; fewer than half are left to the hit rate to doubt.",
-    blocking=True,
-)
-HIT_RATE = NamedCheck(
-    name="hit_rate_is_like_the_training_scans",
-    description="Share of the rays that return, rendered, less that of the two training scans nearest in "
-    f"time: the worst scan of all views by the recording sensor. {RATE_LIMIT}",
-)
-INTENSITY = NamedCheck(
-    name="intensities_are_like_the_training_scans",
-    description="Earth mover's distance between the intensity histograms of a rendered scan and of the two "
-    f"training scans nearest in time: the worst scan of all views by the recording sensor. {SPREAD_LIMIT}",
-)
-NAMED_CHECKS = (FINITE, WITHIN, RETURNS, HIT_RATE, INTENSITY)
 
 _SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensity", "ray_intensity")
 _GRIDS_M = ("pano_range_m", "grid_range_m")
@@ -86,7 +55,7 @@ def check_views(task: Task) -> list[Check]:
     """Check all views in the task's folder.
 
     Returns:
-        One outcome per check of `NAMED_CHECKS`.
+        One outcome per check of the stage that is made here.
     """
     finite, within = _Count(), _Count()
     scans = list[_View]()
@@ -101,7 +70,7 @@ def check_views(task: Task) -> list[Check]:
     norms = read_norms(task.store)
     checks = [finite.outcome(FINITE, "not finite"), within.outcome(WITHIN, "out of limits")]
     if norms is None:
-        return [*checks, *(named.not_run(NO_NORMS) for named in (RETURNS, HIT_RATE, INTENSITY))]
+        return [*checks, *(named.not_run(NO_NORMS) for named in (RETURNS, VIEW_HIT_RATE, VIEW_INTENSITY))]
     return [*checks, _empty(scans, norms), *_likeness(scans, norms, _recording_sensor(task))]
 
 
@@ -165,7 +134,7 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
             rates.append((norms.hit_rate_apart(len(own), float(time_s)), place))
             if len(own) and np.isfinite(own).all():
                 spreads.append((norms.intensities_apart(own, float(time_s)), place))
-    return check_likeness(HIT_RATE, INTENSITY, rates, spreads, norms)
+    return check_likeness(VIEW_HIT_RATE, VIEW_INTENSITY, rates, spreads, norms)
 
 
 def _recording_sensor(task: Task) -> str:

@@ -13,6 +13,7 @@ from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
 from nvsf_core.stages.runner.kept_memory import keep_freed_memory
+from nvsf_core.stages.runner.later import Later
 from nvsf_core.stages.runner.record import (
     RECORD_NAME,
     content_of,
@@ -207,6 +208,8 @@ def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task])
     use_threads()
     keep_freed_memory()
     stage, store = place.stage, place.store
+    if isinstance(stage.run, Later):
+        stage.run.load()  # the seconds of a stage are those of its work
     started, meter = time.perf_counter(), Meter()
     with store.publish(place.location) as folder:
         output = stage.run(task(folder))

@@ -14,6 +14,7 @@ from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.recipe import Recipe, preset
+from nvsf_core.stages.flow import STAGES
 from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.execution import (
     DamagedInputError,
@@ -135,7 +136,7 @@ def run_scene(
         draw_seed=draw_seed, dataset_label=dataset_label,
     )  # fmt: skip
     write_demo_where_absent(entry, say)
-    chosen = _own_stages() if stages is None else tuple(stages)
+    chosen = STAGES if stages is None else tuple(stages)
     return [run_named_stage(stage.name, run, say, stages=chosen) for stage in chosen]
 
 
@@ -148,7 +149,7 @@ def run_named_stage(
         StoreError: An input was never published.
         NvsfError: The stage failed; names scene and stage.
     """
-    by_name = {stage.name: stage for stage in (_own_stages() if stages is None else stages)}
+    by_name = {stage.name: stage for stage in (STAGES if stages is None else stages)}
     if name not in by_name:
         raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
     stage = by_name[name]
@@ -201,7 +202,7 @@ def field_made_from(run: SceneRun) -> str:
     Raises:
         StoreError: An input was never published.
     """
-    by_name = {stage.name: stage for stage in _own_stages()}
+    by_name = {stage.name: stage for stage in STAGES}
     return made_from(place_of(by_name["field"], run, by_name))
 
 
@@ -272,9 +273,3 @@ def _device_for(stage: Stage, run: SceneRun, progress: Progress) -> Iterator[Non
         return
     with device_lock(run.store.home / LOCKS, progress):
         yield
-
-
-def _own_stages() -> tuple[Stage, ...]:
-    from nvsf_core.stages import STAGES  # the package imports this module first
-
-    return STAGES

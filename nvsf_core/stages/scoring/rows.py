@@ -11,7 +11,7 @@ import numpy as np
 from nvsf_core._types import Scalar
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.table import HELD_OUT, UNITS, mean_rows, summary_table
-from nvsf_core.stages.checks.metrics import DEFINED
+from nvsf_core.stages.checks.declared import DEFINED
 from nvsf_core.stages.runner.stage import Check, StageOutput
 
 _HEADLINES = {

@@ -15,7 +15,7 @@ from nvsf_core.errors import DataError
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.previews import image_preview, range_preview, support_preview
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.stages.field import STAGE as FIELD_STAGE
+from nvsf_core.stages.flow import FIELD
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stores.arrays import write_arrays
@@ -71,7 +71,7 @@ def _costs(task: Task, method: str) -> dict[str, float]:
     evidence_mb = sum(p.stat().st_size for p in evidence.rglob("*") if p.is_file()) / 1e6
     if method == "reproject":
         return nothing | {"train_seconds": record["seconds"], "model_mb": evidence_mb}
-    made = read_record(task.store.require(FIELD_STAGE.location(task.config))) or {"metadata": {}}
+    made = read_record(task.store.require(FIELD.location(task.config))) or {"metadata": {}}
     field = made["metadata"]
     return {
         "train_seconds": record["seconds"] + _number(field, "train_seconds"),

@@ -14,7 +14,8 @@ from assets.verdicts import CHECK_NAME
 from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.stages import find_scene, novel_views, plan_run, run_named_stage, scene_metrics
+from nvsf_core.stages import find_scene, plan_run, run_named_stage
+from nvsf_core.stages.flow import NOVEL_VIEWS, SCENE_METRICS
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput, UnsoundOutputError
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
@@ -182,7 +183,7 @@ def _views_stage(damage, scan=None):
         return StageOutput()
 
     # The home holds only what the checks read, not what its size on the disk is estimated by.
-    return replace(novel_views.STAGE, inputs=(), run=run, estimate_bytes=None)
+    return replace(NOVEL_VIEWS, inputs=(), run=run, estimate_bytes=None)
 
 
 def _materialize(stage, instance):
@@ -219,7 +220,7 @@ def _shown(instance, stage, names):
     ],
 )
 def test_a_damaged_view_fails_its_check_in_dagster(store, damage, named, blocks):
-    names = [one.name for one in novel_views.STAGE.named_checks]
+    names = [one.name for one in NOVEL_VIEWS.named_checks]
     with dg.DagsterInstance.ephemeral() as instance:
         result = _materialize(_views_stage(damage), instance)
         shown = _shown(instance, "novel_views", [CHECK_NAME, *names])
@@ -233,10 +234,8 @@ def test_a_damaged_view_fails_its_check_in_dagster(store, damage, named, blocks)
 def test_a_sound_view_passes_all_and_the_record_keeps_value_and_limit(store):
     with dg.DagsterInstance.ephemeral() as instance:
         assert _materialize(_views_stage(_nothing), instance).success
-        shown = _shown(instance, "novel_views", [one.name for one in novel_views.STAGE.named_checks])
-    assert all(passed for passed, _, _ in shown.values()) and len(shown) == len(
-        novel_views.STAGE.named_checks
-    )
+        shown = _shown(instance, "novel_views", [one.name for one in NOVEL_VIEWS.named_checks])
+    assert all(passed for passed, _, _ in shown.values()) and len(shown) == len(NOVEL_VIEWS.named_checks)
     record = read_record(store.path("novel_views/smoke/0"))
     assert {check["name"] for check in record["checks"]} == set(shown)
     assert all(check["value"] <= check["limit"] for check in record["checks"])
@@ -260,7 +259,7 @@ def _metrics_stage(rows):
         write_rows(task.folder / "metrics.parquet", rows, COLUMNS)
         return StageOutput()
 
-    return replace(scene_metrics.STAGE, inputs=(), run=run)
+    return replace(SCENE_METRICS, inputs=(), run=run)
 
 
 @pytest.mark.parametrize(("metric", "value"), [("hit_accuracy", 1.2), ("chamfer_m2", -0.1), ("f_score", -1)])
