@@ -15,8 +15,9 @@ BIN     := .venv/bin
 STAMP   := .venv/.installed
 KERNELS := .venv/.compiled
 DEV     := .venv/.installed-dev
-# Compiled where they are first imported: compiling every file of torch and Dagster ahead takes longer.
+# Compiled where they are first imported: compiling every file of torch and Dagster ahead takes longer. IMPORTS does.
 PIP     := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
+IMPORTS := import pipelines.definitions, nvsf_core.stages.benchmark_report; from nvsf_core.stages import STAGES; [one.run.load() for one in STAGES]
 # Dagster advises `dg launch` at every start; the bare command is what users know.
 TRAIN   := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
 
@@ -35,7 +36,7 @@ $(STAMP): pyproject.toml
 
 $(KERNELS): $(STAMP)
 	@echo "compiling the kernels: a minute, once"
-	@$(BIN)/python -c 'import pipelines.definitions' & $(BIN)/python -m nvsf_core.stages.runner.compile_kernels && wait
+	@$(BIN)/python -c '$(IMPORTS)' & $(BIN)/python -m nvsf_core.stages.runner.compile_kernels && wait
 	@touch $@
 
 $(DEV): $(STAMP)

@@ -211,7 +211,8 @@ def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.n
     smoothed = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
     precision = np.linalg.inv(smoothed + noise)
     rows, columns = np.triu_indices(3)
-    return precision[:, rows, columns].astype(np.float32)
+    # In the order in which it is read from a store: a kernel is compiled for each.
+    return np.ascontiguousarray(precision[:, rows, columns], np.float32)
 
 
 def weighted_median_index(weights: np.ndarray) -> np.ndarray:
