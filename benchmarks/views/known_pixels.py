@@ -23,7 +23,7 @@ from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.runner.run import find_scene
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 
@@ -92,7 +92,7 @@ def main() -> None:
 
 def _counts(store: SceneStore, path: Path, camera: str) -> Iterator[np.ndarray]:
     """Of each image the numbers of pixels: guessed and unseen, guessed, unseen."""
-    if f"{camera}_support" not in array_names(path, "u"):
+    if not holds_array(path, f"{camera}_support"):
         return
     one = _true_camera(store, camera)
     a = read_arrays(path, f"{camera}_support", f"{camera}_camera_to_world", "time_s")

@@ -15,7 +15,7 @@ from benchmarks.common.documents import ROOT
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.metrics.table import BASELINES
-from nvsf_core.stores.arrays import array_names, read_arrays
+from nvsf_core.stores.arrays import holds_array, read_arrays
 from nvsf_core.stores.scene_store import SceneStore
 
 PICTURE = ROOT / "docs" / "pictures" / "off_path.jpg"
@@ -49,7 +49,7 @@ def _row(root: Path, recipe: str, view: str, number: int) -> np.ndarray:
     images = {}
     for method in ("model", *BASELINES):
         path = root / "novel_views" / folder / f"{method}.zarr"
-        if path.is_dir() and f"{_CAMERA}_rgb" in array_names(path, "u"):
+        if path.is_dir() and holds_array(path, f"{_CAMERA}_rgb"):
             images[method] = read_arrays(path, f"{_CAMERA}_rgb")[f"{_CAMERA}_rgb"][place]
     errors_db = {
         name: psnr(image[valid] / 255.0, truth[valid] / 255.0, 1.0).value for name, image in images.items()

@@ -13,7 +13,7 @@ from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 from nvsf_core.stores.documents import foreign, read_picture
 from nvsf_core.stores.scene_store import SceneStore, published
 from nvsf_core.stores.tables import read_rows, read_table
@@ -265,7 +265,7 @@ def _camera(known: Path, methods: dict[str, Path], camera: str) -> CameraPair | 
 def _true_frames(known: Path, camera: str) -> np.ndarray:
     """(n,) frames of a camera's images in a group; none if it lacks them."""
     name = f"{camera}_frame"
-    has_them = known.is_dir() and name in array_names(known, "i")
+    has_them = known.is_dir() and holds_array(known, name)
     return read_arrays(known, name)[name] if has_them else np.zeros(0, np.int64)
 
 

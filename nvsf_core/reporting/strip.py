@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from nvsf_core.reporting.plots import range_image_png
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs, read_part
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs, read_part
 
 MOST_STEPS = 16
 """Of a longer view, so many instants are shown, evenly apart."""
@@ -49,7 +49,7 @@ def strip_of(root: Path, view: Path) -> bytes | None:
 def _images(known: Path, path: Path, camera: str, frames: np.ndarray) -> list[Image.Image]:
     """Recorded image on the left, rendered image on the right; empty if the camera recorded nothing."""
     name = f"{camera}_frame"
-    if not known.is_dir() or name not in array_names(known, "i"):
+    if not known.is_dir() or not holds_array(known, name):
         return []
     recorded, rendered = read_arrays(known, name)[name], read_arrays(path, name)[name]
     if not len(recorded) or not len(rendered):

@@ -18,8 +18,10 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from nvsf_core.errors import StoreError
 from nvsf_core.stores.documents import Contents, foreign
+from nvsf_core.stores.local_files import LocalFiles
 from nvsf_core.stores.schemas import field_faults, spec_at, violations
 
+_METADATA = "zarr.json"
 _MOST_CHUNKS = 1_000_000
 _MOST_CHUNK_BYTES = 4 << 30
 _HEADROOM_BYTES = 4 << 20
@@ -31,7 +33,7 @@ def write_arrays(
     path: Path, arrays: Mapping[str, np.ndarray], attrs: Mapping[str, Any] | None = None
 ) -> None:
     """Write arrays (any shape, numeric or bool) and JSON-able attributes as one Zarr group."""
-    group = zarr.open_group(str(path), mode="w")
+    group = zarr.open_group(LocalFiles(path), mode="w")
     for name, array in arrays.items():
         array = np.ascontiguousarray(array)
         stored = group.create_array(
@@ -85,6 +87,17 @@ def array_layouts(path: Path) -> dict[str, np.ndarray]:
     return {name: np.broadcast_to(np.empty((), one.dtype), one.shape) for name, one in stored.items()}
 
 
+def holds_array(path: Path, name: str) -> bool:
+    """Whether a group has an array of that name; nothing is read.
+
+    Raises:
+        StoreError: The group is absent.
+    """
+    if not path.is_dir():
+        raise _absent(path)
+    return (path / name / _METADATA).is_file()
+
+
 def array_names(path: Path, kind: str) -> list[str]:
     """Names of the arrays of one kind: `f` (floating) or `i` (integer); none is read.
 
@@ -108,21 +121,22 @@ def read_attrs(path: Path) -> dict[str, Any]:
 def _read(
     group: zarr.Group, path: Path, names: tuple[str, ...], rows: slice | EllipsisType
 ) -> Contents[np.ndarray]:
-    members = dict(group.arrays())
-    present, known = sorted(members), list(members.values())
+    # Only those that are wanted are opened: a group has dozens.
+    present = sorted(entry.name for entry in path.iterdir() if (entry / _METADATA).is_file())
     wanted = names or tuple(present)
     missing = [name for name in wanted if name not in present]
     if missing:
         raise foreign(path, f"expected arrays {missing}, found {present}")
+    members: dict[str, Any] = {name: group[name] for name in wanted}
+    is_whole = any(map(_is_checked, members.values()))
     spec = spec_at(path)
     found: Contents[np.ndarray] = Contents(path)
-    for name in wanted:
-        stored: Any = members[name]
+    for name, stored in members.items():
         # Checked before reading: a manipulated shape may need more memory than there is.
         faults = () if spec is None else field_faults(spec, name, stored.dtype, stored.shape)
         for fault in faults:
             raise foreign(path, fault)
-        _require_chunks(path, name, stored, is_whole=any(map(_is_checked, known)))
+        _require_chunks(path, name, stored, is_whole=is_whole)
         found[name] = np.asarray(stored[rows])
     return found
 
@@ -142,7 +156,7 @@ def _require_chunks(path: Path, name: str, stored: Any, *, is_whole: bool) -> No
     chunk_bytes = math.prod(stored.chunks) * stored.dtype.itemsize
     expected = math.prod(-(-n // chunk) for n, chunk in zip(stored.shape, stored.chunks, strict=True))
     files = [Path(folder) / file for folder, _, files in os.walk(path / name) for file in files]
-    sizes = [file.stat().st_size for file in files if file.name != "zarr.json"]
+    sizes = [file.stat().st_size for file in files if file.name != _METADATA]
     if (is_whole and len(sizes) != expected) or expected > _MOST_CHUNKS:
         raise foreign(path, f"{name}: expected {expected} chunks, found {len(sizes)}")
     if max(sizes, default=0) > 2 * chunk_bytes + _HEADROOM_BYTES or chunk_bytes > _MOST_CHUNK_BYTES:
@@ -156,20 +170,24 @@ def _is_checked(stored: zarr.Array) -> bool:
     return any(isinstance(codec, Crc32cCodec) for codec in stored.compressors)
 
 
+def _absent(path: Path) -> StoreError:
+    return StoreError(f"no Zarr group at {path}; run the stage that makes it")
+
+
 def _open(path: Path) -> zarr.Group:
     if not path.is_dir():
-        raise StoreError(f"no Zarr group at {path}; run the stage that makes it")
+        raise _absent(path)
     for folder, _, files in os.walk(path):
         for name in files:
             # Opening a pipe would block for ever. (`walk` lists links to folders as folders, not as files.)
             found = (Path(folder) / name).lstat()
             if not stat.S_ISREG(found.st_mode):
                 raise foreign(path, f"expected regular files, found something else at {Path(folder) / name}")
-            if name == "zarr.json" and found.st_size > _HEADROOM_BYTES:
+            if name == _METADATA and found.st_size > _HEADROOM_BYTES:
                 raise foreign(
                     path, f"{Path(folder) / name}: expected metadata, found {found.st_size:,} bytes"
                 )
-    return zarr.open_group(str(path), mode="r")
+    return zarr.open_group(LocalFiles(path, read_only=True), mode="r")
 
 
 @contextlib.contextmanager

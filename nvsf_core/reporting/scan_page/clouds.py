@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.metrics.table import HELD_OUT
-from nvsf_core.stores.arrays import array_layouts, read_arrays, read_part
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_part
 
 MOST_INSTANTS = 12
 """Of a longer view, so many instants are shown, evenly apart."""
@@ -63,7 +63,7 @@ def instants_of(root: Path, view: Path) -> list[Instant]:
     path = view / "model.zarr"
     a = read_arrays(path, "frame", "time_s", "offsets", "lidar_to_world")
     scans = _RecordedScans(root / "sweeps" / "returns.zarr")
-    has_support = "support" in array_layouts(path)
+    has_support = holds_array(path, "support")
     names = ("points_m", "intensity", *(("support",) if has_support else ()))
     rows = np.unique(np.linspace(0, len(a["frame"]) - 1, MOST_INSTANTS).round().astype(int))
     shown = []

@@ -10,7 +10,7 @@ from nvsf_core.metrics.norms import ImageNorms, image_norms
 from nvsf_core.stages.checks.declared import BLANK, GREYS
 from nvsf_core.stages.checks.norms import training_frames
 from nvsf_core.stages.runner.stage import Check, Task
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _MODEL = "model"
 _NAMED = 3
@@ -90,7 +90,7 @@ def _norms(task: Task, camera: str) -> ImageNorms | None:
 def _of_view(path: Path, camera: str, norms: ImageNorms) -> Iterator[_Image]:
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
     depth = f"{camera}_range_m"
-    range_m = read_arrays(path, depth)[depth] if depth in array_names(path, "f") else None
+    range_m = read_arrays(path, depth)[depth] if holds_array(path, depth) else None
     for i, (image, frame) in enumerate(zip(a[f"{camera}_rgb"], a[f"{camera}_frame"], strict=True)):
         yield _Image(
             place=f"view {path.parent.name}, {camera}, frame {frame}",

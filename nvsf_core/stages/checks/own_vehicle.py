@@ -12,7 +12,7 @@ from nvsf_core.stages.checks.declared import GHOSTS
 from nvsf_core.stages.checks.norms import training_frames
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Check, Task
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _CUBE_M, _STEP_M = 0.2, 0.1
 _BESIDE = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3), axis=-1).reshape(-1, 3)
@@ -36,7 +36,7 @@ def check_ghosts(task: Task) -> list[Check]:
     found = [
         (share, f"view {path.parent.name}, frame {frame}")
         for path in sorted(task.folder.glob("*/model.zarr"))
-        if "points_m" in array_names(path, "f")
+        if holds_array(path, "points_m")
         for frame, share in _of_view(path, swept, scene_to_world)
     ]
     if not found:

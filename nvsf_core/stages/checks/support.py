@@ -8,7 +8,7 @@ import numpy as np
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.checks.declared import GUESSED
 from nvsf_core.stages.runner.stage import Check, Task
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _LIMIT = 0.1
 
@@ -30,8 +30,8 @@ def check_support(task: Task) -> list[Check]:
 
 def _supports(path: Path) -> Iterator[tuple[str, str]]:
     """What a view's arrays of support are of, and their names."""
-    if "support" in array_names(path, "u"):
+    if holds_array(path, "support"):
         yield "returns", "support"
     for camera in read_attrs(path).get("cameras", []):
-        if f"{camera}_support" in array_names(path, "u"):
+        if holds_array(path, f"{camera}_support"):
             yield f"pixels of {camera}", f"{camera}_support"

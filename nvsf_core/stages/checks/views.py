@@ -19,7 +19,7 @@ from nvsf_core.stages.checks.norms import (
     read_norms,
 )
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import array_names, holds_array, read_arrays, read_attrs
 
 _SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensity", "ray_intensity")
 _GRIDS_M = ("pano_range_m", "grid_range_m")
@@ -83,7 +83,7 @@ def _max_range_m(attrs: Mapping[str, Any]) -> float:
 def _numbers(path: Path) -> dict[str, np.ndarray]:
     """All floating point arrays of a view, with `offsets` and `frame`."""
     floating = array_names(path, "f")
-    more = [name for name in ("offsets", "frame") if name in array_names(path, "i")]
+    more = [name for name in ("offsets", "frame") if holds_array(path, name)]
     return read_arrays(path, *floating, *more)
 
 

@@ -39,7 +39,7 @@ from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.views.view import stored_plan
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _GRID = ("grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad")
 _VIEW = (
@@ -130,7 +130,7 @@ def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Led
     Raises:
         StoreError: The stored rays are not those that the view's sensor fires.
     """
-    supports = [name for name in ("support", "grid_support") if name in array_names(path, "u")]
+    supports = [name for name in ("support", "grid_support") if holds_array(path, name)]
     a, plan = read_arrays(path, *_VIEW, *supports), stored_plan(path)
     for i, frame in enumerate(a["frame"].tolist()):
         own, firings = part(a["offsets"], i), int(a["grid_firings"][i])

@@ -15,7 +15,7 @@ from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.scene_outputs import TRUTH_NAME
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stores.arrays import array_names, read_arrays, write_arrays
+from nvsf_core.stores.arrays import holds_array, read_arrays, write_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ def measure_view_images(
     """
     camera = truth.camera
     names = [f"{camera}_rgb", f"{camera}_render_seconds"]
-    knows_support = f"{camera}_support" in array_names(path, "u")
+    knows_support = holds_array(path, f"{camera}_support")
     a = read_arrays(path, *names, *([f"{camera}_support"] if knows_support else []))
     for i, (row, frame) in enumerate(zip(truth.row.tolist(), truth.frame.tolist(), strict=True)):
         rgb, true = a[f"{camera}_rgb"][row], truth.rgb[i]

@@ -22,7 +22,7 @@ from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.simulation.scan import measured_range_noise_m
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _One = TypeVar("_One")
 _PATH = ("path_knot_s", "path_to_world")
@@ -138,7 +138,7 @@ def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
     attrs = read_attrs(path) if attrs is None else attrs
     a = read_arrays(path, "frame", "time_s", "path_time_s")
     own = None
-    if _PATH[0] in array_names(path, "f"):
+    if holds_array(path, _PATH[0]):
         knots = read_arrays(path, *_PATH)
         own = Trajectory(knots["path_knot_s"], knots["path_to_world"], np.eye(4))
     mount = None if attrs["mount"] is None else np.array(attrs["mount"], np.float64).reshape(4, 4)

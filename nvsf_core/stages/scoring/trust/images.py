@@ -26,7 +26,7 @@ from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.checks.norms import training_frames
 from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.runner.stage import Task
-from nvsf_core.stores.arrays import array_names, read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _NEIGHBOURS = 2
 
@@ -143,9 +143,9 @@ def image_cues(
 def _view_arrays(path: Path, camera: str) -> dict[str, np.ndarray]:
     """Arrays of a camera's images in a view, `support` where it is stored; empty without depths."""
     parts = ["rgb", "range_m", "frame", "camera_to_world"]
-    if f"{camera}_range_m" not in array_names(path, "f"):
+    if not holds_array(path, f"{camera}_range_m"):
         return {"frame": np.zeros(0, np.int64)}
-    if f"{camera}_support" in array_names(path, "u"):
+    if holds_array(path, f"{camera}_support"):
         parts.append("support")
     a = read_arrays(path, *(f"{camera}_{part}" for part in parts))
     return {part: a[f"{camera}_{part}"] for part in parts}

@@ -16,7 +16,7 @@ from nvsf_core.stages.scoring.rows import Ledger
 from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues, recorded_cameras
 from nvsf_core.stages.scoring.trust.odometry import odometry_errors
 from nvsf_core.stages.scoring.trust.scans import read_training_scans, scan_cues
-from nvsf_core.stores.arrays import array_names, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_attrs
 
 _ABSENT = absent("nothing recorded is left over to compare with, or it was recorded by another sensor")
 _Cues = Iterator[tuple[int, Mapping[str, float]]]
@@ -65,10 +65,10 @@ def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
 
 def shows(path: Path, sensor: str) -> bool:
     """Whether the Zarr group of a view has what a verdict on its scans, or a camera's images, needs."""
-    floating = array_names(path, "f")
-    if sensor == LIDAR:
-        return "grid_hit" in floating and "grid_support" in array_names(path, "u")
-    return {f"{sensor}_range_m", f"{sensor}_camera_to_world"} <= set(floating)
+    needed = ("grid_hit", "grid_support")
+    if sensor != LIDAR:
+        needed = (f"{sensor}_range_m", f"{sensor}_camera_to_world")
+    return all(holds_array(path, name) for name in needed)
 
 
 def measure_trust(path: Path, sensor: RecordedSensor, ledger: Ledger) -> Iterator[str]:
