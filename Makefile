@@ -18,7 +18,7 @@ DEV     := .venv/.installed-dev
 # Compiled where they are first imported: compiling every file of torch and Dagster ahead takes longer.
 PIP     := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 # All that a start and the stages import: it is compiled with the kernels.
-IMPORTS := import pipelines.definitions, nvsf_core.stages.benchmark_report; from nvsf_core.stages import STAGES; [one.run.load() for one in STAGES]
+IMPORTS := import pipelines.definitions, nvsf_core.stages.benchmark_report; from nvsf_core.stages.flow import WORK_MODULES; [__import__(name) for name in WORK_MODULES]
 # Dagster advises `dg launch` at every start; the bare command is what users know.
 TRAIN   := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
 

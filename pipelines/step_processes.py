@@ -18,8 +18,7 @@ from dagster._core.execution.retries import RetryMode
 from dagster._core.executor.multiprocess import MultiprocessExecutor
 
 from nvsf_core.errors import StageKilledError
-from nvsf_core.stages import STAGES
-from nvsf_core.stages.runner.later import Later
+from nvsf_core.stages.flow import WORK_MODULES
 
 _PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4
@@ -100,8 +99,7 @@ def _preloaded() -> list[str]:
     those of Dagster that it has needed: it has opened the instance, whose storages take a second to import.
     """
     opened = [name for name in sys.modules if name.partition(".")[0].startswith("dagster")]
-    works = [stage.run.module for stage in STAGES if isinstance(stage.run, Later)]
-    return [_PRELOADED, *works, *sorted(opened)]
+    return [_PRELOADED, *WORK_MODULES, *sorted(opened)]
 
 
 def step_processes(most_steps: int) -> dg.ExecutorDefinition:

@@ -1,6 +1,7 @@
 """What chaos happens to: a drive, a home on a small disk of its own, and the commands of a user."""
 
 import contextlib
+import importlib
 import os
 import shutil
 import subprocess
@@ -15,6 +16,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.stages import STAGES, SceneRun, Stage, plan_run, run_scene
+from nvsf_core.stages.flow import WORK_MODULES
 
 SCENE = "tiny"
 DISK_MB = 2500
@@ -131,6 +133,9 @@ class World:
 @contextlib.contextmanager
 def made_world(folder: Path, *, bare: bool = False) -> Iterator[World]:
     """Write the drive and the catalogue, and mount a disk for the home where this process may."""
+    if bare:
+        for name in WORK_MODULES:
+            importlib.import_module(name)
     size = DemoSize.tiny()
     write_demo(folder / "drive", size=size)
     (folder / "scenes.toml").write_text(_CATALOGUE)

@@ -134,3 +134,5 @@ DATASET = Stage(
 
 STAGES = (FRAMES, SWEEPS, PANO, UNDISTORTED, EVIDENCE, FIELD, MESH, NOVEL_VIEWS, SCENE_METRICS, DATASET)
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
+WORK_MODULES = tuple(f"nvsf_core.stages.{name}" for name in STAGE_NAMES)
+"""Modules of the stages' work: a process that forks others, which run stages, imports them once for all."""

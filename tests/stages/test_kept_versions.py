@@ -17,6 +17,7 @@ from assets.metadata import exported_folders
 from nvsf_core.errors import DataError
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import _records
+from nvsf_core.stages.flow import WORK_MODULES
 from nvsf_core.stages.runner.stage import Outcome
 from nvsf_core.stages.runner.verify import Verdict, verify_scene
 from nvsf_core.stages.versions import (
@@ -210,7 +211,7 @@ def _die(home: Path, number: int, event: str, words: str) -> None:
 
 def _killed(*arguments: object) -> bool:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__])
+    context.set_forkserver_preload([__name__, *WORK_MODULES])
     child = context.Process(target=_die, args=arguments)
     child.start()
     child.join()
