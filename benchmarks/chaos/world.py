@@ -133,7 +133,7 @@ class World:
 @contextlib.contextmanager
 def made_world(folder: Path, *, bare: bool = False) -> Iterator[World]:
     """Write the drive and the catalogue, and mount a disk for the home where this process may."""
-    if bare:
+    if bare:  # its runs are forked from this process, and load no library again
         for name in WORK_MODULES:
             importlib.import_module(name)
     size = DemoSize.tiny()

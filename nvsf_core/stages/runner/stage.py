@@ -154,6 +154,7 @@ class Stage:
     version: str
     """Raised when the code's output changes."""
     run: Callable[[Task], StageOutput]
+    """Makes the output. Of the flow's stages this and the functions below are a `Later`."""
     per_recipe: bool = False
     """Whether recipe and seed are part of its identity and its path."""
     per_draw: bool = False
