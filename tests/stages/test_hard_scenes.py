@@ -14,7 +14,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError, DivergedError, MissingLibraryError
-from nvsf_core.models.residual import lidar_step as steps
+from nvsf_core.models.residual import lidar as residual_lidar
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import Outcome, mesh, plan_run, run_named_stage, scene_metrics
@@ -371,7 +371,7 @@ def test_a_nan_in_a_batch_names_scene_step_and_term(
 ) -> None:
     layout = _copy(drive, tmp_path)
     _run(layout, UP_TO_EVIDENCE)
-    whole = steps.depth_loss
-    monkeypatch.setattr(steps, "depth_loss", lambda w, r, t: whole(w, r, t * float("nan")))
+    whole = residual_lidar.depth_loss
+    monkeypatch.setattr(residual_lidar, "depth_loss", lambda w, r, t: whole(w, r, t * float("nan")))
     with pytest.raises(DivergedError, match=r"scene tiny.*lidar.*step 0.*'depth'.*batch"):
         _run(layout, ("field",))

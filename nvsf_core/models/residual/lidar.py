@@ -1,29 +1,34 @@
-"""The LiDAR field of the residual family: its training rays and training; its comparison with `reproject`."""
+"""The LiDAR field of the residual family: its rays, its training, and its comparison with `reproject`."""
 
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from nvsf_core._types import Scalar
 from nvsf_core.errors import DataError
 from nvsf_core.evidence.moving.objects import objects_at
-from nvsf_core.fields.lidar_field import LidarField, object_surfaces
+from nvsf_core.evidence.surfels import Surfels
+from nvsf_core.fields.lidar_field import (
+    LidarField,
+    ObjectSurfaces,
+    SurfaceBatch,
+    join_surfaces,
+    object_surfaces,
+    surface_batch,
+)
 from nvsf_core.kernels.threads import in_parts
+from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, surface_likelihood
+from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
-from nvsf_core.models.residual.lidar_step import (
-    LidarBatch,
-    LidarRays,
-    join_rays,
-    lidar_step,
-    sampled_batch,
-)
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.simulation.ray_renderers import field_renderer
@@ -34,24 +39,40 @@ SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
 
 
-def _dropped_rays(lidar: LidarRecording, number: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
-    """Dropped rays of a training scan (empty cells of lasers and firings), and their times (n,) in s.
+@dataclass(frozen=True, slots=True)
+class LidarRays:
+    """n rays of the training frames, scene-local."""
 
-    They have their lasers' nominal angles at the time of the firing.
-    """
-    sweeps, prior, lasers = lidar.sweeps, lidar.evidence.prior, lidar.evidence.lasers
-    table = sweeps.table
-    laser_row, firing = np.nonzero(~prior.is_hit[number][lasers][:, : prior.firings_of(number)])
-    laser = lasers[laser_row].astype(np.int64)
-    when = prior.fraction[number][firing].astype(np.float64)
-    shift = (table.phase_steps - table.firing_shift_steps)[laser] * table.step_rad
-    origin, direction = corrected_rays(table, -2.0 * np.pi * when + shift, laser)
-    fired_s = prior.time_s[number] + when * sweeps.period_s
-    origin, direction = sweeps.trajectory.move_rays(origin, direction, fired_s)
-    nothing = np.zeros(len(laser), np.float32)
-    hit_prior = prior.hit_prior(laser, when, near_scans)
-    rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, hit_prior)
-    return rays, fired_s
+    origin_m: np.ndarray
+    """(n, 3) float32."""
+    direction: np.ndarray
+    """(n, 3) float32, unit."""
+    range_m: np.ndarray
+    """(n,) float32, metres; 0 = dropped."""
+    intensity: np.ndarray
+    """(n,) float32, 0..1; 0 = dropped."""
+    hit_prior: np.ndarray
+    """(n,) float32: share of the nearest other training scans that have a return there."""
+    objects: ObjectSurfaces | None = None
+    """Surfaces of moving objects, from the other scans, at these rays' times; None in a static scene."""
+
+    def __len__(self) -> int:
+        """Number of rays."""
+        return len(self.range_m)
+
+
+def join_rays(parts: list[LidarRays]) -> LidarRays:
+    """Rays of several parts, one after the other; all of a ray lies together in memory, as it is sampled."""
+    table = np.empty((sum(len(part) for part in parts), 9), np.float32)
+    columns = {
+        "origin_m": table[:, :3], "direction": table[:, 3:6], "range_m": table[:, 6],
+        "intensity": table[:, 7], "hit_prior": table[:, 8],
+    }  # fmt: skip
+    for name, column in columns.items():
+        np.concatenate([getattr(part, name) for part in parts], out=column)
+    objects = [part.objects for part in parts if part.objects is not None]
+    joined = join_surfaces(objects, [len(part) for part in parts]) if objects else None
+    return LidarRays(**columns, objects=joined)
 
 
 def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarField) -> LidarRays:
@@ -108,6 +129,26 @@ def _returned_rays(lidar: LidarRecording, scan: int, near_scans: np.ndarray) -> 
     return rays, float(a["time_s"][scan]) + fraction.astype(np.float64) * sweeps.period_s
 
 
+def _dropped_rays(lidar: LidarRecording, number: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
+    """Dropped rays of a training scan (empty cells of lasers and firings), and their times (n,) in s.
+
+    They have their lasers' nominal angles at the time of the firing.
+    """
+    sweeps, prior, lasers = lidar.sweeps, lidar.evidence.prior, lidar.evidence.lasers
+    table = sweeps.table
+    laser_row, firing = np.nonzero(~prior.is_hit[number][lasers][:, : prior.firings_of(number)])
+    laser = lasers[laser_row].astype(np.int64)
+    when = prior.fraction[number][firing].astype(np.float64)
+    shift = (table.phase_steps - table.firing_shift_steps)[laser] * table.step_rad
+    origin, direction = corrected_rays(table, -2.0 * np.pi * when + shift, laser)
+    fired_s = prior.time_s[number] + when * sweeps.period_s
+    origin, direction = sweeps.trajectory.move_rays(origin, direction, fired_s)
+    nothing = np.zeros(len(laser), np.float32)
+    hit_prior = prior.hit_prior(laser, when, near_scans)
+    rays = LidarRays(origin.astype(np.float32), direction.astype(np.float32), nothing, nothing, hit_prior)
+    return rays, fired_s
+
+
 def _meet(
     lidar: LidarRecording, field: LidarField, number: int, both: tuple[tuple[LidarRays, np.ndarray], ...]
 ) -> list[LidarRays]:
@@ -126,6 +167,100 @@ def _meet(
         )
         for rays, fired_s in both
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class LidarBatch:
+    """n sampled training rays with the surfaces along them. Its rays' numbers are those in the batch."""
+
+    surfaces: SurfaceBatch
+    """Along the n rays."""
+    true_range_m: Tensor
+    """(n,) float32, metres; 0 = dropped."""
+    true_intensity: Tensor
+    """(n,) float32, 0..1; 0 = dropped."""
+    hit_prior: Tensor
+    """(n,) float32, see `LidarRays`."""
+    met: Tensor
+    """(m,) int64: rays with a surface."""
+    returned: Tensor
+    """(k,) int64: those of them with a return."""
+    meets_object: Tensor | None
+    """(k,) bool, of these: whether a surface is a moving object's; None if no surface of the batch is."""
+
+    def to(self, device: torch.device) -> "LidarBatch":
+        """The same batch on `device`."""
+        meets = None if self.meets_object is None else self.meets_object.to(device)
+        names = ("true_range_m", "true_intensity", "hit_prior", "met", "returned")
+        tensors = {name: getattr(self, name).to(device) for name in names}
+        return LidarBatch(self.surfaces.to(device), **tensors, meets_object=meets)
+
+
+def sampled_batch(
+    surfels: Surfels,
+    rays: LidarRays,
+    recipe: ResidualRecipe,
+    far_m: float,
+    generators: Sequence[torch.Generator],
+) -> LidarBatch:
+    """A part of a step's rays for each generator, one after the other, with the surfaces along them.
+
+    Args:
+        surfels: Of the static scene; moving objects come with the rays.
+        rays: Of all training scans.
+        recipe: Rays and parts a step, surfaces a ray.
+        far_m: How far a ray is followed.
+        generators: Sample the rays.
+    """
+    spec, most = recipe.lidar_training, recipe.evidence.lidar_candidates
+    parts = [torch.randint(len(rays), (spec.rays // spec.parts,), generator=own) for own in generators]
+    sampled = torch.cat(parts).numpy()
+    surfaces = surface_batch(
+        surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,
+        objects=None if rays.objects is None else rays.objects.of(sampled),
+    )  # fmt: skip
+    range_m, intensity, hit_prior = (
+        torch.from_numpy(column[sampled]) for column in (rays.range_m, rays.intensity, rays.hit_prior)
+    )
+    met = surfaces.is_there[:, 0]
+    returned = (met & (range_m > 0)).nonzero()[:, 0]
+    of_object = surfaces.hit_prior >= 0.0
+    meets = None
+    if bool(of_object.any()):
+        meets = surfaces.spread(of_object.float()[:, None])[returned, :, 0].any(dim=1)
+    return LidarBatch(surfaces, range_m, intensity, hit_prior, met.nonzero()[:, 0], returned, meets)
+
+
+def lidar_step(field: LidarField, batch: LidarBatch, recipe: ResidualRecipe) -> LossBreakdown:
+    """The loss of a batch of rays, which is a step or a part of one, on the field's device."""
+    rendered = render_lidar(field, batch.surfaces, batch.hit_prior)
+    # Which rays end on a moving object is known on the device only, and to ask it takes its time.
+    corrected = batch.met if batch.meets_object is None else batch.met[~rendered.on_object[batch.met]]
+    returned, is_return = batch.returned, (batch.true_range_m > 0).float()
+    terms = {
+        "depth": _depth(rendered, batch),
+        "hit": raydrop_loss(rendered.hit_logit.index_select(0, corrected), is_return[corrected]),
+        "intensity": intensity_loss(
+            rendered.intensity_logit.index_select(0, returned), batch.true_intensity[returned]
+        ),
+    }
+    return total_loss(terms, asdict(recipe.losses))
+
+
+def _depth(rendered: LidarRender, batch: LidarBatch) -> Tensor:
+    """Depth loss of each ray that returned: weighted range error, on moving objects a likelihood.
+
+    A moving object is thin, met by few rays and mostly edges: there the weights must stay shares of rays.
+    """
+    of_returns = (
+        rendered.weights.index_select(0, batch.returned),
+        rendered.range_m.index_select(0, batch.returned),
+        batch.true_range_m[batch.returned],
+    )
+    off_m = depth_loss(*of_returns)
+    if batch.meets_object is None:
+        return off_m
+    return torch.where(batch.meets_object, surface_likelihood(*of_returns), off_m)
 
 
 def train_lidar(
