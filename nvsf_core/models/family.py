@@ -69,6 +69,8 @@ def fit(
 ) -> TrainingState:
     """Train one part of a scene's model, from its checkpoint if there is one; returns `state`.
 
+    The model has the mean of its last weights afterwards where `spec` says so.
+
     Args:
         session: Holds the checkpoints.
         part: Name of the part, for checkpoints and progress lines.
@@ -81,6 +83,8 @@ def fit(
     """
     with session.resumed(part, state) as one:
         train(state, spec, step, one.save, one.say, one.observe)
+    if state.average is not None and spec.averaged_share > 0.0:
+        state.average.put_in_place()
     return state
 
 

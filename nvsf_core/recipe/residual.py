@@ -83,6 +83,8 @@ class TrainingSpec:
     """Adam's step size for the networks."""
     final_share: float = 0.05
     """Both rates decay exponentially to this share of their first value."""
+    averaged_share: float = 0.0
+    """The mean of the weights after this share of the steps, the last ones, is used; 0 = the last weights."""
     parts: int = 2
     """Parts of a step that CPU threads compute beside each other, each of its own share of the rays, drawn by
     itself; their gradients are added."""

@@ -12,10 +12,12 @@ from nvsf_core.kernels.threads import in_parts, use_threads
 from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.training.adam import Adam
-from nvsf_core.training.ema import WeightAverage
+from nvsf_core.training.weight_average import WeightAverage
 
 _SAY_EVERY_S = 4.0
 _RECORD_EVERY = 10
+_AVERAGE_EVERY = 10
+"""Steps between two weights that are averaged: those of neighbouring steps are nearly the same."""
 _ADAM_KEYS = ("step", "exp_avg", "exp_avg_sq")
 
 Part = Callable[[], Iterable[LossBreakdown]]
@@ -138,7 +140,9 @@ def seeds_of_parts(parts: int, generator: torch.Generator) -> list[int]:
 
 def fresh_state(model: nn.Module, spec: TrainingSpec, seed: int) -> TrainingState:
     """The state of a model before its first step; the seed decides what its steps sample."""
-    return TrainingState(model, make_optimiser(model, spec), torch.Generator().manual_seed(seed))
+    average = WeightAverage(model, decay=None) if spec.averaged_share > 0.0 else None
+    generator = torch.Generator().manual_seed(seed)
+    return TrainingState(model, make_optimiser(model, spec), generator, average=average)
 
 
 def train(
@@ -190,6 +194,8 @@ def train(
             saved = time.perf_counter()
         state.optimiser.step()
         state.step += 1
+        if state.average is not None and _is_averaged(spec, state.step):
+            state.average.update()
         now = time.perf_counter()
         state.seconds = now - began
         rays_per_s = (state.step - first) * spec.rays / (now - started)
@@ -317,6 +323,12 @@ def _first_broken(state: TrainingState) -> str:
         if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
             return f"the gradient of {name!r} is not finite"
     return "all weights are finite: the batch is not, or overflows"
+
+
+def _is_averaged(spec: TrainingSpec, step: int) -> bool:
+    """Whether the weights after a step are one of those whose mean is taken."""
+    left = spec.steps - step
+    return left < spec.averaged_share * spec.steps and left % _AVERAGE_EVERY == 0
 
 
 def _set_rates(optimiser: Adam, spec: TrainingSpec, step: int) -> None:

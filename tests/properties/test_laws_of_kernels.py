@@ -12,7 +12,7 @@ from nvsf_core.kernels import GridLayout, hash_grid_encode
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.kernels.encodings.planes import planes_sample
 from nvsf_core.metrics.ssim import ssim
-from nvsf_core.training.ema import WeightAverage
+from nvsf_core.training.weight_average import WeightAverage
 
 LAW = settings(derandomize=True, deadline=None, max_examples=30, database=None)
 LAYOUT = GridLayout(levels=4, features=2, log2_table=9, base_resolution=4, finest_resolution=256)

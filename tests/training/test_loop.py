@@ -1,6 +1,7 @@
 """Laws of the training loop: killed and resumed is the same as never killed."""
 
 import time
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,19 +11,22 @@ from nvsf_core.errors import DivergedError
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
-from nvsf_core.training.ema import WeightAverage
+from nvsf_core.training import loop
 from nvsf_core.training.loop import Part, TrainingState, make_optimiser, side_by_side, train
+from nvsf_core.training.weight_average import WeightAverage
 
 SPEC = TrainingSpec(steps=40, rays=8, checkpoint_s=0.0)
 
 
-def fresh_state() -> TrainingState:
-    generator = torch.Generator().manual_seed(3)
+AVERAGED = replace(SPEC, averaged_share=0.75)
+
+
+def fresh_state(spec: TrainingSpec = SPEC) -> TrainingState:
     model = nn.Linear(4, 1)
     with torch.no_grad():
         model.weight.fill_(0.1)
         model.bias.zero_()
-    return TrainingState(model, make_optimiser(model, SPEC), generator)
+    return loop.fresh_state(model, spec, 3)
 
 
 def step_of(state: TrainingState):
@@ -37,14 +41,15 @@ def ignore(*_: object) -> None:
     """Neither saved nor said."""
 
 
-def test_a_killed_and_resumed_run_gives_the_same_bits(tmp_path) -> None:
-    whole = fresh_state()
-    train(whole, SPEC, step_of(whole), ignore, ignore)
+@pytest.mark.parametrize("spec", [SPEC, AVERAGED])
+def test_a_killed_and_resumed_run_gives_the_same_bits(tmp_path, spec: TrainingSpec) -> None:
+    whole = fresh_state(spec)
+    train(whole, spec, step_of(whole), ignore, ignore)
 
     class Killed(Exception):
         pass
 
-    broken = fresh_state()
+    broken = fresh_state(spec)
     path = tmp_path / "checkpoint.safetensors"
 
     def save_then_die(tensors, facts) -> None:
@@ -53,14 +58,32 @@ def test_a_killed_and_resumed_run_gives_the_same_bits(tmp_path) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        train(broken, SPEC, step_of(broken), save_then_die, ignore)
-    resumed = fresh_state()
+        train(broken, spec, step_of(broken), save_then_die, ignore)
+    resumed = fresh_state(spec)
     resumed.restore(*load_tensors(path))
     assert resumed.step == 17
-    train(resumed, SPEC, step_of(resumed), ignore, ignore)
+    train(resumed, spec, step_of(resumed), ignore, ignore)
     assert torch.equal(resumed.model.weight, whole.model.weight)
     assert torch.equal(resumed.model.bias, whole.model.bias)
     assert torch.equal(resumed.generator.get_state(), whole.generator.get_state())
+    if whole.average is not None and resumed.average is not None:
+        with whole.average.in_place(), resumed.average.in_place():
+            assert torch.equal(resumed.model.weight, whole.model.weight)
+
+
+def test_the_last_weights_are_averaged_from_their_share_on() -> None:
+    state, seen = fresh_state(AVERAGED), {}
+
+    def note(now: TrainingState) -> None:
+        seen[now.step] = now.model.weight.detach().clone()
+
+    train(state, AVERAGED, step_of(state), ignore, ignore, note)
+    assert state.average is not None
+    last = [seen[step] for step in (20, 30, 40)]
+    assert not torch.equal(last[0], last[2])
+    with state.average.in_place():
+        torch.testing.assert_close(state.model.weight, torch.stack(last).mean(dim=0))
+    assert torch.equal(state.model.weight, last[2])
 
 
 def test_training_lowers_the_loss() -> None:

@@ -19,8 +19,8 @@ from nvsf_core.kernels import GridLayout
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.recipe import TrainingSpec
 from nvsf_core.sampling.error_map import ErrorMap
-from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Part, TrainingState, make_optimiser, train
+from nvsf_core.training.weight_average import WeightAverage
 
 TITLE = "Sampling and training"
 _STEPS, _EPOCH, _DECAY = 100_000, 50, 0.999

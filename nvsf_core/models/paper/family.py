@@ -21,8 +21,8 @@ from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
 from nvsf_core.recipe import PaperRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.training.adam import Adam
-from nvsf_core.training.ema import WeightAverage
 from nvsf_core.training.loop import Part, Step, TrainingState
+from nvsf_core.training.weight_average import WeightAverage
 
 __all__ = ["load", "train", "train_on_frames"]
 

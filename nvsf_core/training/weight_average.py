@@ -1,4 +1,4 @@
-"""Exponential moving average of a model's weights; a recipe that keeps one renders with it."""
+"""Averages of a model's weights over its training; a recipe that keeps one renders with it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,24 +10,32 @@ from nvsf_core.errors import StoreError
 
 
 class WeightAverage:
-    """An exponential moving average of a model's parameters, updated once an epoch.
+    """An average of a model's parameters: an exponential one, or the mean of all updates.
 
-    average <- average - (1 - d_k) (average - weights), d_k = min(decay, (1 + k) / (10 + k)) at the k-th
-    update, counted from 1: the first few follow the weights closely. Buffers are not averaged.
+    average <- average - (1 - d_k) (average - weights) at the k-th update, counted from 1. With a decay
+    d_k = min(decay, (1 + k) / (10 + k)): the first few follow the weights closely. Without one
+    d_k = 1 - 1 / k: the mean of the weights at all updates (Polyak and Juditsky 1992). Buffers are not
+    averaged.
     """
 
-    def __init__(self, model: nn.Module, decay: float) -> None:
-        """Start from the model's present weights; with a decay of 0 no average is kept."""
+    def __init__(self, model: nn.Module, decay: float | None) -> None:
+        """Start from the model's present weights.
+
+        Args:
+            model: Whose parameters are averaged.
+            decay: 0..1; with 0 no average is kept. None = all updates count alike.
+        """
         self.decay = decay
         self.updates = 0
         self._model = model
-        self._average = [p.detach().clone() for p in model.parameters()] if decay > 0.0 else []
+        self._average = [p.detach().clone() for p in model.parameters()] if decay != 0.0 else []
 
     @torch.no_grad()
     def update(self) -> None:
-        """Add the model's present weights to the average; call it at the end of an epoch."""
+        """Add the model's present weights to the average."""
         self.updates += 1
-        decay = min(self.decay, (1.0 + self.updates) / (10.0 + self.updates))
+        k = float(self.updates)
+        decay = 1.0 - 1.0 / k if self.decay is None else min(self.decay, (1.0 + k) / (10.0 + k))
         for average, parameter in zip(self._average, self._model.parameters(), strict=False):
             average.lerp_(parameter, 1.0 - decay)
 
@@ -38,14 +46,18 @@ class WeightAverage:
         The two are swapped, not copied. Without an average (decay 0) or before the first update nothing is
         swapped.
         """
-        swapped = self.updates > 0 and bool(self._average)
-        if swapped:
-            self._swap()
+        self.put_in_place()
         try:
             yield
         finally:
-            if swapped:
-                self._swap()
+            self.put_in_place()
+
+    def put_in_place(self) -> None:
+        """Swap the model's weights and their average, where there is one; a second call swaps them back."""
+        if self.updates == 0:
+            return
+        for average, parameter in zip(self._average, self._model.parameters(), strict=False):
+            average.data, parameter.data = parameter.data, average.data
 
     def tensors(self) -> dict[str, Tensor]:
         """The averaged parameters, named `ema.<parameter>`, and the number of updates, `ema_updates`."""
@@ -70,7 +82,3 @@ class WeightAverage:
                 )
             average.copy_(found)
         self.updates = int(tensors["ema_updates"])
-
-    def _swap(self) -> None:
-        for k, parameter in enumerate(self._model.parameters()):
-            self._average[k], parameter.data = parameter.data, self._average[k]

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from nvsf_core.errors import StoreError
-from nvsf_core.training.ema import WeightAverage
+from nvsf_core.training.weight_average import WeightAverage
 
 
 def model_at(value: float) -> nn.Linear:
@@ -30,6 +30,17 @@ def test_the_first_updates_follow_closely_then_the_decay_holds() -> None:
     with average.in_place():
         assert model.weight.item() == pytest.approx(expected, rel=1e-5)
     assert model.weight.item() == 399.0
+
+
+def test_without_a_decay_all_updates_count_alike() -> None:
+    model = model_at(0.0)
+    average = WeightAverage(model, None)
+    for value in (3.0, 5.0, 13.0):
+        with torch.no_grad():
+            model.weight.fill_(value)
+        average.update()
+    average.put_in_place()
+    assert model.weight.item() == pytest.approx(7.0, rel=1e-6)
 
 
 def test_the_models_own_weights_come_back_after_an_error() -> None:
