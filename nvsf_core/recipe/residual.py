@@ -159,7 +159,9 @@ class ResidualRecipe(Recipe):
     evidence: EvidenceSpec = EvidenceSpec()
     lidar_field: FieldSpec = FieldSpec()
     camera: CameraSpec = CameraSpec()
-    lidar_training: TrainingSpec = TrainingSpec(steps=1250, rays=4096)
+    lidar_training: TrainingSpec = TrainingSpec(
+        steps=1000, rays=4096, table_rate=2e-2, final_share=1.0, averaged_share=0.4
+    )
     depth_training: TrainingSpec = TrainingSpec(steps=60, rays=8064, network_rate=5e-3)
     camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
