@@ -54,8 +54,8 @@ _GRID_PIXEL_BYTES = 2 * 4
 """Of a pixel of a range image in `pano`: range and intensity."""
 _DEPTH_PIXEL_BYTES = 4
 """Of a pixel of an image's depth map, which is stored with the model."""
-_TRAINED_COPIES = 4
-"""Of a weight: stored, and in a checkpoint with the two moments of its step."""
+_TRAINED_COPIES = 5
+"""Of a weight: stored, and in a checkpoint with its average and the two moments of its step."""
 _NETWORKS_BYTES = 2_000_000
 """Of a model beside its grids: networks of all sensors, curves, recipe."""
 _SMALL_BYTES = 2_000_000
