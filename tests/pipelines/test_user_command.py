@@ -92,9 +92,11 @@ def test_what_a_stage_takes_on_the_disk_is_not_more_than_estimated(trained, name
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=trained, progress=str)
     files = run.store.path(stage.location(run.config)).rglob("*")
     chunks = sum(file.stat().st_size for file in files if file.is_file() and file.suffix != ".json")
-    # Range images of so few lasers are nearly empty, which packs well; a model's checkpoints count, too.
+    # Range images of so few lasers are nearly empty, which packs well. Beside a model lies its checkpoint:
+    # weights, their mean and their two moments, four times as much.
     empty = 4 * (66 + 64) * 1030 * 8 if name == "pano" else 0
-    assert chunks < stage.estimate_bytes(task) < 2_000_000 + empty + 6 * chunks
+    most = 7 if name == "field" else 6
+    assert chunks < stage.estimate_bytes(task) < 2_000_000 + empty + most * chunks
 
 
 def test_what_rendered_views_take_on_the_disk_is_estimated_from_the_drive(trained):
