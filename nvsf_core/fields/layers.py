@@ -156,9 +156,11 @@ class CellNetwork(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Corrections (b, outputs, h, w), to be added to logits, from `features` (b, features, h, w)."""
-        x = features
+        around = len(self.layers)
+        x = functional.pad(features, (around, around, 0, 0), mode="circular")
+        # With a cell's channels side by side in memory, convolutions take half the time on a CPU.
+        x = x.contiguous(memory_format=torch.channels_last)
         for number, layer in enumerate(self.layers):
-            x = functional.pad(x, (1, 1, 0, 0), mode="circular")
             x = layer(functional.pad(x, (0, 0, 1, 1), mode="replicate"))
             if number + 1 < len(self.layers):
                 x = functional.relu(x)

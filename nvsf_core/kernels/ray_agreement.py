@@ -59,27 +59,34 @@ def _is_alike(end_m, direction, range_m, position_m):  # type: ignore[no-untyped
 
 
 @njit(parallel=True, cache=True, nogil=True)
-def holds_points(points_m, origin_m, voxel_m, bricks, cells):  # type: ignore[no-untyped-def]
-    """Whether (n,) bool points lie in a voxel that holds a return.
+def holds_points(points_m, index, reach=0):  # type: ignore[no-untyped-def]
+    """Whether (n,) bool points lie in a voxel that holds a return, or at most `reach` voxels beside one.
 
     Args:
         points_m: (n, 3) scene-local metres.
-        origin_m: As of `VoxelIndex`, and so are all that follow.
-        voxel_m: Edge of a voxel.
-        bricks: (bx, by, bz) int32.
-        cells: (n_bricks, 512) int32.
+        index: A `VoxelIndex`.
+        reach: Whole voxels along each axis.
     """
+    origin_m, voxel_m = index.origin_m, index.voxel_m
     holds = np.zeros(len(points_m), np.bool_)
     for task in prange((len(points_m) + _RAYS_A_TASK - 1) // _RAYS_A_TASK):
         for point in range(task * _RAYS_A_TASK, min(len(points_m), (task + 1) * _RAYS_A_TASK)):
             x = math.floor((points_m[point, 0] - origin_m[0]) / voxel_m)
             y = math.floor((points_m[point, 1] - origin_m[1]) / voxel_m)
             z = math.floor((points_m[point, 2] - origin_m[2]) / voxel_m)
-            if x < 0 or y < 0 or z < 0:
-                continue
-            i, j, k = x // _BRICK, y // _BRICK, z // _BRICK
-            if i >= bricks.shape[0] or j >= bricks.shape[1] or k >= bricks.shape[2] or bricks[i, j, k] < 0:
-                continue
-            cell = (x % _BRICK * _BRICK + y % _BRICK) * _BRICK + z % _BRICK
-            holds[point] = cells[bricks[i, j, k], cell] >= 0
+            for i in range(x - reach, x + reach + 1):
+                for j in range(y - reach, y + reach + 1):
+                    for k in range(z - reach, z + reach + 1):
+                        holds[point] |= _holds_voxel(i, j, k, index.bricks, index.cells)
     return holds
+
+
+@njit(inline="always")
+def _holds_voxel(x, y, z, bricks, cells):  # type: ignore[no-untyped-def]
+    if x < 0 or y < 0 or z < 0:
+        return False
+    i, j, k = x // _BRICK, y // _BRICK, z // _BRICK
+    if i >= bricks.shape[0] or j >= bricks.shape[1] or k >= bricks.shape[2] or bricks[i, j, k] < 0:
+        return False
+    cell = (x % _BRICK * _BRICK + y % _BRICK) * _BRICK + z % _BRICK
+    return cells[bricks[i, j, k], cell] >= 0

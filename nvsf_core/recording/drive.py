@@ -14,15 +14,15 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, Lasers, SweepGrid, look_up_scans
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.sensors.bonnet import Bonnet
-from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep import SweepRays, Trajectory
 from nvsf_core.sensors.tables import LaserTable
 
-NEAREST = 2
-"""Of the scans that are looked up, those nearest in time, which are counted by themselves too."""
 _MOMENTS = 256
 """Equal parts of a sweep at which the sensor's pose is interpolated."""
 _AT_SENSOR_M = 0.01
 """Nearer than any surface."""
+_NOWHERE_M = 60.0
+"""Where a ray without an end is looked up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,19 +124,6 @@ class RecordedSweeps:
     unit_gaps: np.ndarray | None = None
     """(lasers, cells) bool, see `find_unit_gaps`; None where they are not known."""
 
-    def ask(self, points_m: np.ndarray, scans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Look up points (r, 3) float32, scene-local, in scans (k,), nearest in time first.
-
-        Returns the counts (r, 5) float32 of `look_up_scans`, summed over the first two scans and over all.
-        """
-        found = np.zeros((len(points_m), 5), np.float32)
-        nearest = found
-        for number, scan in enumerate(scans.tolist()):
-            if number == NEAREST:
-                nearest = found.copy()
-            look_up_scans(points_m, self._lasers, self._sweep(scan, self.range_m[scan]), found)
-        return nearest, found
-
     def hit_prior_at(self, points_m: np.ndarray, scans: np.ndarray) -> np.ndarray:
         """Share (r,) float32 of the scans that looked at points (r, 3) float32, scene-local, with a return.
 
@@ -193,6 +180,43 @@ class RecordedSweeps:
         rotation, position = self.trajectory.at(self.prior.time_s[scan] + moments * self.period_s)
         fraction = self.prior.fraction[scan][: self.prior.firings_of(scan)]
         return SweepGrid(rotation, position, fraction, range_m, self.intensity[scan])
+
+
+def ray_ends_m(rays: SweepRays, range_m: np.ndarray) -> np.ndarray:
+    """(r, 3) float32, scene-local: where rays of ranges (r,) end; one without an end is looked up at 60 m."""
+    reach_m = np.where(np.isfinite(range_m), range_m, _NOWHERE_M)
+    ends_m: np.ndarray = (rays.origin_m + rays.direction * reach_m[:, None]).astype(np.float32)
+    return ends_m
+
+
+class ScanLookups:
+    """What k training scans recorded where the rays of a sweep end, for all who ask on the sweep's way."""
+
+    def __init__(self, scan_grids: RecordedSweeps, scans: np.ndarray, *, gaps_hide: bool = False) -> None:
+        """Nothing is looked up yet.
+
+        Args:
+            scan_grids: All training scans.
+            scans: (k,) numbers of those that are asked, nearest in time first.
+            gaps_hide: As of `look`.
+        """
+        self.scan_grids, self.scans, self._gaps_hide = scan_grids, scans, gaps_hide
+        self._ends_m, self._found = np.zeros((0, 3), np.float32), np.zeros((len(scans), 0, 5), np.float32)
+
+    def at(self, ends_m: np.ndarray) -> np.ndarray:
+        """(k, r, 5) float32 of the rays' ends (r, 3), columns as of `look_up_scans`; valid until asked again.
+
+        Of r rays that were asked before, those whose ends have changed since are looked up again.
+        """
+        changed: slice | np.ndarray = slice(None)
+        if len(ends_m) == len(self._ends_m):
+            changed = np.flatnonzero((ends_m != self._ends_m).any(axis=1))
+        else:
+            self._found = np.empty((len(self.scans), len(ends_m), 5), np.float32)
+        for found, scan in zip(self._found, self.scans.tolist(), strict=True):
+            found[changed] = self.scan_grids.look(ends_m[changed], scan, gaps_hide=self._gaps_hide)
+        self._ends_m = ends_m
+        return self._found
 
 
 def recorded_sweeps(sweeps: Sweeps, evidence: SceneEvidence) -> RecordedSweeps:

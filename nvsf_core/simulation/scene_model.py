@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recording.drive import ScanLookups
 from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.sensors.sweep import SweepRays
 
@@ -32,13 +33,13 @@ class RayRenderer(Protocol):
 class SweepCorrector(Protocol):
     """Corrects a whole sweep of the recording sensor, using the rays beside each ray."""
 
-    def __call__(self, rays: SweepRays, rendered: RenderedRays, near: np.ndarray, /) -> RenderedRays:
+    def __call__(self, rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups, /) -> RenderedRays:
         """Correct a rendered sweep.
 
         Args:
             rays: All rays of the sweep.
             rendered: By a `RayRenderer`; intensities with their lasers' gain.
-            near: (k,) indices of the training scans of the hit prior, nearest in time first.
+            lookups: In the training scans of the hit prior.
         """
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.ray_agreement import add_agreement, holds_points
-from nvsf_core.recording.drive import LidarRecording
+from nvsf_core.recording.drive import LidarRecording, ScanLookups, ray_ends_m
 from nvsf_core.rendering.rendered import RenderedRays, Support
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.own_vehicle import NEAR_M
@@ -30,9 +30,6 @@ from nvsf_core.simulation.view_plan import SweepPlan
 _AGREEING_SCANS = 2
 _SHIFT_M = 0.15
 """A field moves a return along its ray by no more than this from the surface that it was recorded on."""
-_STEPS = np.stack(np.meshgrid(*[np.arange(-1.0, 2.0)] * 3), axis=-1).reshape(-1, 3)
-_NOWHERE_M = 60.0
-"""Where a ray without an end is looked up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,26 +60,28 @@ def simulate_sweep(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float
 ) -> SimulatedSweep:
     """Simulate one sweep of the plan's sensor; arguments as of `fire_sweep`."""
-    rays, rendered = fire_sweep(model, lidar, plan, time_s)
+    lookups = _lookups(model, lidar, plan, time_s)
+    rays, rendered = fire_sweep(model, lidar, plan, time_s, lookups=lookups)
     sweep = RenderedSweep.of(rays, rendered)
     points, intensity, laser = sweep.scan()
     pano = LinearPano(reference_quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
-    support = _support(model, lidar, plan, time_s, rays, rendered)
+    fired_s = plan.fired_s(time_s, rays.fraction, lidar.sweeps.period_s)
+    support = support_of_sweep(lidar, rays, rendered, fired_s, lookups, is_own_unit=plan.is_recorded_sensor)
     return SimulatedSweep(
         points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid(),
         support[sweep.returns()], support.reshape(rays.shape),
     )  # fmt: skip
 
 
-def _support(
-    model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float, rays: SweepRays,
-    rendered: RenderedRays,
-) -> np.ndarray:  # fmt: skip
-    """(r,) uint8 `Support` of a rendered sweep's rays."""
-    near = lidar.evidence.prior.nearest_scans(plan.near_time_s(time_s), model.prior_scans)
-    fired_s = plan.fired_s(time_s, rays.fraction, lidar.sweeps.period_s)
-    return support_of_sweep(lidar, rays, rendered, fired_s, near, is_own_unit=plan.is_recorded_sensor)
+def _lookups(
+    model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float, leave_out_s: float | None = None
+) -> ScanLookups:
+    """For lookups in the scans of a sweep's hit prior; the unit's gaps are no other sensor's."""
+    near = lidar.evidence.prior.nearest_scans(
+        plan.near_time_s(time_s), model.prior_scans, leave_out_s=leave_out_s
+    )
+    return ScanLookups(lidar.scan_grids, near, gaps_hide=not plan.is_recorded_sensor)
 
 
 def fire_sweep(
@@ -93,6 +92,7 @@ def fire_sweep(
     *,
     phase: float = 0.5,
     leave_out_s: float | None = None,
+    lookups: ScanLookups | None = None,
 ) -> tuple[SweepRays, RenderedRays]:
     """Render all rays of one sweep of the plan's sensor, in the convention of stored scans (`by_lasers`).
 
@@ -104,11 +104,14 @@ def fire_sweep(
         time_s: The sweep's instant, seconds since the first frame.
         phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
         leave_out_s: The training scan of this time is ignored; None = all are used.
+        lookups: For whoever asks of the same sweep afterwards; None = nobody does.
     """
     assert model.lidar is not None
     evidence, sweeps = lidar.evidence, lidar.sweeps
     near_s = plan.near_time_s(time_s)
-    near = evidence.prior.nearest_scans(near_s, model.prior_scans, leave_out_s=leave_out_s)
+    if lookups is None:
+        lookups = _lookups(model, lidar, plan, time_s, leave_out_s)
+    near = lookups.scans
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
     else:
@@ -135,7 +138,7 @@ def fire_sweep(
         rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     if model.correct is not None and is_in_place:
-        rendered = model.correct(rays, rendered, near)
+        rendered = model.correct(rays, rendered, lookups)
     if model.unobserved is not None and is_in_place:
         rendered = ask_unobserved(rendered, model.unobserved, *columns, rays.laser, plan.table)
     if is_in_place and not model.as_recorded:
@@ -229,8 +232,8 @@ def _with(rendered: RenderedRays, rays: np.ndarray, found: RenderedRays) -> Rend
 
 
 def support_of_sweep(
-    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, time_s: np.ndarray, near: np.ndarray, *,
-    is_own_unit: bool,
+    lidar: LidarRecording, rays: SweepRays, rendered: RenderedRays, time_s: np.ndarray, lookups: ScanLookups,
+    *, is_own_unit: bool,
 ) -> np.ndarray:  # fmt: skip
     """Support (r,) uint8, values of `Support`, of all rays of a sweep: whether recorded rays like them agree.
 
@@ -245,18 +248,16 @@ def support_of_sweep(
         rays: All r rays.
         rendered: What they show.
         time_s: (r,) seconds since the first frame, when each ray is fired.
-        near: (k,) numbers of the training scans that are asked.
+        lookups: In the training scans that are asked.
         is_own_unit: Whether the recorded unit fires them: its gaps and its own vehicle are known.
     """
     has_end = np.isfinite(rendered.range_m)
-    ends_m = rays.origin_m + rays.direction * np.where(has_end, rendered.range_m, _NOWHERE_M)[:, None]
-    ends_m = ends_m.astype(np.float32)
+    ends_m = ray_ends_m(rays, rendered.range_m)
     returned = returns_of_sweep(rays, rendered)
     agreed, others = np.zeros((2, len(ends_m)), np.float32)
     looked = np.zeros(len(ends_m), bool)
-    for scan in near.tolist():
-        found = lidar.scan_grids.look(ends_m, scan, gaps_hide=not is_own_unit)
-        position_m = lidar.scan_grids.position_m(scan)
+    for found, scan in zip(lookups.at(ends_m), lookups.scans.tolist(), strict=True):
+        position_m = lookups.scan_grids.position_m(scan)
         add_agreement(
             ends_m, rays.direction, rendered.range_m, returned, position_m, found, agreed, others, looked
         )
@@ -264,7 +265,7 @@ def support_of_sweep(
     ended = np.flatnonzero(has_end & ~is_known)
     is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended], rays.origin_m[ended])
     support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
-    support[(agreed >= min(_AGREEING_SCANS, len(near))) & (others == 0)] = Support.SEEN
+    support[(agreed >= min(_AGREEING_SCANS, len(lookups.scans))) & (others == 0)] = Support.SEEN
     if is_own_unit:
         support[has_end & (rendered.range_m < NEAR_M)] = Support.SEEN
     return np.asarray(support.astype(np.uint8))
@@ -291,11 +292,10 @@ def _is_on_object(
         return found
     for one in moving.at(time_s, origin_m):
         place_m = one.path.to_object(ends_m.astype(np.float64), time_s)
-        for step in _STEPS:
-            found |= _holds(one.surfels, place_m + step * one.surfels.index.voxel_m)
+        found |= _holds(one.surfels, place_m, reach=1)
     return found
 
 
-def _holds(surfels: Surfels, points_m: np.ndarray) -> np.ndarray:
-    """Whether (n,) bool points (n, 3) lie in the voxel of a surfel."""
-    return np.asarray(holds_points(points_m, *surfels.index))
+def _holds(surfels: Surfels, points_m: np.ndarray, reach: int = 0) -> np.ndarray:
+    """Whether (n,) bool points (n, 3) lie in the voxel of a surfel, or at most `reach` voxels beside it."""
+    return np.asarray(holds_points(points_m, surfels.index, reach))

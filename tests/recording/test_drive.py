@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.recording.drive import RecordedSweeps
+from nvsf_core.recording.drive import RecordedSweeps, ScanLookups, ray_ends_m
 from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -64,3 +64,18 @@ def test_a_ray_without_an_end_keeps_a_prior_of_one() -> None:
     grids, _ = recorded(range_m)
     nowhere = np.full((3, 3), np.inf, np.float32)
     assert grids.hit_prior_at(nowhere, NEAR).tolist() == [1.0, 1.0, 1.0]
+
+
+def test_ends_that_changed_are_looked_up_again() -> None:
+    rng = np.random.default_rng(0)
+    grids, rays = recorded(rng.uniform(5.0, 20.0, (SCANS, 64, FIRINGS)).astype(np.float32))
+    range_m = rng.uniform(5.0, 20.0, len(rays.laser)).astype(np.float32)
+    range_m[:500] = np.inf
+    other_m = np.where(np.arange(len(range_m)) % 7 == 0, 9.0, range_m)
+    lookups = ScanLookups(grids, NEAR)
+    for one_m in (range_m, other_m, other_m):
+        ends_m = ray_ends_m(rays, one_m)
+        assert np.isfinite(ends_m).all()
+        fresh = [grids.look(ends_m, scan, gaps_hide=False) for scan in NEAR.tolist()]
+        assert np.array_equal(lookups.at(ends_m), np.stack(fresh))
+    assert np.array_equal(lookups.at(ends_m[:9]), np.stack(fresh)[:, :9]), "fewer rays are looked up anew"

@@ -7,7 +7,7 @@ import numpy as np
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
-from nvsf_core.recording.drive import LidarRecording, Sweeps
+from nvsf_core.recording.drive import LidarRecording, ScanLookups, Sweeps
 from nvsf_core.rendering.rendered import RenderedRays, Support
 from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
 from nvsf_core.sensors.tables import HDL_64E
@@ -63,7 +63,8 @@ def shown(rays: SweepRays, range_m: float, hit: float = 1.0) -> RenderedRays:
 
 def support(lidar: LidarRecording, rendered: RenderedRays, rays: SweepRays) -> np.ndarray:
     at_s = np.full(len(rays.laser), PERIOD_S)
-    return support_of_sweep(lidar, rays, rendered, at_s, NEAR, is_own_unit=False)
+    lookups = ScanLookups(lidar.scan_grids, NEAR, gaps_hide=True)
+    return support_of_sweep(lidar, rays, rendered, at_s, lookups, is_own_unit=False)
 
 
 def test_what_the_scans_agree_on_is_seen() -> None:
@@ -123,7 +124,7 @@ def test_of_rays_without_an_end_those_are_guessed_where_no_scan_looked() -> None
 def test_without_a_neighbour_one_scan_is_enough() -> None:
     _, rays = standing()
     at_s = np.full(len(rays.laser), PERIOD_S)
-    alone = support_of_sweep(
-        recorded(all_hit()), rays, shown(rays, WALL_M), at_s, NEAR[:1], is_own_unit=False
-    )
+    lidar = recorded(all_hit())
+    one = ScanLookups(lidar.scan_grids, NEAR[:1], gaps_hide=True)
+    alone = support_of_sweep(lidar, rays, shown(rays, WALL_M), at_s, one, is_own_unit=False)
     assert (alone == Support.SEEN).all()

@@ -170,7 +170,7 @@ def _with_lidar(
     correct = None
     if fields.hits is not None and facts.get(HITS_BLEND):
         weights.load_into(fields.hits, "hits.")
-        correct = raydrop_correction(fields.hits, lidar, facts[HITS_BLEND])
+        correct = raydrop_correction(fields.hits, facts[HITS_BLEND])
     model = replace(model, lidar=render, correct=correct)
     if recipe.pano is None:
         return model

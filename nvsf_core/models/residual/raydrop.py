@@ -24,7 +24,7 @@ from nvsf_core.models.residual.raydrop_grid import (
     sweep_cells,
 )
 from nvsf_core.recipe import ResidualRecipe
-from nvsf_core.recording.drive import LidarRecording, RecordedSweeps
+from nvsf_core.recording.drive import LidarRecording, ScanLookups
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.simulation.ray_renderers import field_renderer
@@ -94,12 +94,11 @@ def train_hits(
         )
     started, device = time.perf_counter(), training_device()
     network.to(device)
-    scan_grids = lidar.scan_grids
     learned = [number for number, _ in learned_scans(lidar)]
     chosen = np.unique(np.linspace(0, len(learned) - 1, spec.frames).round().astype(np.int64))
     session.say("hits", f"simulating {len(chosen)} training scans")
     examples = in_parts(
-        lambda place: _example(field, recipe, lidar, scan_grids, learned[chosen[place]]).to(device),
+        lambda place: _example(field, recipe, lidar, learned[chosen[place]]).to(device),
         len(chosen),
     )
     preparation = time.perf_counter() - started
@@ -114,7 +113,7 @@ def train_hits(
     validating = time.perf_counter()
     validated = in_parts(
         lambda place: _validation_sweep(
-            field, recipe, lidar, scan_grids, network, int(left_out.validation[place]), left_out.static
+            field, recipe, lidar, network, int(left_out.validation[place]), left_out.static
         ),
         len(left_out.validation),
     )
@@ -123,7 +122,7 @@ def train_hits(
     return TrainedHits(
         states={"hits": state}, preparation_seconds=preparation, metadata=metadata,
         facts={HITS_BLEND: None if blend is None else asdict(blend)},
-        correct=None if blend is None else SweepRaydrop(network, scan_grids, blend),
+        correct=None if blend is None else SweepRaydrop(network, blend),
     )  # fmt: skip
 
 
@@ -163,24 +162,20 @@ def _fitted(validated: Sequence[ValidationSweep]) -> HitBlend:
     return fit_blend(network[used], ray_head[used], returned[used])
 
 
-def raydrop_correction(
-    network: CellNetwork, lidar: LidarRecording, blend: Mapping[str, float]
-) -> SweepRaydrop:
+def raydrop_correction(network: CellNetwork, blend: Mapping[str, float]) -> SweepRaydrop:
     """A trained network, ready to correct sweeps; `blend` is the fact `HITS_BLEND`."""
-    return SweepRaydrop(network, lidar.scan_grids, HitBlend(**blend))
+    return SweepRaydrop(network, HitBlend(**blend))
 
 
-def _example(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, scan_grids: RecordedSweeps, number: int
-) -> CellExample:
+def _example(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, number: int) -> CellExample:
     """A training scan as the network learns it: hit prior and scan lookup without it, surfaces with it.
 
     Cells whose ray meets no surface have no weight.
     """
     found: list[SweepCells] = []
 
-    def keep(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
-        found.append(sweep_cells(scan_grids, rays, rendered, near))
+    def keep(rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups) -> RenderedRays:
+        found.append(sweep_cells(rays, rendered, lookups))
         return rendered
 
     rays, _ = _fire(field, recipe, lidar, lidar.evidence.static, number, keep)
@@ -199,14 +194,14 @@ def _example(
 
 
 def _validation_sweep(
-    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, scan_grids: RecordedSweeps,
-    network: CellNetwork, number: int, static: Surfels,
+    field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, network: CellNetwork, number: int,
+    static: Surfels,
 ) -> ValidationSweep:  # fmt: skip
     """A validation scan rendered from the surfaces `static` of the other scans, and its recorded hits."""
     found: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def keep(rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
-        found.append(hit_logits(network, scan_grids, rays, rendered, near))
+    def keep(rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups) -> RenderedRays:
+        found.append(hit_logits(network, rays, rendered, lookups))
         return rendered
 
     rays, rendered = _fire(field, recipe, lidar, static, number, keep)

@@ -17,7 +17,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, SHINE, THROUGH
 from nvsf_core.numerics import probability_logit
-from nvsf_core.recording.drive import NEAREST, RecordedSweeps
+from nvsf_core.recording.drive import ScanLookups, ray_ends_m
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.sensors.tables import LaserTable
@@ -25,6 +25,8 @@ from nvsf_core.simulation.raydrop import HitBlend
 
 FEATURES = 14
 """Input channels of the network."""
+_NEAREST = 2
+"""Of the scans that are looked up, those nearest in time, which are counted by themselves too."""
 _PRIOR_LIMIT, _HIT_LIMIT = 0.02, 0.003
 
 
@@ -34,12 +36,11 @@ class SweepRaydrop:
 
     network: CellNetwork
     """Trained."""
-    scan_grids: RecordedSweeps
     blend: HitBlend
 
-    def __call__(self, rays: SweepRays, rendered: RenderedRays, near: np.ndarray) -> RenderedRays:
-        """The same rays with new hit probabilities; `near` (k,) are the nearest scans, the nearest first."""
-        both = hit_logits(self.network, self.scan_grids, rays, rendered, near)
+    def __call__(self, rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups) -> RenderedRays:
+        """The same rays with new hit probabilities; looked up in the nearest scans."""
+        both = hit_logits(self.network, rays, rendered, lookups)
         hit = expit(self.blend.logit(*both)).astype(np.float32)
         return replace(rendered, hit=np.where(is_corrected(rendered), hit, rendered.hit))
 
@@ -52,22 +53,17 @@ def is_corrected(rendered: RenderedRays) -> np.ndarray:
 
 @torch.no_grad()
 def hit_logits(
-    network: CellNetwork,
-    scan_grids: RecordedSweeps,
-    rays: SweepRays,
-    rendered: RenderedRays,
-    near: np.ndarray,
+    network: CellNetwork, rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups
 ) -> tuple[np.ndarray, np.ndarray]:
     """Logits (r,) float32 of a return for each ray of a sweep, by the network and by the ray head.
 
     Args:
         network: Trained.
-        scan_grids: The training scans.
         rays: Of one sweep of the recording sensor.
         rendered: By the field.
-        near: (k,) numbers of the scans that are looked up, nearest in time first.
+        lookups: In the nearest training scans.
     """
-    cells = sweep_cells(scan_grids, rays, rendered, near)
+    cells = sweep_cells(rays, rendered, lookups)
     learned = cells.prior_logit + network.corrections(cells.features)[0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)
     return back.numpy(), probability_logit(torch.from_numpy(rendered.hit), _HIT_LIMIT).numpy()
@@ -87,9 +83,7 @@ class SweepCells:
     """(l, f) bool: whether the ray meets a surface that it could return from."""
 
 
-def sweep_cells(
-    scan_grids: RecordedSweeps, rays: SweepRays, rendered: RenderedRays, near: np.ndarray
-) -> SweepCells:
+def sweep_cells(rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups) -> SweepCells:
     """The network's inputs; arguments as of `hit_logits`. The ray head's hit probabilities are not used.
 
     Raises:
@@ -102,15 +96,18 @@ def sweep_cells(
     lasers, firings = rays.shape
     is_met = np.isfinite(rendered.range_m)
     range_m = np.where(is_met, rendered.range_m, 0.0).astype(np.float32)
-    points_m = rays.origin_m + rays.direction * rendered.range_m[:, None]
-    nearest, asked = scan_grids.ask(points_m.astype(np.float32), near)
+    scan_grids, near = lookups.scan_grids, lookups.scans
+    found = lookups.at(ray_ends_m(rays, rendered.range_m))
+    nearest, asked = (
+        np.where(is_met[:, None], some.sum(axis=0), np.float32(0.0)) for some in (found[:_NEAREST], found)
+    )
     share = asked / np.float32(len(near))
-    share_nearest = nearest / np.float32(min(len(near), NEAREST))
+    share_nearest = nearest / np.float32(min(len(near), _NEAREST))
     shine = asked[:, SHINE] / np.maximum(asked[:, SAME], 1.0)
     level = np.repeat(np.linspace(-1.0, 1.0, lasers, dtype=np.float32), firings)
     channels = (
         rendered.hit_prior - 0.5,
-        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:NEAREST]) - 0.5,
+        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:_NEAREST]) - 0.5,
         is_met - 0.5,
         np.log1p(range_m) / 2.0 - 1.0,
         range_m / 40.0,

@@ -8,8 +8,6 @@ it passes the stages also shows that the installation works.
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.models.baselines.reproject import reprojection
@@ -45,8 +43,6 @@ def compile_kernels() -> None:
         recording = read_recording(run.store)
         lidar, view = recording.lidar, held_out_view(recording, scene.test_frames)
         assert lidar is not None and view is not None and view.sweeps is not None
-        # So small a field may lose against `reproject`, and then the recorded sweeps are not queried.
-        lidar.scan_grids.ask(np.zeros((1, 3), np.float32), np.zeros(1, np.int64))
         simulate_sweep(reprojection(recording), lidar, view.sweeps, float(view.sweeps.time_s[0]))
 
 
