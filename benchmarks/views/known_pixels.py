@@ -1,10 +1,10 @@
-"""Precision and recall of pixels marked *guessed*: no recorded image of the camera should show their surface.
+"""Precision and recall of pixels marked *guessed*: no recorded image should show their surface.
 
 ``SCENES=street python -m benchmarks.views.known_pixels`` reads what a run of RECIPE (default: quick) rendered
 of the embedded street (`NVSF_HOME`) and prints precision and recall for each view and camera, and for all
-together. The truth is the street's exact world: a pixel's surface is shown by a training image if it lies in
-that image and nothing stands in front of it there. Pixels of moving things are left out: they are elsewhere
-in every image.
+together. The truth is the street's exact world: a pixel's surface is shown by a training image of the
+camera, or of one that shares its images, if it lies in that image and nothing stands in front of it there.
+Pixels of moving things are left out: they are elsewhere in every image.
 """
 
 import os
@@ -20,8 +20,9 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose, transform_points
+from nvsf_core.models.residual.shared_images import shared_images
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.stages.inputs import pinhole_of
+from nvsf_core.stages.inputs import pinhole_of, read_recording
 from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
@@ -35,7 +36,7 @@ _MARGIN_SHARE, _MARGIN_M = 0.02, 0.2
 
 @dataclass(frozen=True)
 class TrueCamera:
-    """A camera's training images in the exact world."""
+    """The training images of a camera, and those that are shared with it, in the exact world."""
 
     world: DemoWorld
     pinhole: Pinhole
@@ -108,13 +109,16 @@ def _counts(store: SceneStore, path: Path, camera: str) -> Iterator[np.ndarray]:
 
 
 def _true_camera(store: SceneStore, camera: str) -> TrueCamera:
-    folder = store.require("undistorted") / "images.zarr"
-    a = read_arrays(folder, f"{camera}_frame", f"{camera}_camera_to_world")
+    recording = read_recording(store)
+    (shared,) = (one for one in shared_images(recording, list(recording.cameras)) if camera in one.cameras)
+    folder, poses = store.require("undistorted") / "images.zarr", []
     frames = {row["frame"]: row for row in read_rows(store.require("frames") / "frames.parquet")}
-    used = [n for n, frame in enumerate(a[f"{camera}_frame"].tolist()) if frames[frame]["split"] == "train"]
-    time_s = np.array([frames[int(a[f"{camera}_frame"][n])]["time_s"] for n in used])
+    for name in shared.cameras:
+        a = read_arrays(folder, f"{name}_frame", f"{name}_camera_to_world")
+        used = [frames[frame]["split"] == "train" for frame in a[f"{name}_frame"].tolist()]
+        poses.append(a[f"{name}_camera_to_world"][used])
     pinhole = pinhole_of(read_attrs(folder)["cameras"][camera])
-    return TrueCamera(DemoWorld(), pinhole, a[f"{camera}_camera_to_world"][used], time_s)
+    return TrueCamera(DemoWorld(), pinhole, np.concatenate(poses), shared.times_s(recording))
 
 
 def _quality(counts: np.ndarray) -> tuple[str, str, str]:

@@ -39,7 +39,7 @@ WHOLE: Window = (slice(None), slice(None))
 
 @dataclass(frozen=True, slots=True)
 class ShownImages:
-    """All j images of a camera in two sizes, with the channels of `Sources.images`."""
+    """All j images of one or more cameras in two sizes, with the channels of `Sources.images`."""
 
     full: Tensor
     """(j, c, H, W) float32, as recorded."""
@@ -179,6 +179,7 @@ def camera_view(
     poses: np.ndarray,
     spec: CameraSpec,
     *,
+    instant: np.ndarray | None = None,
     leave_out: Collection[int] = (),
     own: int | None = None,
     moving: Sequence[MovingPoints] = (),
@@ -192,6 +193,7 @@ def camera_view(
         images: All j images of the camera, shrunk by `shrinking`.
         poses: (j, 4, 4) camera to scene-local frame of each image.
         spec: Recipe of the camera networks.
+        instant: As in `images_near`.
         leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
         own: Number of the image that the view is of, whose depth is wanted: it is the first source; others
             are chosen at several distances from it.
@@ -206,7 +208,7 @@ def camera_view(
     if own is not None:
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
     elif images.depths is not None:
-        numbers = images_near(motions, known, label)
+        numbers = images_near(motions, known, label, instant)
         near = _near_maps(images, motions, numbers, moving)
         surfaces = depth_in_view(pinhole, near, label)
         if label is not None:

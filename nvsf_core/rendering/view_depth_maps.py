@@ -19,6 +19,8 @@ _MOST_MAPS = 12
 """Most images whose depth maps are carried into a view."""
 _SPREAD = 1.2
 """Ranks of these images by distance grow by this factor: all of the nearest, fewer and fewer farther ones."""
+_BESIDE = 4
+"""Instants, the nearest, of which the images of all cameras are taken; of others the nearest image only."""
 _LEAST_SHARE = 0.3
 """Share of the maps, by weight, that make a surface."""
 _DISTANCE_FLOOR_M = 0.5
@@ -127,7 +129,9 @@ def camera_distance_m(motions: np.ndarray) -> np.ndarray:
     return np.where(motions[..., 3, 3] > 0.0, np.linalg.norm(motions[..., :3, 3], axis=-1), np.inf)
 
 
-def images_near(motions: np.ndarray, known: Sequence[int], label: Tensor | None) -> list[int]:
+def images_near(
+    motions: np.ndarray, known: Sequence[int], label: Tensor | None, instant: np.ndarray | None = None
+) -> list[int]:
     """Images whose depth maps are carried into a view, the nearest first.
 
     They are spread by distance. At another time than the view's, an image that sees a moving object as the
@@ -137,8 +141,14 @@ def images_near(motions: np.ndarray, known: Sequence[int], label: Tensor | None)
         motions: (m, j, 4, 4) of all images, see `image_motions`.
         known: Numbers of the images to choose from, the nearest first.
         label: (H, W) uint8: moving objects in the view, as indices of `motions`, 0 = none; None = none.
+        instant: (j,) int64: number of each image's instant, the same for images of several cameras; None =
+            one camera's.
     """
-    ranks = set(spread_ranks(len(known)))
+    instants = np.arange(len(known)) if instant is None else instant[list(known)]
+    _, first, place = np.unique(instants, return_index=True, return_inverse=True)
+    nearest = np.sort(first)
+    ranks = {int(nearest[rank]) for rank in spread_ranks(len(nearest))}
+    ranks.update(np.flatnonzero(np.isin(first[place], nearest[:_BESIDE])).tolist())
     if label is not None:
         distance_m = camera_distance_m(motions[:, known])
         pixels = np.bincount(label.numpy().ravel(), minlength=len(motions))

@@ -147,6 +147,19 @@ def test_a_moving_object_brings_the_images_that_see_it_as_the_view_does() -> Non
     assert camera_distance_m(motions)[1, 18] == np.inf
 
 
+def test_near_instants_bring_the_images_of_all_cameras_and_far_ones_the_nearest() -> None:
+    """Twenty places, a metre apart, with two images each, beside one another."""
+    left = np.stack([pose(0.0, -float(k)) for k in range(20)])
+    right = np.stack([pose(0.5, -float(k)) for k in range(20)])
+    motions = image_motions(pose(0.0), np.concatenate([left, right]), [])
+    known = np.argsort(camera_distance_m(motions[0]), kind="stable").tolist()
+    alone = images_near(motions[:, :20], range(20), None)
+    both = images_near(motions, known, None, np.tile(np.arange(20), 2))
+    assert [number for number in both if number < 20] == alone
+    assert sorted(number for number in both if number >= 20) == [20, 21, 22, 23]
+    assert both == [number for number in known if number in both], "the nearest first"
+
+
 def test_what_moved_through_a_source_leaves_no_ghost_in_a_view_without_it() -> None:
     places = [pose(-0.2), pose(0.0), pose(0.2)]
     images = np.full((3, 32, 64, 3), 100, np.uint8)

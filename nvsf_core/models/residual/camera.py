@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,11 +24,17 @@ from nvsf_core.models.residual.camera_examples import LeftOut, ShownCamera
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.image_depths import image_depths
-from nvsf_core.models.residual.pose_refinement import AlignedDrive, align_drive, aligned_by, facts_of
+from nvsf_core.models.residual.pose_refinement import (
+    AlignedDrive,
+    align_drive,
+    aligned_by,
+    corrections_from,
+    facts_of,
+)
+from nvsf_core.models.residual.shared_images import SharedImages, shared_by, shared_images
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
-from nvsf_core.rendering.image_alignment import PoseCorrection
 from nvsf_core.rendering.learned_warp import render_view
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.rendered import RenderedImage
@@ -36,7 +43,8 @@ from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.training.loop import Part, fresh_state, side_by_side
 
-_METRICS = {"psnr_db": True}
+_DB = "psnr_db"
+_METRICS = {_DB: True}
 LEARNED = "learned_cameras"
 """Name of the fact: cameras whose networks beat `reproject` on validation images."""
 ALIGNED = "camera_corrections"
@@ -45,6 +53,10 @@ _FEWEST_IMAGES = 3
 """With fewer, an image that is left out has no two others to be rendered from."""
 _WINDOWS_A_VIEW = 8
 """At least so many windows are drawn of each view that is prepared to learn from."""
+SHARED = "shared_images"
+"""Name of the fact: lists of the cameras that share their images; of older models each camera is alone."""
+ALONE = "cameras_alone"
+"""Name of the fact: cameras whose views do without the images that are shared with them."""
 _MAPS = "depth_maps"
 """First part of the names of the stored depth maps."""
 
@@ -58,9 +70,12 @@ def train_camera(
     networks.to(device)
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     given = aligned_by(MovingWorld(recording), {})
+    shared = shared_images(recording, usable)
+    images = {one.name: _shown(given.world, one, recipe.camera).to(device) for one in shared}
     cameras = {
-        name: ShownCamera(given, name, _shown(given.world, name, recipe.camera).to(device), recipe.camera)
-        for name in usable
+        name: ShownCamera(given, name, one, images[one.name], recipe.camera)
+        for one in shared
+        for name in one.cameras
     }
     wanted = [(name, index) for name in usable for index in cameras[name].training]
     compared = _spread(wanted, _most_views(recipe.depth_training))
@@ -69,7 +84,7 @@ def train_camera(
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
             states={}, preparation_seconds=time.perf_counter() - started, metadata=few,
-            facts={LEARNED: [], ALIGNED: {}},
+            facts={LEARNED: [], ALIGNED: {}, SHARED: [], ALONE: []},
         )  # fmt: skip
     session.say("camera", f"{len(wanted)} images to learn from")
     depths = nn.ModuleList(one.depth for one in networks)
@@ -86,8 +101,9 @@ def train_camera(
     # They hold all images without depths.
     examples.clear()
     placing = time.perf_counter()
-    maps = {name: image_depths(networks, one) for name, one in cameras.items()}
-    cameras = {name: one.with_depths(maps[name]) for name, one in cameras.items()}
+    maps = {one.name: image_depths(networks, cameras[one.name]) for one in shared}
+    images = {name: images[name].with_depths(one) for name, one in maps.items()}
+    cameras = {name: replace(one, images=images[one.shared.name]) for name, one in cameras.items()}
     # As many without one image as without a block, and of other images where not all are drawn.
     each = math.ceil(_most_views(recipe.camera_training) / 2)
     one_out, block_out = _spread(wanted, each), _spread(wanted, each, 0.5)
@@ -104,13 +120,13 @@ def train_camera(
         ),
     )  # fmt: skip
     validating = time.perf_counter()
-    verdict, learned, corrections = _verdict(networks, given, cameras, recipe.camera)
+    verdict, facts = _verdict(networks, given, cameras, recipe.camera)
     preparation += time.perf_counter() - validating
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
         metadata={"left_out_images": len(wanted)} | verdict,
-        facts={LEARNED: learned, ALIGNED: facts_of(corrections)},
-        tensors={key: value for name, one in maps.items() for key, value in stored_maps(name, one).items()},
+        facts=facts | {SHARED: [list(one.cameras) for one in shared]},
+        tensors={key: value for name, one in maps.items() for key, value in _stored_maps(name, one).items()},
     )  # fmt: skip
 
 
@@ -140,100 +156,127 @@ def _of_members(
 
 def _verdict(
     networks: CameraEnsemble, given: AlignedDrive, cameras: Mapping[str, ShownCamera], spec: CameraSpec
-) -> tuple[dict[str, Scalar], list[str], dict[str, PoseCorrection]]:
-    """Scores on the validation images, the cameras that use the networks, and the pose corrections to use.
+) -> tuple[dict[str, Scalar], dict[str, Any]]:
+    """Scores on the validation images, and as facts the cameras that use the networks, and how.
 
-    A camera's images are aligned only if that raises the PSNR on its validation images. These take no part
-    in the alignment that is scored, or the other images' poses would depend on their pixels; the corrections
-    that are returned are of all images.
+    A camera does without the images that are shared with it if its validation images are better without.
+    Images are aligned only if that raises the PSNR on the validation images of all cameras that share them.
+    These take no part in the alignment that is scored, or the other images' poses would depend on their
+    pixels; the corrections that are returned are of all images.
     """
-    recording = given.given
     left_out = {name: one.validation for name, one in cameras.items()}
     aligning = list(cameras) if spec.aligned else []
     aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out))
+    scores = {
+        name: compare(_METRICS, one.validation, _candidates(networks, given, aligned, one))
+        for name, one in cameras.items()
+    }
     metadata: dict[str, Scalar] = {}
-    learned, better = [], []
-    for name, camera in cameras.items():
-        candidates = {
-            "learned": _by_networks(networks, camera),
-            "reproject": _by_warping(recording, name),
-        }
+    learned, better, alone = [], [], []
+    for name, found in scores.items():
+        ours = "learned"
         if name in aligned.corrections:
-            candidates["aligned"] = _by_networks(networks, replace(camera, drive=aligned, returns={}))
-        found, ours = compare(_METRICS, left_out[name], candidates), "learned"
-        if "aligned" in candidates:
-            gain_db = found.of("aligned", "psnr_db") - found.of("learned", "psnr_db")
-            metadata[f"{name}_judged_aligned_gain_db"] = gain_db
-            if found.wins("aligned", "learned"):
+            metadata[f"{name}_judged_aligned_gain_db"] = found.of("aligned", _DB) - found.of(ours, _DB)
+            sharing = [scores[other] for other in cameras[name].shared.cameras]
+            if sum(one.of("aligned", _DB) - one.of("learned", _DB) for one in sharing) > 0.0:
                 ours = "aligned"
                 better.append(name)
+        if "alone" in found.means:
+            metadata[f"{name}_judged_shared_gain_db"] = found.of("learned", _DB) - found.of("alone", _DB)
+            if found.wins("alone", "learned"):
+                ours = "alone"
+                alone.append(name)
         is_better = found.wins(ours, "reproject")
         metadata |= found.figures({ours: f"{name}_judged_", "reproject": f"{name}_judged_reproject_"})
         metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
         if is_better:
             learned.append(name)
-    return metadata, learned, align_drive(given.world, better)
+    corrections = align_drive(given.world, better)
+    return metadata, {LEARNED: learned, ALIGNED: facts_of(corrections), ALONE: alone}
+
+
+def _candidates(
+    networks: CameraEnsemble, given: AlignedDrive, aligned: AlignedDrive, camera: ShownCamera
+) -> dict[str, Callable[[int], list[float]]]:
+    """What a camera's validation images may be rendered by, each as a function that scores one of them."""
+    found = {"learned": _by_networks(networks, camera), "reproject": _by_warping(given.given, camera.name)}
+    if camera.name in aligned.corrections:
+        found["aligned"] = _by_networks(networks, replace(camera, drive=aligned, returns={}))
+    if len(camera.shared.cameras) > 1:
+        found["alone"] = _by_networks(networks, camera, alone=True)
+    return found
 
 
 def camera_renderer(
-    networks: CameraEnsemble,
-    recording: Recording,
-    spec: CameraSpec,
-    maps: Mapping[str, DepthMaps],
-    corrections: Mapping[str, PoseCorrection],
+    networks: CameraEnsemble, recording: Recording, spec: CameraSpec, weights: Weights
 ) -> ImageRenderer:
-    """Renders images by the networks for the cameras that have depth maps, by `reproject` for the others.
+    """Renders images by the networks for the cameras that use them, by `reproject` for the others.
 
     Args:
         networks: Trained.
         recording: The drive.
         spec: Of the recipe.
-        maps: Depth maps of the training images, by camera.
-        corrections: Of the images' poses, by camera.
+        weights: The facts and depth maps of the trained part.
+
+    Raises:
+        StoreError: A depth map is absent.
     """
     warp, device = warping_renderer(recording), training_device()
     networks.to(device)
-    drive = aligned_by(MovingWorld(recording), corrections)
-    world = drive.world
-    shown = {name: _shown(world, name, spec).with_depths(one).to(device) for name, one in maps.items()}
+    facts = weights.facts
+    drive = aligned_by(MovingWorld(recording), corrections_from(facts.get(ALIGNED, {})))
+    world, learned, alone = drive.world, facts[LEARNED], facts.get(ALONE, ())
+    shared = {
+        name: one
+        for one in shared_by(recording, facts.get(SHARED, [[name] for name in learned]))
+        for name in one.cameras
+        if name in learned
+    }
+    shown = {
+        one.name: _shown(world, one, spec).with_depths(_maps_from(weights, one.name)).to(device)
+        for one in set(shared.values())
+    }
 
     def render(
         camera: str, pinhole: Pinhole, pose: np.ndarray, time_s: float, near_s: float | None = None
     ) -> RenderedImage:
-        if camera not in maps:
+        if camera not in shared:
             return warp(camera, pinhole, pose, time_s, near_s)
-        one, place_s = world.recording.cameras[camera], time_s if near_s is None else near_s
+        one, place_s = shared[camera], time_s if near_s is None else near_s
         at = drive.pose_at(camera, pose, place_s)
-        moving = world.moving(time_s, one.training_time_s, from_m=pose[:3, 3])
+        moving = world.moving(time_s, one.times_s(recording), from_m=pose[:3, 3])
         lidar = lidar_view(at, pinhole, world.static_points(place_s), moving)
-        view = camera_view(at, pinhole, lidar, shown[camera], one.training.pose, spec, moving=moving)
+        poses = one.poses(world.recording)
+        others = one.of_others(camera) if camera in alone else ()
+        view = camera_view(
+            at, pinhole, lidar, shown[one.name], poses, spec, instant=one.instant, leave_out=others,
+            moving=moving,
+        )  # fmt: skip
         return render_view(networks, view.to(device))
 
     return render
 
 
-def stored_maps(camera: str, maps: DepthMaps) -> dict[str, Tensor]:
-    """A camera's depth maps as tensors to store; half precision is exact to 0.05 %."""
+def _stored_maps(camera: str, maps: DepthMaps) -> dict[str, Tensor]:
+    """Depth maps as tensors to store under a camera's name; half precision is exact to 0.05 %."""
     mover = {f"{_MAPS}.{camera}.mover": maps.mover} if maps.mover.any() else {}
     return {f"{_MAPS}.{camera}.inverse": maps.inverse.half(), **mover}
 
 
-def maps_from(weights: Weights, camera: str) -> DepthMaps:
-    """A camera's depth maps from stored tensors.
-
-    Raises:
-        StoreError: They are absent.
-    """
+def _maps_from(weights: Weights, camera: str) -> DepthMaps:
+    """A camera's depth maps from stored tensors."""
     inverse, mover = weights.tensor(f"{_MAPS}.{camera}.inverse").float(), f"{_MAPS}.{camera}.mover"
     has_movers = weights.has(mover)
     return DepthMaps(inverse, weights.tensor(mover) if has_movers else torch.zeros(inverse.shape).short())
 
 
-def _by_networks(networks: CameraEnsemble, camera: ShownCamera) -> Callable[[int], list[float]]:
-    """Scores a left-out image as the networks render it."""
+def _by_networks(
+    networks: CameraEnsemble, camera: ShownCamera, *, alone: bool = False
+) -> Callable[[int], list[float]]:
+    """Scores a left-out image as the networks render it; `alone`: from this camera's images only."""
 
     def score(index: int) -> list[float]:
-        shown = render_view(networks, camera.view(index, {index}))
+        shown = render_view(networks, camera.from_others(index, alone=alone))
         return _scores(camera.drive.given, camera.name, index, shown)
 
     return score
@@ -262,11 +305,12 @@ def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage)
     return [psnr(shown.rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value]
 
 
-def _shown(world: MovingWorld, camera: str, spec: CameraSpec) -> ShownImages:
-    one = world.recording.cameras[camera]
-    images = one.training
-    factor = shrinking(images.pinhole, spec)
-    return shown_images(images.rgb, images.valid, factor, world.shadows(one))
+def _shown(world: MovingWorld, shared: SharedImages, spec: CameraSpec) -> ShownImages:
+    cameras = [world.recording.cameras[name] for name in shared.cameras]
+    first, shadows = cameras[0].training, [world.shadows(one) for one in cameras]
+    known = [one for one in shadows if one is not None]
+    moving = np.concatenate(known) if known else None
+    return shown_images(shared.rgb(world.recording), first.valid, shrinking(first.pinhole, spec), moving)
 
 
 def _images(recording: Recording, camera: str) -> int:

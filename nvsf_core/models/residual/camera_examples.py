@@ -1,7 +1,7 @@
-"""Training images of a camera as views that its other images render."""
+"""Training images of a camera as views that the other images render."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -10,11 +10,11 @@ from torch.nn import functional
 
 from nvsf_core.models.holdout import validation_numbers
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
+from nvsf_core.models.residual.shared_images import SharedImages
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
 from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
-from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import to_float
 
 _BLOCKS_M = (1.0, 2.0, 4.0)
@@ -50,8 +50,10 @@ class ShownCamera:
     """With the images' poses."""
     name: str
     """Of the camera."""
+    shared: SharedImages
+    """Its training images and those of the cameras that share theirs with it."""
     images: ShownImages
-    """All training images, as sources."""
+    """All of these, as sources."""
     spec: CameraSpec
     """Of the recipe."""
     returns: dict[int, tuple[list[MovingPoints], LidarView]] = field(default_factory=dict)
@@ -59,45 +61,56 @@ class ShownCamera:
 
     @property
     def validation(self) -> range:
-        """Numbers of the training images that are for validation; at least one, never all."""
-        return validation_numbers(len(self.images.full), self.spec.judge_every, self.spec.judge_every // 3)
+        """Which of its own training images are for validation; at least one, never all."""
+        return validation_numbers(self.shared.count, self.spec.judge_every, self.spec.judge_every // 3)
 
     @property
     def training(self) -> list[int]:
-        """Numbers of the other images."""
-        return [index for index in range(len(self.images.full)) if index not in self.validation]
+        """Which are not."""
+        return [index for index in range(self.shared.count) if index not in self.validation]
 
-    def with_depths(self, maps: DepthMaps) -> "ShownCamera":
-        """The same camera, whose images have depth maps."""
-        return replace(self, images=self.images.with_depths(maps))
+    @property
+    def for_validation(self) -> set[int]:
+        """Numbers of all shared images that are for validation."""
+        return {number for index in self.validation for number in self.shared.at_instant_of(index)}
 
     def itself(self, index: int) -> LeftOut:
-        """An image among its own sources, by which its depth is found; images for validation are none."""
-        return self._with_truth(self.view(index, set(self.validation) - {index}, own=index), index)
+        """One of its images among its own sources, by which its depth is found.
+
+        Images for validation are no sources.
+        """
+        number = self.shared.number(self.name, index)
+        return self._with_truth(self._view(index, self.for_validation - {number}, own=number), index)
 
     def left_out(self, index: int) -> LeftOut:
-        """An image rendered from all others."""
-        return self._with_truth(self.view(index, {index}), index)
+        """One of its images rendered from all of other instants."""
+        return self._with_truth(self.from_others(index), index)
 
     def left_out_in_block(self, index: int, place: int) -> LeftOut:
-        """An image rendered from those beyond a distance, another one at each place among the views."""
+        """One of its images rendered from those beyond a distance, which alternates with `place`."""
         block = self._block(index, _BLOCKS_M[place % len(_BLOCKS_M)])
-        return self._with_truth(self.view(index, block), index)
+        return self._with_truth(self._view(index, block), index)
 
-    def view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
-        """The view of a training image by the others; the scan of its instant is known to their depths alone.
+    def from_others(self, index: int, *, alone: bool = False) -> CameraView:
+        """The view of one of its images by all of other instants; `alone`: by its own only."""
+        not_own = self.shared.of_others(self.name) if alone else set()
+        return self._view(index, self.shared.at_instant_of(index) | not_own)
+
+    def _view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
+        """The view of one of its images; the scan of its instant is known to the others' depths alone.
 
         Args:
-            index: Number of the image.
-            leave_out: Numbers of images that are no sources.
+            index: Of the image among its own.
+            leave_out: Numbers of shared images that are no sources.
             own: As in `camera_view`.
         """
-        shown = self.drive.world.recording.cameras[self.name].training
+        recording = self.drive.world.recording
         pose = self.drive.left_out_pose(self.name, index)
         moving, lidar = self._returns(index)
         view = camera_view(
-            pose, shown.pinhole, lidar, self.images, shown.pose, self.spec, leave_out=leave_out, own=own,
-            moving=moving,
+            pose, recording.cameras[self.name].training.pinhole, lidar, self.images,
+            self.shared.poses(recording), self.spec, instant=self.shared.instant, leave_out=leave_out,
+            own=own, moving=moving,
         )  # fmt: skip
         return view.to(self.images.full.device)
 
@@ -108,7 +121,7 @@ class ShownCamera:
             world = self.drive.world
             one = world.recording.cameras[self.name]
             time_s, pose = float(one.training_time_s[index]), self.drive.left_out_pose(self.name, index)
-            moving = world.moving(time_s, one.training_time_s, leave_out=True)
+            moving = world.moving(time_s, self.shared.times_s(world.recording), leave_out=True)
             static_m = world.static_points(time_s, leave_out=True)
             found = moving, lidar_view(pose, one.training.pinhole, static_m, moving)
             self.returns[index] = found
@@ -122,10 +135,11 @@ class ShownCamera:
         return example.to(self.images.full.device)
 
     def _block(self, index: int, radius_m: float) -> set[int]:
-        """Numbers of the images within a distance of one of them, which is one; at least two are left."""
-        position_m = self.drive.world.recording.cameras[self.name].training.pose[:, :3, 3]
-        distance_m = np.linalg.norm(position_m - position_m[index], axis=1)
-        distance_m[index] = -1.0
+        """Numbers of the images of its instant and within a distance of it; at least two are left."""
+        position_m = self.shared.poses(self.drive.world.recording)[:, :3, 3]
+        number, instant = self.shared.number(self.name, index), list(self.shared.at_instant_of(index))
+        distance_m = np.linalg.norm(position_m - position_m[number], axis=1)
+        distance_m[instant] = -1.0
         order = np.argsort(distance_m, kind="stable")
         inside = int(np.count_nonzero(distance_m <= radius_m))
-        return set(order[: max(1, min(inside, len(order) - _FEWEST_SOURCES))].tolist())
+        return set(order[: max(len(instant), min(inside, len(order) - _FEWEST_SOURCES))].tolist())

@@ -11,12 +11,11 @@ from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.family import Trained, TrainedPart, TrainingSession, Weights
-from nvsf_core.models.residual.camera import ALIGNED, LEARNED, camera_renderer, maps_from, train_camera
+from nvsf_core.models.residual.camera import camera_renderer, train_camera
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
 from nvsf_core.models.residual.pano_neighbours import FEATURES as PANO_FEATURES
 from nvsf_core.models.residual.pano_neighbours import PARTS
-from nvsf_core.models.residual.pose_refinement import corrections_from
 from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction, train_hits
 from nvsf_core.models.residual.raydrop_grid import FEATURES as HITS_FEATURES
 from nvsf_core.recipe import HitsSpec, PanoSpec, ResidualRecipe
@@ -149,9 +148,7 @@ def load(
             model = _with_lidar(model, recipe, fields, weights, recording.lidar)
     if fields.camera is not None and with_camera:
         weights.load_into(fields.camera, "camera.")
-        corrections = corrections_from(facts.get(ALIGNED, {}))
-        maps = {name: maps_from(weights, name) for name in facts[LEARNED]}
-        camera = camera_renderer(fields.camera, recording, recipe.camera, maps, corrections)
+        camera = camera_renderer(fields.camera, recording, recipe.camera, weights)
         model = replace(model, camera=camera)
     return model
 

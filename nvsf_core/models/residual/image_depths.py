@@ -18,7 +18,7 @@ _MARGIN_M = 0.3
 
 
 def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
-    """Depth maps of a camera's training images.
+    """Depth maps of a camera's training images, and of those that are shared with it, in their order.
 
     Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth
     depends on an image for validation but its own: rendered, such an image knows nothing of its own pixels.
@@ -26,26 +26,27 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
 
     Args:
         networks: Whose depth networks compare the images.
-        camera: Whose images have no depths yet.
+        camera: Whose images have no depths yet; any of those that share theirs.
     """
     world, images = camera.drive.world, camera.images
-    one = world.recording.cameras[camera.name]
-    shown, time_s = one.training, one.training_time_s
+    shown, recording = world.recording.cameras[camera.name].training, world.recording
+    poses, time_s = camera.shared.poses(recording), camera.shared.times_s(recording)
     around_movers = images.moving
 
     def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
         instant_s = float(time_s[number])
         moving = world.moving(instant_s, time_s)
-        lidar = lidar_view(shown.pose[number], shown.pinhole, world.static_points(instant_s), moving)
+        lidar = lidar_view(poses[number], shown.pinhole, world.static_points(instant_s), moving)
         view = camera_view(
-            shown.pose[number], shown.pinhole, lidar, images, shown.pose, camera.spec,
-            leave_out=set(camera.validation) - {number}, own=number, moving=moving,
+            poses[number], shown.pinhole, lidar, images, poses, camera.spec,
+            instant=camera.shared.instant, leave_out=camera.for_validation - {number}, own=number,
+            moving=moving,
         )  # fmt: skip
         inverse = image_inverse_depth(networks, view.to(images.full.device), camera.spec).cpu().numpy()
         mover = np.zeros(inverse.shape, np.int16)
         for place, each in enumerate(moving, start=1):
             assert view.label is not None
-            mover[(view.label.numpy() == place) & _is_at(inverse, each, shown.pose[number])] = each.number
+            mover[(view.label.numpy() == place) & _is_at(inverse, each, poses[number])] = each.number
         known = shown.valid
         if around_movers is not None:
             known = known & ((mover > 0) | ~around_movers[number].cpu().numpy())

@@ -1,0 +1,144 @@
+"""Laws of cameras that share their images, on the demo's stereo pair and side camera."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.models.residual.camera import ALONE, LEARNED, SHARED, camera_renderer, train_camera
+from nvsf_core.models.residual.camera_examples import ShownCamera
+from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.models.residual.pose_refinement import aligned_by
+from nvsf_core.models.residual.shared_images import shared_by, shared_images
+from nvsf_core.recipe import CameraSpec, preset
+from nvsf_core.recording.drive import Recording
+from nvsf_core.rendering.camera_view import shown_images, shrinking
+from nvsf_core.stages import SceneRun, plan_run, run_named_stage
+from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.runner.checkpoints import StageSession
+from nvsf_core.stages.runner.stage import Task
+from nvsf_core.stores.checkpoints import StoredWeights
+
+FRAMES = 6
+PAIR = ("image_00", "image_01")
+CAMERAS = (*PAIR, "image_02")
+SIZE = replace(DemoSize.tiny(), frames=FRAMES, cameras=CAMERAS)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+    """The demo as far as training reads it, all frames for training."""
+    folder: Path = tmp_path_factory.mktemp("shared")
+    write_demo(folder / "drive", size=SIZE)
+    scene = SceneEntry(
+        name="shared", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=FRAMES - 1,
+        test_frames=(), sweep_period_s=0.1,
+    )  # fmt: skip
+    run = plan_run(scene, folder / "home", recipe=preset("smoke"))
+    for stage in ("frames", "sweeps", "undistorted", "evidence"):
+        run_named_stage(stage, run, lambda _: None)
+    return run
+
+
+@pytest.fixture(scope="module")
+def drive(run: SceneRun) -> Recording:
+    return read_recording(run.store)
+
+
+def shown(drive: Recording, camera: str) -> ShownCamera:
+    (shared,) = (one for one in shared_images(drive, CAMERAS) if camera in one.cameras)
+    images, spec = drive.cameras[camera].training, CameraSpec()
+    factor = shrinking(images.pinhole, spec)
+    sources = shown_images(shared.rgb(drive), images.valid, factor)
+    return ShownCamera(aligned_by(MovingWorld(drive), {}), camera, shared, sources, spec)
+
+
+def test_a_stereo_pair_shares_and_a_side_camera_does_not(drive: Recording) -> None:
+    assert [one.cameras for one in shared_images(drive, CAMERAS)] == [PAIR, ("image_02",)]
+    assert [one.cameras for one in shared_images(drive, PAIR[:1])] == [PAIR[:1]]
+    right = drive.cameras[PAIR[1]]
+    zoomed = replace(right.training.pinhole, fx=right.training.pinhole.fx * 1.01)
+    others = (
+        replace(right, training=replace(right.training, pinhole=zoomed)),
+        replace(right, training=replace(right.training, pixel=right.training.pixel[:-1])),
+        replace(right, training_time_s=right.training_time_s + 0.001),
+    )
+    for other in others:
+        changed = replace(drive, cameras=drive.cameras | {PAIR[1]: other})
+        assert [one.cameras for one in shared_images(changed, PAIR)] == [PAIR[:1], PAIR[1:]]
+
+
+def test_numbers_are_those_of_poses_images_and_instants(drive: Recording) -> None:
+    (shared,) = shared_by(drive, [PAIR])
+    for camera in PAIR:
+        one = drive.cameras[camera]
+        for index in range(FRAMES):
+            number = shared.number(camera, index)
+            assert np.array_equal(shared.poses(drive)[number], one.training.pose[index])
+            assert np.array_equal(shared.rgb(drive)[number], one.training.rgb[index])
+            assert shared.times_s(drive)[number] == one.training_time_s[index]
+            instant = shared.at_instant_of(index)
+            assert number in instant and len(instant) == 2
+            assert {int(shared.instant[each]) for each in instant} == {index}
+            assert (number in shared.of_others(camera)) is False
+    assert shared.of_others(PAIR[0]) | shared.of_others(PAIR[1]) == set(range(2 * FRAMES))
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_an_image_is_never_rendered_from_another_of_its_instant(drive: Recording, camera: str) -> None:
+    one = shown(drive, camera)
+    for index in range(FRAMES):
+        instant = one.shared.at_instant_of(index)
+        views = [one.from_others(index), *(one.left_out_in_block(index, place).view for place in range(3))]
+        for view in views:
+            assert not instant & set(view.chosen)
+        own = set(one.from_others(index, alone=True).chosen)
+        assert not own & (one.shared.of_others(camera) | instant)
+    assert not set(one.training) & set(one.validation)
+
+
+def test_each_image_has_the_other_of_its_instant_beside_it_for_its_depth(drive: Recording) -> None:
+    one = shown(drive, PAIR[0])
+    for index in one.training:
+        sources = one.itself(index).view.chosen
+        assert sources[0] == one.shared.number(PAIR[0], index)
+        assert one.shared.number(PAIR[1], index) in sources
+        assert not one.for_validation & set(sources)
+
+
+def test_a_pair_has_one_set_of_depth_maps_and_each_camera_may_do_without_the_others_images(
+    run: SceneRun, drive: Recording, tmp_path: Path
+) -> None:
+    once = replace(preset("smoke").camera_training, steps=1)
+    recipe = replace(preset("smoke"), depth_training=once, camera_training=once)
+    networks = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0))
+    task = Task(scene=run.scene, store=run.store, config=replace(run.config, recipe=recipe), folder=tmp_path,
+                progress=lambda _: None)  # fmt: skip
+    trained = train_camera(StageSession(task, tmp_path), networks, recipe, drive)
+    assert trained.facts[SHARED] == [list(PAIR), ["image_02"]]
+    maps = {name: len(one) for name, one in trained.tensors.items() if name.endswith("inverse")}
+    assert maps == {"depth_maps.image_00.inverse": 2 * FRAMES, "depth_maps.image_02.inverse": FRAMES}
+    assert {f"{name}_judged_shared_gain_db" in trained.metadata for name in PAIR} == {True}
+    assert "image_02_judged_shared_gain_db" not in trained.metadata
+
+    def images(facts: dict[str, object]) -> dict[str, np.ndarray]:
+        render = camera_renderer(
+            networks, drive, recipe.camera, StoredWeights(trained.tensors, facts, tmp_path)
+        )
+        found = {}
+        for name in CAMERAS:
+            one = drive.cameras[name]
+            pose, time_s = one.training.pose[2:4].mean(axis=0), float(one.training_time_s[2:4].mean())
+            found[name] = render(name, one.training.pinhole, pose, time_s).rgb
+        return found
+
+    facts = trained.facts | {LEARNED: list(CAMERAS), ALONE: []}
+    shared, alone = images(facts), images(facts | {ALONE: ["image_01"]})
+    assert [np.array_equal(shared[name], alone[name]) for name in CAMERAS] == [True, False, True]
+    older = {name: value for name, value in facts.items() if name not in (SHARED, ALONE)}
+    assert np.array_equal(images(older | {LEARNED: ["image_02"]})["image_02"], shared["image_02"])
