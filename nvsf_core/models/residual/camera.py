@@ -32,6 +32,7 @@ from nvsf_core.models.residual.pose_refinement import (
     facts_of,
 )
 from nvsf_core.models.residual.shared_images import SharedImages, shared_by, shared_images
+from nvsf_core.models.residual.tones import ToneCurve, tones_of, with_tones
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
@@ -55,6 +56,8 @@ _WINDOWS_A_VIEW = 8
 """At least so many windows are drawn of each view that is prepared to learn from."""
 SHARED = "shared_images"
 """Name of the fact: lists of the cameras that share their images; of older models each camera is alone."""
+TONES = "tones"
+"""Name of the fact: by camera, gain and exponent of its `ToneCurve`."""
 ALONE = "cameras_alone"
 """Name of the fact: cameras whose views do without the images that are shared with them."""
 _MAPS = "depth_maps"
@@ -69,8 +72,10 @@ def train_camera(
     device = training_device()
     networks.to(device)
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
-    given = aligned_by(MovingWorld(recording), {})
     shared = shared_images(recording, usable)
+    tones = tones_of(recording, shared)
+    recording = with_tones(recording, tones)
+    given = aligned_by(MovingWorld(recording), {})
     images = {one.name: _shown(given.world, one, recipe.camera).to(device) for one in shared}
     cameras = {
         name: ShownCamera(given, name, one, images[one.name], recipe.camera)
@@ -84,7 +89,7 @@ def train_camera(
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
             states={}, preparation_seconds=time.perf_counter() - started, metadata=few,
-            facts={LEARNED: [], ALIGNED: {}, SHARED: [], ALONE: []},
+            facts={LEARNED: [], ALIGNED: {}, SHARED: [], TONES: {}, ALONE: []},
         )  # fmt: skip
     session.say("camera", f"{len(wanted)} images to learn from")
     depths = nn.ModuleList(one.depth for one in networks)
@@ -125,7 +130,10 @@ def train_camera(
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
         metadata={"left_out_images": len(wanted)} | verdict,
-        facts=facts | {SHARED: [list(one.cameras) for one in shared]},
+        facts=facts | {
+            SHARED: [list(one.cameras) for one in shared],
+            TONES: {name: (one.gain, one.exponent) for name, one in tones.items()},
+        },
         tensors={key: value for name, one in maps.items() for key, value in _stored_maps(name, one).items()},
     )  # fmt: skip
 
@@ -224,7 +232,9 @@ def camera_renderer(
     warp, device = warping_renderer(recording), training_device()
     networks.to(device)
     facts = weights.facts
-    drive = aligned_by(MovingWorld(recording), corrections_from(facts.get(ALIGNED, {})))
+    tones = {name: ToneCurve(*map(tuple, one)) for name, one in facts.get(TONES, {}).items()}
+    corrections = corrections_from(facts.get(ALIGNED, {}))
+    drive = aligned_by(MovingWorld(with_tones(recording, tones)), corrections)
     world, learned, alone = drive.world, facts[LEARNED], facts.get(ALONE, ())
     shared = {
         name: one
@@ -252,7 +262,8 @@ def camera_renderer(
             at, pinhole, lidar, shown[one.name], poses, spec, instant=one.instant, leave_out=others,
             moving=moving,
         )  # fmt: skip
-        return render_view(networks, view.to(device))
+        found = render_view(networks, view.to(device))
+        return replace(found, rgb=tones[camera].inverse().of(found.rgb)) if camera in tones else found
 
     return render
 

@@ -10,11 +10,13 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble
-from nvsf_core.models.residual.camera import ALONE, LEARNED, SHARED, camera_renderer, train_camera
+from nvsf_core.models.family import TrainedPart
+from nvsf_core.models.residual.camera import ALONE, LEARNED, SHARED, TONES, camera_renderer, train_camera
 from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.pose_refinement import aligned_by
 from nvsf_core.models.residual.shared_images import shared_by, shared_images
+from nvsf_core.models.residual.tones import ToneCurve
 from nvsf_core.recipe import CameraSpec, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import shown_images, shrinking
@@ -111,34 +113,61 @@ def test_each_image_has_the_other_of_its_instant_beside_it_for_its_depth(drive: 
         assert not one.for_validation & set(sources)
 
 
-def test_a_pair_has_one_set_of_depth_maps_and_each_camera_may_do_without_the_others_images(
-    run: SceneRun, drive: Recording, tmp_path: Path
-) -> None:
+def trained_once(run: SceneRun, drive: Recording, folder: Path) -> tuple[TrainedPart, CameraEnsemble]:
     once = replace(preset("smoke").camera_training, steps=1)
     recipe = replace(preset("smoke"), depth_training=once, camera_training=once)
     networks = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0))
-    task = Task(scene=run.scene, store=run.store, config=replace(run.config, recipe=recipe), folder=tmp_path,
-                progress=lambda _: None)  # fmt: skip
-    trained = train_camera(StageSession(task, tmp_path), networks, recipe, drive)
+    config = replace(run.config, recipe=recipe)
+    task = Task(scene=run.scene, store=run.store, config=config, folder=folder, progress=lambda _: None)
+    return train_camera(StageSession(task, folder), networks, recipe, drive), networks
+
+
+def images(
+    networks: CameraEnsemble, trained: TrainedPart, drive: Recording, facts: dict[str, object]
+) -> dict[str, np.ndarray]:
+    """A view half-way between two images of each camera, by the networks."""
+    weights = StoredWeights(trained.tensors, facts, Path("weights.safetensors"))
+    render = camera_renderer(networks, drive, preset("smoke").camera, weights)
+    found = {}
+    for name in CAMERAS:
+        one = drive.cameras[name]
+        pose, time_s = one.training.pose[2:4].mean(axis=0), float(one.training_time_s[2:4].mean())
+        found[name] = render(name, one.training.pinhole, pose, time_s).rgb
+    return found
+
+
+def test_a_pair_has_one_set_of_depth_maps_and_each_camera_may_do_without_the_others_images(
+    run: SceneRun, drive: Recording, tmp_path: Path
+) -> None:
+    trained, networks = trained_once(run, drive, tmp_path)
     assert trained.facts[SHARED] == [list(PAIR), ["image_02"]]
+    assert trained.facts[TONES] == {}, "both look alike"
     maps = {name: len(one) for name, one in trained.tensors.items() if name.endswith("inverse")}
     assert maps == {"depth_maps.image_00.inverse": 2 * FRAMES, "depth_maps.image_02.inverse": FRAMES}
-    assert {f"{name}_judged_shared_gain_db" in trained.metadata for name in PAIR} == {True}
-    assert "image_02_judged_shared_gain_db" not in trained.metadata
-
-    def images(facts: dict[str, object]) -> dict[str, np.ndarray]:
-        render = camera_renderer(
-            networks, drive, recipe.camera, StoredWeights(trained.tensors, facts, tmp_path)
-        )
-        found = {}
-        for name in CAMERAS:
-            one = drive.cameras[name]
-            pose, time_s = one.training.pose[2:4].mean(axis=0), float(one.training_time_s[2:4].mean())
-            found[name] = render(name, one.training.pinhole, pose, time_s).rgb
-        return found
+    judged = [f"{name}_judged_shared_gain_db" in trained.metadata for name in CAMERAS]
+    assert judged == [True, True, False]
 
     facts = trained.facts | {LEARNED: list(CAMERAS), ALONE: []}
-    shared, alone = images(facts), images(facts | {ALONE: ["image_01"]})
+    shared = images(networks, trained, drive, facts)
+    alone = images(networks, trained, drive, facts | {ALONE: ["image_01"]})
     assert [np.array_equal(shared[name], alone[name]) for name in CAMERAS] == [True, False, True]
-    older = {name: value for name, value in facts.items() if name not in (SHARED, ALONE)}
-    assert np.array_equal(images(older | {LEARNED: ["image_02"]})["image_02"], shared["image_02"])
+    older = {name: value for name, value in facts.items() if name not in (SHARED, TONES, ALONE)}
+    by_older = images(networks, trained, drive, older | {LEARNED: ["image_02"]})
+    assert np.array_equal(by_older["image_02"], shared["image_02"])
+
+
+def test_each_camera_of_a_pair_keeps_its_own_exposure(
+    run: SceneRun, drive: Recording, tmp_path: Path
+) -> None:
+    right = drive.cameras[PAIR[1]].training
+    darker = replace(right, rgb=ToneCurve((0.7,) * 3, (1.1,) * 3).of(right.rgb))
+    cameras = drive.cameras | {PAIR[1]: replace(drive.cameras[PAIR[1]], training=darker)}
+    drive = replace(drive, cameras=cameras)
+    trained, networks = trained_once(run, drive, tmp_path)
+    assert list(trained.facts[TONES]) == [PAIR[1]]
+    assert min(trained.metadata[f"{name}_judged_psnr_db"] for name in PAIR) > 10.0
+    shown = images(networks, trained, drive, trained.facts | {LEARNED: list(CAMERAS), ALONE: []})
+    for name in PAIR:
+        recorded = drive.cameras[name].training.rgb[2:4].mean()
+        assert abs(shown[name].mean() - recorded) < 5.0
+    assert shown[PAIR[0]].mean() - shown[PAIR[1]].mean() > 20.0
