@@ -1,5 +1,6 @@
 """Cameras with the same intrinsics, as of a stereo pair: the images of each are sources for all of them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,9 @@ import numpy as np
 
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.images import CameraRecording
+
+_LEAST_COSINE = math.cos(math.radians(15.0))
+"""Between the axes of cameras that look the same way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,8 @@ class SharedImages:
 def shared_images(recording: Recording, cameras: Sequence[str]) -> tuple[SharedImages, ...]:
     """Which of the named cameras share their training images, each named once.
 
-    They do if intrinsics, valid pixels and instants are the same.
+    They do if they look the same way, intrinsics, valid pixels and instants are the same, and all are grey or
+    all in colour: KITTI's car carries a grey and a coloured pair with the same intrinsics.
     """
     alike: list[list[str]] = []
     for name in cameras:
@@ -79,4 +84,11 @@ def _are_alike(one: CameraRecording, other: CameraRecording) -> bool:
         one.training.pinhole == other.training.pinhole
         and np.array_equal(one.training.pixel, other.training.pixel)
         and np.array_equal(one.training_time_s, other.training_time_s)
+        and float(one.in_lidar[:3, 2] @ other.in_lidar[:3, 2]) > _LEAST_COSINE
+        and _is_grey(one.training.rgb[0]) == _is_grey(other.training.rgb[0])
     )
+
+
+def _is_grey(rgb: np.ndarray) -> bool:
+    """Whether an image (H, W, 3) has no colours."""
+    return bool((rgb == rgb[..., :1]).all())

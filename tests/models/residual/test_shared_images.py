@@ -10,6 +10,7 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.geometry.se3 import exp_se3
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.camera import ALONE, LEARNED, SHARED, TONES, camera_renderer, train_camera
 from nvsf_core.models.residual.camera_examples import ShownCamera
@@ -64,11 +65,14 @@ def test_a_stereo_pair_shares_and_a_side_camera_does_not(drive: Recording) -> No
     assert [one.cameras for one in shared_images(drive, CAMERAS)] == [PAIR, ("image_02",)]
     assert [one.cameras for one in shared_images(drive, PAIR[:1])] == [PAIR[:1]]
     right = drive.cameras[PAIR[1]]
+    grey = np.repeat(right.training.rgb[..., 1:2], 3, axis=-1)
     zoomed = replace(right.training.pinhole, fx=right.training.pinhole.fx * 1.01)
     others = (
         replace(right, training=replace(right.training, pinhole=zoomed)),
         replace(right, training=replace(right.training, pixel=right.training.pixel[:-1])),
+        replace(right, training=replace(right.training, rgb=grey)),
         replace(right, training_time_s=right.training_time_s + 0.001),
+        replace(right, in_lidar=right.in_lidar @ exp_se3(np.array([0.0, 0.0, 0.0, 0.0, 0.3, 0.0]))),
     )
     for other in others:
         changed = replace(drive, cameras=drive.cameras | {PAIR[1]: other})
