@@ -8,10 +8,11 @@ import numpy as np
 from nvsf_core.models.baselines.copy_nearest import copied_ranges, nearest_earlier
 from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.sensors.linear_pano import LinearPano
+from nvsf_core.simulation.ray_renderers import reprojecting_renderer
 from nvsf_core.simulation.raydrop import cells_return
 from nvsf_core.simulation.scene_model import PanoRenderer, RayRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, render_along, simulate_sweep
-from nvsf_core.simulation.view_plan import SweepPlan
+from nvsf_core.simulation.view_plan import SweepPlan, recorded_sweep
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.views.view import render_all
 
@@ -168,11 +169,17 @@ def _nearest_training(sweeps: Sweeps, time_s: float) -> slice:
 
 
 def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:
-    """Render a few rays: the first call of a compiled kernel loads it, and must not count as render time."""
+    """Render a few rays, and a whole sweep by `reproject`, which is fast.
+
+    The first sweep of a process loads compiled kernels and arranges the recorded scans for lookups: that must
+    not count as the render time of all that follow.
+    """
     a = lidar.sweeps.arrays
     count = len(a["origin_m"][:64])
     fired_s = np.full(count, a["time_s"][0], np.float64)
     render(a["origin_m"][:count], a["direction"][:count], np.ones(count, np.float32), fired_s)
+    time_s, cheap = float(a["time_s"][0]), SceneModel(lidar=reprojecting_renderer(lidar), camera=None)
+    simulate_sweep(cheap, lidar, recorded_sweep(lidar.sweeps.table, time_s), time_s)
 
 
 def _joined(scans: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
