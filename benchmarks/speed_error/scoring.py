@@ -124,7 +124,7 @@ class Judge:
         lidar, plan = self.recording.lidar, self.view.sweeps
         if model.lidar is None or lidar is None or plan is None:
             return None
-        warm_up(lidar, model.lidar)
+        warm_up(lidar, [model.lidar])
         started = time.perf_counter()
         simulate_sweep(replace(model, unobserved=None), lidar, plan, float(plan.time_s[0]))
         return time.perf_counter() - started

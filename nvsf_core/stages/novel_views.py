@@ -64,9 +64,8 @@ def run(task: Task) -> StageOutput:
     if mesh is not None:
         models[MESH] = mesh
     started = time.perf_counter()
-    for model in models.values():
-        if recording.lidar is not None and model.lidar is not None:
-            warm_up(recording.lidar, model.lidar)
+    if recording.lidar is not None:
+        warm_up(recording.lidar, [one.lidar for one in models.values() if one.lidar is not None])
     output.metadata["warm_up_seconds"] = time.perf_counter() - started
     held_out = held_out_view(recording, task.scene.test_frames)
     if held_out is not None:

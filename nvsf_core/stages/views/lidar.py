@@ -1,7 +1,7 @@
 """Scans of a view: simulated sweeps, ranges along recorded rays, and copies of the nearest training scan."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -168,8 +168,8 @@ def _nearest_training(sweeps: Sweeps, time_s: float) -> slice:
     return sweeps.returns_of(int(training[nearest_earlier(sweeps.arrays["time_s"][training], time_s)]))
 
 
-def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:
-    """Render a few rays, and a whole sweep by `reproject`, which is fast.
+def warm_up(lidar: LidarRecording, renderers: Iterable[RayRenderer]) -> None:
+    """Render a few rays by each, and a whole sweep by `reproject`, which is fast.
 
     The first sweep of a process loads compiled kernels and arranges the recorded scans for lookups: that must
     not count as the render time of all that follow.
@@ -177,7 +177,8 @@ def warm_up(lidar: LidarRecording, render: RayRenderer) -> None:
     a = lidar.sweeps.arrays
     count = len(a["origin_m"][:64])
     fired_s = np.full(count, a["time_s"][0], np.float64)
-    render(a["origin_m"][:count], a["direction"][:count], np.ones(count, np.float32), fired_s)
+    for render in renderers:
+        render(a["origin_m"][:count], a["direction"][:count], np.ones(count, np.float32), fired_s)
     time_s, cheap = float(a["time_s"][0]), SceneModel(lidar=reprojecting_renderer(lidar), camera=None)
     simulate_sweep(cheap, lidar, recorded_sweep(lidar.sweeps.table, time_s), time_s)
 

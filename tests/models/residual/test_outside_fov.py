@@ -1,26 +1,25 @@
 """A sensor that looks above the recorded lasers: images answer there, and nowhere else."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
+from nvsf_core.demo.drive import DemoSize
 from nvsf_core.demo.lidar import exact_rays
 from nvsf_core.demo.world import DemoWorld
-from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
+from nvsf_core.drives.catalogue import ViewEntry
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.outside_fov import looks_above, seen_above
-from nvsf_core.recipe import preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.beam_table import firing_grid
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.sweep_simulation import SimulatedSweep, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from nvsf_core.stages import SceneRun, plan_run, run_named_stage
+from nvsf_core.stages import SceneRun
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.views.view import asked_view
+from tests.models.residual.conftest import Prepare
 
 FRAMES, AT = 9, 4
 SIZE = DemoSize(
@@ -31,18 +30,9 @@ VLP_16 = ViewEntry(name="vlp16", sensor="VLP-16", frames=(AT,))
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def run(prepare: Prepare) -> SceneRun:
     """The demo without its upper ten lasers, as far as rendering without learning reads it."""
-    folder: Path = tmp_path_factory.mktemp("above")
-    write_demo(folder / "drive", size=SIZE)
-    scene = SceneEntry(
-        name="above", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=FRAMES - 1,
-        test_frames=(), sweep_period_s=0.1,
-    )  # fmt: skip
-    run = plan_run(scene, folder / "home", recipe=preset("smoke"))
-    for stage in ("frames", "sweeps", "undistorted", "evidence"):
-        run_named_stage(stage, run, lambda _: None)
-    return run
+    return prepare("above", SIZE)
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.demo.drive import DemoSize
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
 from nvsf_core.models.residual.camera import ALIGNED, train_camera
@@ -19,10 +18,11 @@ from nvsf_core.models.residual.pose_refinement import align_drive, aligned_by, c
 from nvsf_core.recipe import preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.image_alignment import align_images
-from nvsf_core.stages import SceneRun, plan_run, run_named_stage
+from nvsf_core.stages import SceneRun
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.stage import Task
+from tests.models.residual.conftest import Prepare
 
 FRAMES = 6
 CAMERA = "image_00"
@@ -34,19 +34,9 @@ JUDGE = 2
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def run(prepare: Prepare) -> SceneRun:
     """The demo as far as training reads it."""
-    folder: Path = tmp_path_factory.mktemp("aligned")
-    write_demo(folder / "drive", size=SIZE)
-    scene = SceneEntry(
-        name="aligned", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=FRAMES - 1,
-        test_frames=(),
-        sweep_period_s=0.1,
-    )  # fmt: skip
-    run = plan_run(scene, folder / "home", recipe=preset("smoke"))
-    for stage in ("frames", "sweeps", "undistorted", "evidence"):
-        run_named_stage(stage, run, lambda _: None)
-    return run
+    return prepare("aligned", SIZE)
 
 
 @pytest.fixture(scope="module")

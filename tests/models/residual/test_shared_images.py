@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
-from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.demo.drive import DemoSize
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import exp_se3
 from nvsf_core.models.family import TrainedPart
@@ -21,11 +20,12 @@ from nvsf_core.models.residual.tones import ToneCurve
 from nvsf_core.recipe import CameraSpec, preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import shown_images, shrinking
-from nvsf_core.stages import SceneRun, plan_run, run_named_stage
+from nvsf_core.stages import SceneRun
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.checkpoints import StoredWeights
+from tests.models.residual.conftest import Prepare
 
 FRAMES = 6
 PAIR = ("image_00", "image_01")
@@ -34,18 +34,9 @@ SIZE = replace(DemoSize.tiny(), frames=FRAMES, cameras=CAMERAS)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def run(prepare: Prepare) -> SceneRun:
     """The demo as far as training reads it, all frames for training."""
-    folder: Path = tmp_path_factory.mktemp("shared")
-    write_demo(folder / "drive", size=SIZE)
-    scene = SceneEntry(
-        name="shared", root=folder / "drive", sequence=DEMO_SEQUENCE, first_frame=0, last_frame=FRAMES - 1,
-        test_frames=(), sweep_period_s=0.1,
-    )  # fmt: skip
-    run = plan_run(scene, folder / "home", recipe=preset("smoke"))
-    for stage in ("frames", "sweeps", "undistorted", "evidence"):
-        run_named_stage(stage, run, lambda _: None)
-    return run
+    return prepare("shared", SIZE)
 
 
 @pytest.fixture(scope="module")
