@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import TypeVar, cast
+from typing import NamedTuple, Self, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -66,11 +66,47 @@ class DepthNetwork(nn.Module):
         return (_by_plane(self.logit, full) + _by_plane(self.prior, volume))[:, 0]
 
 
+class BlendInput(NamedTuple):
+    """What a pixel's colour is blended from: s = hypotheses x sources colours, hypothesis by hypothesis."""
+
+    colour: Tensor
+    """(s, 3, h, w) in 0..1."""
+    coarse: Tensor
+    """(3, h, w) colour at the view's front surface, blurred and without holes."""
+    shown: Tensor
+    """(s + 1, h, w) bool, whether the source shows the point; the coarse colour always is."""
+    prior: Tensor
+    """(s + 1, h, w) logit of each colour's weight before training."""
+    features: Tensor
+    """(1, c, h, w), the network's input."""
+
+    @classmethod
+    def of(cls, colour: Tensor, seen: Tensor, share: Tensor, coarse: Tensor, nearness: Tensor) -> Self:
+        """From what sources show.
+
+        Args:
+            colour: (s, 3, h, w) in 0..1.
+            seen: (s, h, w) bool, whether the source shows the point.
+            share: (3, h, w) probability of each hypothesis, 0..1.
+            coarse: (3, h, w) colour, as the field of that name.
+            nearness: (k,) of the sources, 1 for the nearest.
+        """
+        weighted = seen * nearness.repeat(HYPOTHESES)[:, None, None]
+        offset = ((colour - coarse) * seen[:, None]).flatten(0, 1)
+        believed = share + _OFFSET.to(share)[:, None, None]
+        prior = (believed[:, None] * nearness.square()[None, :, None, None]).flatten(0, 1)
+        prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)])
+        # A placeholder source has nearness 0, whose logarithm is not finite.
+        prior = prior.clamp_min(1e-6).log()
+        shown = torch.cat([seen, torch.ones_like(seen[:1])])
+        return cls(colour, coarse, shown, prior, torch.cat([offset, weighted, share, coarse - 0.5])[None])
+
+
 class BlendNetwork(nn.Module):
     """A pixel's colour: a weighted mean of the sources' colours at its hypotheses, plus a small residual.
 
-    Before training the weights are the hypotheses' probabilities times the sources' nearness, and the
-    residual is 0.
+    Before training the weights are the hypotheses' probabilities times the squares of the sources'
+    nearness, and the residual is 0. Of squares a view is sharper than of the nearness itself (decision 0038).
     """
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
@@ -92,31 +128,13 @@ class BlendNetwork(nn.Module):
         with torch.no_grad():
             self.out.weight.zero_()
 
-    def forward(
-        self, colour: Tensor, seen: Tensor, share: Tensor, coarse: Tensor, nearness: Tensor
-    ) -> Tensor:
-        """Colour (3, h, w), about 0..1.
-
-        Args:
-            colour: (s, 3, h, w) in 0..1, s = hypotheses x sources, hypothesis by hypothesis.
-            seen: (s, h, w) bool, whether the source shows the point.
-            share: (3, h, w) probability of each hypothesis, 0..1.
-            coarse: (3, h, w) colour at the view's front surface, blurred and without holes.
-            nearness: (k,) of the sources, 1 for the nearest.
-        """
-        height, width = coarse.shape[-2:]
-        weighted = seen * nearness.repeat(HYPOTHESES)[:, None, None]
-        offset = ((colour - coarse) * seen[:, None]).flatten(0, 1)
-        out = self._network(torch.cat([offset, weighted, share, coarse - 0.5])[None])[:, :height, :width]
-        believed = share + _OFFSET.to(share)[:, None, None]
-        prior = (believed[:, None] * nearness[None, :, None, None]).flatten(0, 1)
-        prior = torch.cat([prior, torch.full_like(prior[:1], _COARSE_PRIOR)])
-        # A placeholder source has nearness 0, whose logarithm has no finite gradient.
-        prior = prior.clamp_min(1e-6).log()
-        logits = out[: self.seen + 1] + prior
-        shown = torch.cat([seen, torch.ones_like(seen[:1])])
-        weights = torch.where(shown, logits, _UNSEEN_LOGIT).softmax(dim=0)
-        blended = (weights[:-1, None] * colour).sum(dim=0) + weights[-1] * coarse
+    def forward(self, given: BlendInput) -> Tensor:
+        """Colour (3, h, w), about 0..1."""
+        height, width = given.coarse.shape[-2:]
+        out = self._network(given.features)[:, :height, :width]
+        logits = out[: self.seen + 1] + given.prior
+        weights = torch.where(given.shown, logits, _UNSEEN_LOGIT).softmax(dim=0)
+        blended = (weights[:-1, None] * given.colour).sum(dim=0) + weights[-1] * given.coarse
         return blended + _RESIDUAL_MOST * torch.tanh(out[self.seen + 1 :])
 
     def _network(self, x: Tensor) -> Tensor:

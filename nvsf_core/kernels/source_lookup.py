@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_ZERO, _HALF, _ONE, _THREE = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(3.0)
 """With a Python number, or an integer, numba would compute in double precision."""
 _U0 = np.uint64(0)
 """Indices are unsigned, so that numba need not ask whether they count from the end."""
@@ -20,7 +20,9 @@ _OUTSIDE = np.float32(-1e9)
 _RIM_PX = np.float32(0.01)
 """An image shows points that lie outside its outermost pixel centres by no more than rounding may do."""
 _ALMOST = np.float32(0.999)
-_SHOWN, _DEPTH, _MOVING = np.uint64(3), np.uint64(4), np.uint64(5)
+_RIM_SHARE = np.float32(1e-3)
+"""Of a pixel that shows nothing, the weight in a bicubic value that makes it bilinear."""
+_GREEN, _BLUE, _SHOWN, _DEPTH, _MOVING = (np.uint64(channel) for channel in range(1, 6))
 """Channels of the images, see `nvsf_core.rendering.sources.Sources`."""
 
 
@@ -49,27 +51,22 @@ class LookUp(NamedTuple):
         return len(self.inverse), self.rays.shape[0], self.rays.shape[1]
 
 
-def look_up_points(where: LookUp, *, with_slope: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colours of k images at d depths of each pixel.
-
-    Args:
-        where: Images and points.
-        with_slope: Also the colours' derivative by the inverse depth.
+def look_up_points(where: LookUp) -> tuple[np.ndarray, np.ndarray]:
+    """Colours of k images at d depths of each pixel, bicubic as `nvsf_core.rendering.warping.sample_cubic`.
 
     Returns:
-        colour (k, 3, d, h, w) float32, 0 where the image does not show the point; whether it does, seen
-        (k, d, h, w) bool; and the derivative, as the colour, or without any element.
+        colour (k, 3, d, h, w) float32, about 0..1, 0 where the image does not show the point; and whether it
+        does, seen (k, d, h, w) bool.
     """
     count, shape = len(where.chosen), where.shape
     colour = np.empty((count, 3, *shape), np.float32)
-    slope = np.empty(colour.shape if with_slope else (0, 3, *shape), np.float32)
     seen = np.empty((count, *shape), np.bool_)
-    _look_up(*_flat(where), colour, slope, seen)
-    return colour, seen, slope
+    _look_up(*_flat(where), colour, seen)
+    return colour, seen
 
 
 def agreement(where: LookUp, unseen_difference: float, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How well k images agree at d depths of each pixel.
+    """How well k images agree at d depths of each pixel; their colours are bilinear, for speed.
 
     Args:
         where: Images and points.
@@ -155,13 +152,53 @@ def _shows(image, at, beside, below, weights, hiding, asks_moving):  # type: ign
     )
 
 
+@njit(inline="always")
+def _cubic(t):  # type: ignore[no-untyped-def]
+    """Of four pixels in a row, in a value at t in 0..1 from the second to the third."""
+    two, four, five = np.float32(2.0), np.float32(4.0), np.float32(5.0)
+    t2 = t * t
+    t3 = t2 * t
+    return (
+        _HALF * (two * t2 - t3 - t), _HALF * (_THREE * t3 - five * t2 + two),
+        _HALF * (four * t2 - _THREE * t3 + t), _HALF * (t3 - t2),
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def _smooth(image, size, at, down, right):  # type: ignore[no-untyped-def]
+    """Bicubic colour of 4 x 4 pixels, `at` the first of the inner four; bilinear if one shows nothing.
+
+    Beyond the image's border its outermost pixels are repeated.
+    """
+    rows, columns, channels = size
+    place = np.int64(at) // channels
+    row, column = place // columns, place % columns
+    along, across = _cubic(down), _cubic(right)
+    red, green, blue, shown = _ZERO, _ZERO, _ZERO, _ZERO
+    for j in range(4):
+        start = min(max(row + j - 1, 0), rows - 1) * columns
+        for i in range(4):
+            here = np.uint64((start + min(max(column + i - 1, 0), columns - 1)) * channels)
+            weight = along[j] * across[i]
+            red += weight * image[here]
+            green += weight * image[here + _GREEN]
+            blue += weight * image[here + _BLUE]
+            shown += weight * image[here + _SHOWN]
+    if abs(shown - _ONE) > _RIM_SHARE:
+        weights, beside, below = _weights(down, right), np.uint64(channels), np.uint64(columns * channels)
+        red = _between(image, at, beside, below, _U0, weights)
+        green = _between(image, at, beside, below, _GREEN, weights)
+        blue = _between(image, at, beside, below, _BLUE, weights)
+    return red, green, blue
+
+
 @njit(cache=True, nogil=True)
 def _look_up(  # type: ignore[no-untyped-def]
-    images, size, chosen, motions, rays, label, inverse, share, per_m, colour, slope, seen
+    images, size, chosen, motions, rays, label, inverse, share, per_m, colour, seen
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    has_moving, has_slope = size[2] > _MOVING, len(slope) > 0
+    has_moving = size[2] > _MOVING
     starts = np.empty((3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
     for k in range(len(chosen)):
@@ -173,49 +210,20 @@ def _look_up(  # type: ignore[no-untyped-def]
                 _project(starts, steps, depths, place)
                 for c in range(columns):
                     is_seen, at, down, right = _corner(size, place[0, c], place[1, c])
-                    scale = place[2, c]
-                    weights = _weights(down, right)
                     if is_seen:
-                        hiding = depths[c] * scale * (_ONE + share) + per_m
+                        weights = _weights(down, right)
+                        hiding = depths[c] * place[2, c] * (_ONE + share) + per_m
                         asks_moving = has_moving and label[r, c] == 0
                         is_seen = _shows(image, at, beside, below, weights, hiding, asks_moving)
+                    found = _smooth(image, size, at, down, right) if is_seen else (_ZERO, _ZERO, _ZERO)
                     seen[k, d, r, c] = is_seen
-                    for i in range(3):
-                        colour[k, i, d, r, c] = _ZERO
-                        if is_seen:
-                            colour[k, i, d, r, c] = _between(image, at, beside, below, np.uint64(i), weights)
-                    if has_slope:
-                        u_by_q = (steps[0, c] - _column(at, size, right) * steps[2, c]) * scale
-                        v_by_q = (steps[1, c] - _row(at, size, down) * steps[2, c]) * scale
-                        for i in range(3):
-                            slope[k, i, d, r, c] = _ZERO
-                            if is_seen:
-                                by_u, by_v = _slopes(image, at, beside, below, np.uint64(i), down, right)
-                                slope[k, i, d, r, c] = by_u * u_by_q + by_v * v_by_q
+                    colour[k, 0, d, r, c], colour[k, 1, d, r, c], colour[k, 2, d, r, c] = found
 
 
 @njit(inline="always")
 def _row_of(inverse, d, r, columns):  # type: ignore[no-untyped-def]
     """Inverse depths (w,) of a row's pixels on plane d of (d, h, w), or of (d, 1, 1)."""
     return inverse[d, r] if inverse.shape[1] > 1 else np.full(columns, inverse[d, 0, 0])
-
-
-@njit(inline="always")
-def _column(at, size, right):  # type: ignore[no-untyped-def]
-    return np.float32((np.int64(at) // size[2]) % size[1]) + right
-
-
-@njit(inline="always")
-def _row(at, size, down):  # type: ignore[no-untyped-def]
-    return np.float32(np.int64(at) // (size[2] * size[1])) + down
-
-
-@njit(inline="always")
-def _slopes(image, at, beside, below, channel, down, right):  # type: ignore[no-untyped-def]
-    """Derivatives of a bilinear value by column and row."""
-    here = at + channel
-    a, b, e, f = image[here], image[here + beside], image[here + below], image[here + below + beside]
-    return (b - a) * (_ONE - down) + (f - e) * down, (e - a) * (_ONE - right) + (f - b) * right
 
 
 @njit(cache=True, nogil=True)

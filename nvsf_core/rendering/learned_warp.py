@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
+from nvsf_core.fields.camera_networks import BlendInput, CameraEnsemble, CameraNetworks
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.pixel_support import pixel_support, without_holes
@@ -24,16 +24,6 @@ class Hypotheses:
     """(3, h, w) inverse depths, 1/m: the two of `ViewDepth`, and the LiDAR's."""
     share: Tensor
     """(3, h, w) in 0..1: trust in each."""
-
-
-@dataclass(frozen=True, slots=True)
-class Blend:
-    """Colours of a window of a view, blended from its sources."""
-
-    colour: Tensor
-    """(3, h, w), about 0..1."""
-    hypotheses: Hypotheses
-    """Depths at which the sources were looked up."""
 
 
 def hypotheses(view: CameraView, factor: int, window: Window) -> Hypotheses:
@@ -63,51 +53,45 @@ def coarse_colour(view: CameraView) -> Tensor:
     return without_holes(agreed.colour[0], (agreed.share[0] > 0.0).float())
 
 
-def _likeliest(found: Hypotheses) -> Tensor:
-    """(h, w) inverse depth of most trust, 1/m."""
-    return found.inverse.gather(0, found.share.argmax(dim=0, keepdim=True))[0]
-
-
-def blend_sources(
-    networks: CameraNetworks, view: CameraView, coarse: Tensor, window: Window = WHOLE
-) -> Blend:
-    """Render a window of a view.
+def blend_input(view: CameraView, found: Hypotheses, coarse: Tensor, window: Window = WHOLE) -> BlendInput:
+    """What a blend network renders a window of a view from; the same for all members.
 
     Args:
-        networks: For blending.
         view: The view; its images have depths.
+        found: Depths of the window.
         coarse: (3, h, w) of `coarse_colour`.
         window: Part of the view.
     """
-    found = hypotheses(view, 1, window)
     around_colour = sample(coarse, places_in_small(view)[window])
     rays = plane_rays(view.pinhole, view.device)[window]
     points = SeenPoints(rays, found.inverse, view.label_of(1, window))
     colour, seen = look_up(view.sources(view.images.full), points, view.pinhole)
-    shown = networks.blend(
+    return BlendInput.of(
         colour.permute(2, 0, 1, 3, 4).flatten(0, 1), seen.transpose(0, 1).flatten(0, 1), found.share,
         around_colour, view.nearness,
     )  # fmt: skip
-    return Blend(shown, found)
+
+
+def blend_sources(
+    networks: CameraNetworks, view: CameraView, coarse: Tensor, window: Window = WHOLE
+) -> Tensor:
+    """Colours (3, h, w), about 0..1, of a window of a view; arguments as of `blend_input`."""
+    found: Tensor = networks.blend(blend_input(view, hypotheses(view, 1, window), coarse, window))
+    return found
 
 
 @torch.no_grad()
 def render_view(networks: CameraEnsemble, view: CameraView) -> RenderedImage:
-    """Render a whole view: the mean image of the ensemble, and the median of the members' depths.
-
-    A member's depth of a pixel is its hypothesis of most trust.
-    """
-    members, coarse = list(networks), coarse_colour(view)
-
-    def seen_by(number: int) -> tuple[Tensor, Tensor]:
-        member = members[number]
-        blend = blend_sources(member, view, coarse)
-        return blend.colour, _likeliest(blend.hypotheses)
-
-    colours, depths = zip(*in_parts(seen_by, len(members)), strict=True)
+    """Render a whole view: the mean image of the ensemble, and each pixel's depth of most trust."""
+    members, found = list(networks), hypotheses(view, 1, WHOLE)
+    given = blend_input(view, found, coarse_colour(view))
+    colours = in_parts(lambda number: members[number].blend(given), len(members))
     image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
-    inverse = torch.stack(depths).median(dim=0).values
+    likeliest = found.share.argmax(dim=0, keepdim=True)
+    inverse = found.inverse.gather(0, likeliest)[0]
+    by_depth = given.shown[:-1].reshape(len(found.share), -1, *inverse.shape)
+    shown = by_depth.gather(0, likeliest.expand(by_depth.shape[1:])[None])[0]
     return RenderedImage(
         image.permute(1, 2, 0).contiguous().cpu().numpy(), ray_length(inverse, view.pinhole).cpu().numpy(),
-        pixel_support(view, inverse).cpu().numpy(),
+        pixel_support(view, inverse, shown).cpu().numpy(),
     )  # fmt: skip

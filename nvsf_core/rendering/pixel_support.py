@@ -6,7 +6,6 @@ from torch.nn import functional
 
 from nvsf_core.rendering.camera_view import CameraView
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.rendering.sources import SeenPoints, look_up
 from nvsf_core.rendering.warping import plane_rays
 
 _MOST_ANGLE_RAD = 0.1
@@ -18,7 +17,7 @@ _HOLE_PX = 5
 
 
 @torch.no_grad()
-def pixel_support(view: CameraView, inverse: Tensor) -> Tensor:
+def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
     """(H, W) uint8 class of `Support` of each pixel of a view.
 
     Guessed is where no image has a surface; seen is what one of the view's sources shows from about
@@ -27,11 +26,10 @@ def pixel_support(view: CameraView, inverse: Tensor) -> Tensor:
     Args:
         view: The view; its images have depths.
         inverse: (H, W) inverse depth of what is shown, 1/m.
+        shown: (k, H, W) bool, whether each of the view's sources shows that.
     """
     assert view.surfaces is not None
     rays = plane_rays(view.pinhole, view.device)
-    points = SeenPoints(rays, inverse[None], view.label)
-    _, shown = look_up(view.sources(view.images.full), points, view.pinhole)
     point = rays / inverse[..., None].clamp_min(1e-4)
     seen = torch.zeros_like(inverse, dtype=torch.bool)
     for number, motion in enumerate(view.motion):
@@ -40,7 +38,7 @@ def pixel_support(view: CameraView, inverse: Tensor) -> Tensor:
             assert view.moved is not None and view.label is not None
             own = _looked_at_alike(point, view.moved[mover, number])
             alike = torch.where(view.label == mover + 1, own, alike)
-        seen |= shown[number, 0] & alike
+        seen |= shown[number] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
     is_hole = _holes((view.surfaces.support[0] == 0.0) & (view.surfaces.label == 0))
     return torch.where(is_hole, int(Support.GUESSED), support).to(torch.uint8)

@@ -1,7 +1,7 @@
 """Source images of a view, and their colours at its pixels for given depths, moving objects included."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -10,8 +10,10 @@ from torch import Tensor
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.source_lookup import LookUp, look_up_points
 from nvsf_core.numerics import require_finite
-from nvsf_core.rendering.warping import sample, source_pixels
+from nvsf_core.rendering.warping import sample, sample_cubic, source_pixels
 
+_SHOWN = 3
+"""Channel of `Sources.images` after the colours."""
 STATIC = 0
 """Label of pixels that show static surfaces."""
 _HIDDEN_SHARE, _HIDDEN_PER_M = 0.1, 0.004
@@ -59,8 +61,8 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
     """Colours (k, 3, d, h, w) of the sources at points, and whether they show them (k, d, h, w) bool.
 
     A pixel is not shown where the source's own depth map has a surface in front of it, nor is a static one
-    where a moving object hid it when the source image was taken. What is not shown has any colour.
-    Gradients flow to the inverse depths.
+    where a moving object hid it when the source image was taken. What is not shown has any colour. Colours
+    are bicubic: bilinear ones are blurred between pixels, and so were all views.
 
     Args:
         sources: Source images of the view.
@@ -70,13 +72,18 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
     Raises:
         DivergedError: An inverse depth is not finite.
     """
-    if sources.images.device.type == "cpu":
-        require_finite("inverse depths", points.inverse)
-        found: tuple[Tensor, Tensor] = _LookUp.apply(  # type: ignore[no-untyped-call]
-            points.inverse, kernel_inputs(sources, points, pinhole)
-        )
-        return found
-    each = [_look_up_one(sources, k, points, pinhole) for k in range(len(sources.chosen))]
+    if sources.images.device.type != "cpu":
+        return look_up_by_torch(sources, points, pinhole, sample_cubic)
+    require_finite("inverse depths", points.inverse)
+    colour, seen = look_up_points(kernel_inputs(sources, points, pinhole))
+    return torch.from_numpy(colour), torch.from_numpy(seen)
+
+
+def look_up_by_torch(
+    sources: Sources, points: SeenPoints, pinhole: Pinhole, sample_colour: Callable[[Tensor, Tensor], Tensor]
+) -> tuple[Tensor, Tensor]:
+    """The same on any device; `sample_colour` gives an image's (c, H, W) colours at places (h, w, 2)."""
+    each = [_look_up_one(sources, k, points, pinhole, sample_colour) for k in range(len(sources.chosen))]
     return torch.stack([colour for colour, _ in each]), torch.stack([seen for _, seen in each])
 
 
@@ -98,25 +105,10 @@ def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> Loo
     )  # fmt: skip
 
 
-class _LookUp(torch.autograd.Function):
-    """`look_up_points`, with the colours' gradient by the inverse depths."""
-
-    @staticmethod
-    def forward(ctx: Any, inverse: Tensor, where: LookUp) -> tuple[Tensor, Tensor]:
-        colour, seen, slope = look_up_points(where, with_slope=ctx.needs_input_grad[0])
-        ctx.slope = torch.from_numpy(slope)
-        shown = torch.from_numpy(seen)
-        ctx.mark_non_differentiable(shown)
-        return torch.from_numpy(colour), shown
-
-    @staticmethod
-    def backward(ctx: Any, by_colour: Tensor, _: Tensor) -> tuple[Tensor, None]:
-        return (by_colour * ctx.slope).sum(dim=(0, 1)), None
-
-
 def _look_up_one(
-    sources: Sources, number: int, points: SeenPoints, pinhole: Pinhole
-) -> tuple[Tensor, Tensor]:
+    sources: Sources, number: int, points: SeenPoints, pinhole: Pinhole,
+    sample_colour: Callable[[Tensor, Tensor], Tensor],
+) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Colour (3, d, h, w) of a source, and whether it shows the points (d, h, w) bool."""
     image, label, inverse = sources.images[sources.chosen[number]], points.label, points.inverse
     grid, inside, there = source_pixels(sources.motion[number], points.rays, inverse, pinhole)
@@ -128,9 +120,12 @@ def _look_up_one(
             grid[:, where], inside[:, where], there[:, where] = source_pixels(
                 moved, points.rays[where], depths, pinhole
             )
-    found = sample(image, grid.flatten(0, 1)).reshape(-1, *inside.shape)
-    seen = inside & (found[3] > 0.999) & (sources.nearness[number] > 0)
-    is_hidden = hides(found[4], there)
-    if label is not None and len(found) > 5:
-        is_hidden = is_hidden | ((found[5] > 0.5) & (label == STATIC))
-    return found[:3], seen & ~is_hidden
+    places = grid.flatten(0, 1)
+    found = sample(image[_SHOWN:], places).reshape(-1, *inside.shape)
+    seen = inside & (found[0] > 0.999) & (sources.nearness[number] > 0)
+    is_hidden = hides(found[1], there)
+    if label is not None and len(found) > 2:
+        is_hidden = is_hidden | ((found[2] > 0.5) & (label == STATIC))
+    return sample_colour(image[: _SHOWN + 1], places)[:_SHOWN].reshape(
+        _SHOWN, *inside.shape
+    ), seen & ~is_hidden

@@ -18,6 +18,9 @@ _NEAREST_Z = 1e-3
 _RIM_PX = 0.01
 """An image shows points that lie outside its outermost pixel centres by no more than rounding may do."""
 
+_RIM_SHARE = 1e-3
+"""Of a pixel that shows nothing, the weight in a bicubic value that makes it bilinear."""
+
 
 def source_pixels(
     motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole
@@ -68,6 +71,38 @@ def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "
     return functional.grid_sample(
         image[None], grid[None], mode=mode, padding_mode="border", align_corners=False
     )[0]
+
+
+def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
+    """Bicubic values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2), those of `sample`.
+
+    By the spline of Catmull and Rom (Keys 1981, a = -1/2), which repeats any plane of values; beyond the
+    border the outermost pixels are repeated. Channel 3 is 1 where a pixel shows anything: a value is bilinear
+    where not all of its 16 pixels do.
+    """
+    height, width = image.shape[-2:]
+    sides = []
+    for axis, side in ((1, height), (0, width)):
+        place = ((grid[..., axis] + 1.0) * side - 1.0) / 2.0
+        first = place.clamp(0.0, side - 1.0).floor().clamp(max=side - 2.0)
+        sides.append((first.long(), cubic_weights(place.clamp(0.0, side - 1.0) - first)))
+    (row, down), (column, right) = sides
+    flat, found = image.flatten(1), torch.zeros(len(image), *grid.shape[:2], device=image.device)
+    for j in range(4):
+        start = (row + (j - 1)).clamp(0, height - 1) * width
+        for i in range(4):
+            pixel = start + (column + (i - 1)).clamp(0, width - 1)
+            found = found + down[j] * right[i] * flat[:, pixel]
+    return torch.where((found[3] - 1.0).abs() > _RIM_SHARE, sample(image, grid), found)
+
+
+def cubic_weights(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Weights of four pixels in a row, in a value at `t` in 0..1 from the second to the third; any shape."""
+    t2, t3 = t.square(), t.pow(3)
+    return (
+        (2.0 * t2 - t3 - t) / 2.0, (3.0 * t3 - 5.0 * t2 + 2.0) / 2.0, (4.0 * t2 - 3.0 * t3 + t) / 2.0,
+        (t3 - t2) / 2.0,
+    )  # fmt: skip
 
 
 @functools.lru_cache(maxsize=16)

@@ -3,7 +3,13 @@
 import torch
 from torch.nn import functional
 
-from nvsf_core.fields.camera_networks import HYPOTHESES, VOLUME_FEATURES, BlendNetwork, DepthNetwork
+from nvsf_core.fields.camera_networks import (
+    HYPOTHESES,
+    VOLUME_FEATURES,
+    BlendInput,
+    BlendNetwork,
+    DepthNetwork,
+)
 from nvsf_core.recipe import CameraSpec
 
 SPEC = CameraSpec(sources=2)
@@ -58,7 +64,7 @@ def test_depths_are_compared_as_by_3d_convolutions() -> None:
 
 def test_an_untrained_blend_lies_between_the_colours_that_it_blends() -> None:
     given = inputs()
-    blended = BlendNetwork(SPEC, seeded())(**given)
+    blended = BlendNetwork(SPEC, seeded())(BlendInput.of(**given))
     offered = torch.cat([given["colour"], given["coarse"][None]])
     assert blended.shape == (3, *SHAPE)
     assert (blended >= offered.amin(dim=0) - 1e-5).all()
@@ -70,15 +76,15 @@ def test_a_source_that_does_not_show_a_pixel_has_no_say() -> None:
     with torch.no_grad():
         network.out.weight.normal_(0.0, 0.05, generator=seeded(4))
     given["seen"][1] = False
-    first = network(**given)
+    first = network(BlendInput.of(**given))
     given["colour"][1] = 1.0 - given["colour"][1]
-    torch.testing.assert_close(network(**given), first, atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(network(BlendInput.of(**given)), first, atol=1e-5, rtol=0.0)
 
 
 def test_where_nothing_is_seen_the_coarse_colour_stays() -> None:
     given = inputs()
     given["seen"][:] = False
-    torch.testing.assert_close(BlendNetwork(SPEC, seeded())(**given), given["coarse"])
+    torch.testing.assert_close(BlendNetwork(SPEC, seeded())(BlendInput.of(**given)), given["coarse"])
 
 
 def test_every_weight_of_both_networks_learns() -> None:
@@ -86,7 +92,7 @@ def test_every_weight_of_both_networks_learns() -> None:
     with torch.no_grad():
         blend.out.weight.normal_(0.0, 0.05, generator=seeded(4))
         depth.logit.weight.normal_(0.0, 0.05, generator=seeded(4))
-    blend(**inputs()).square().sum().backward()
+    blend(BlendInput.of(**inputs())).square().sum().backward()
     depth(features((8, 12, 16), 1)).square().sum().backward()
     for network in (blend, depth):
         for name, parameter in network.named_parameters():

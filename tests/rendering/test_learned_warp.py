@@ -149,8 +149,8 @@ def test_a_window_shows_what_the_whole_view_shows_there() -> None:
     one = view(wall_points(), depths=wall_maps())
     window = (slice(8, 40), slice(16, 80))
     coarse = coarse_colour(one)
-    part = blend_sources(networks, one, coarse, window).colour
-    whole = blend_sources(networks, one, coarse).colour
+    part = blend_sources(networks, one, coarse, window)
+    whole = blend_sources(networks, one, coarse)
     torch.testing.assert_close(part, whole[:, *window])
 
 

@@ -10,6 +10,7 @@ from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.pixel_support import pixel_support, without_holes
 from nvsf_core.rendering.rendered import Support
+from nvsf_core.rendering.sources import SeenPoints, look_up
 from nvsf_core.rendering.view_depth_maps import (
     DepthMaps,
     NearMaps,
@@ -21,6 +22,7 @@ from nvsf_core.rendering.view_depth_maps import (
     images_near,
     spread_ranks,
 )
+from nvsf_core.rendering.warping import plane_rays
 
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
 SPEC = CameraSpec(sources=3, plane_px=64 * 32)
@@ -54,6 +56,12 @@ def view(at: np.ndarray, places: list[np.ndarray], sources: int = 3) -> CameraVi
     )  # fmt: skip
 
 
+def support_at(one: CameraView, inverse: torch.Tensor) -> torch.Tensor:
+    points = SeenPoints(plane_rays(CAMERA), inverse[None], one.label)
+    _, shown = look_up(one.sources(one.images.full), points, CAMERA)
+    return pixel_support(one, inverse, shown[:, 0])
+
+
 def test_the_front_surface_of_a_view_is_that_of_the_scene() -> None:
     at = pose(0.4, 0.5)
     one = view(at, [pose(x, z) for x in (-0.5, 0.0, 0.5) for z in (0.0, 1.0)])
@@ -66,13 +74,13 @@ def test_the_front_surface_of_a_view_is_that_of_the_scene() -> None:
 
 def test_what_no_image_shows_is_guessed_and_what_one_shows_from_elsewhere_extrapolated() -> None:
     beside = view(pose(0.1), [pose(0.0), pose(0.2)])
-    classes = pixel_support(beside, torch.from_numpy(depth_map(pose(0.1))))
+    classes = support_at(beside, torch.from_numpy(depth_map(pose(0.1))))
     wall = np.abs(np.arange(64) - CAMERA.cx) > 12
     assert (classes[:, wall] == Support.SEEN).float().mean() > 0.95
     # From 3 m to the right the post uncovers wall that the images do not show.
     at = pose(3.0)
     away = view(at, [pose(0.0), pose(0.2)])
-    classes = pixel_support(away, torch.from_numpy(depth_map(at)))
+    classes = support_at(away, torch.from_numpy(depth_map(at)))
     x_m = (np.arange(64) - CAMERA.cx) / CAMERA.fx * WALL_M + 3.0
     hidden = np.abs(x_m) < 1.5
     assert (classes[:, hidden] == Support.GUESSED).all()
@@ -192,7 +200,7 @@ def test_what_a_moving_object_uncovers_is_static_and_its_own_pixels_are_seen_as_
     unknown = (one.surfaces.support[0] == 0.0) & (one.label == 0)
     assert unknown.any() and (one.surfaces.inverse[0][unknown] < 0.06).all()
     assert (one.label == 1).sum() >= 60
-    classes = pixel_support(one, one.surfaces.inverse[0])
+    classes = support_at(one, one.surfaces.inverse[0])
     on_plate = torch.zeros(32, 64, dtype=torch.bool)
     on_plate[11:19, 21:27] = True
     assert (one.label[on_plate] == 1).all() and (classes[on_plate] == Support.SEEN).all()

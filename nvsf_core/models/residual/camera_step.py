@@ -46,7 +46,7 @@ def camera_step(
     shape = (view.small.height, view.small.width)
     around = sample_window(shape, recipe.camera_training.rays // recipe.camera_training.parts, generator)
     window = _full_size(around, shape, view.factor)
-    shown = blend_sources(networks, view, example.coarse, window).colour
+    shown = blend_sources(networks, view, example.coarse, window)
     difference = shown - example.truth[:, *window].float() / 255.0
     is_valid = _shown(view.images.full, window)
     terms = {
