@@ -62,7 +62,7 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
 
     A pixel is not shown where the source's own depth map has a surface in front of it, nor is a static one
     where a moving object hid it when the source image was taken. What is not shown has any colour. Colours
-    are bicubic: bilinear ones are blurred between pixels, and so were all views.
+    are bicubic: bilinear ones are blurred between pixels.
 
     Args:
         sources: Source images of the view.
@@ -82,7 +82,7 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
 def look_up_by_torch(
     sources: Sources, points: SeenPoints, pinhole: Pinhole, sample_colour: Callable[[Tensor, Tensor], Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """The same on any device; `sample_colour` gives an image's (c, H, W) colours at places (h, w, 2)."""
+    """The same on any device; `sample_colour`: `sample` or `sample_cubic`, how colours are interpolated."""
     each = [_look_up_one(sources, k, points, pinhole, sample_colour) for k in range(len(sources.chosen))]
     return torch.stack([colour for colour, _ in each]), torch.stack([seen for _, seen in each])
 
@@ -126,6 +126,5 @@ def _look_up_one(
     is_hidden = hides(found[1], there)
     if label is not None and len(found) > 2:
         is_hidden = is_hidden | ((found[2] > 0.5) & (label == STATIC))
-    return sample_colour(image[: _SHOWN + 1], places)[:_SHOWN].reshape(
-        _SHOWN, *inside.shape
-    ), seen & ~is_hidden
+    colour = sample_colour(image[: _SHOWN + 1], places)[:_SHOWN]
+    return colour.reshape(_SHOWN, *inside.shape), seen & ~is_hidden

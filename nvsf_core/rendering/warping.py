@@ -74,11 +74,14 @@ def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "
 
 
 def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
-    """Bicubic values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2), those of `sample`.
+    """Bicubic values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2), as those of `sample`.
 
-    By the spline of Catmull and Rom (Keys 1981, a = -1/2), which repeats any plane of values; beyond the
-    border the outermost pixels are repeated. Channel 3 is 1 where a pixel shows anything: a value is bilinear
-    where not all of its 16 pixels do.
+    By the spline of Catmull and Rom (Keys 1981, a = -1/2), which repeats any paraboloid;
+    beyond the border the outermost pixels are repeated. Channel 3 is 1 where a pixel shows anything: a value
+    is bilinear where not all of its 16 pixels do.
+
+    Raises:
+        DivergedError: A coordinate of `grid` is not finite.
     """
     height, width = image.shape[-2:]
     sides = []
