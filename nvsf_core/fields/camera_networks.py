@@ -106,7 +106,7 @@ class BlendNetwork(nn.Module):
     """A pixel's colour: a weighted mean of the sources' colours at its hypotheses, plus a small residual.
 
     Before training the weights are the hypotheses' probabilities times the squares of the sources'
-    nearness, and the residual is 0. Of squares a view is sharper than of the nearness itself (decision 0038).
+    nearness, and the residual is 0. With squares views are sharper than without (decision 0038).
     """
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:

@@ -76,8 +76,8 @@ def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "
 def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
     """Bicubic values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2), as those of `sample`.
 
-    By the spline of Catmull and Rom (Keys 1981, a = -1/2), which repeats any paraboloid;
-    beyond the border the outermost pixels are repeated. Channel 3 is 1 where a pixel shows anything: a value
+    By the spline of Catmull and Rom (Keys 1981, a = -1/2), which is exact for any paraboloid; beyond the
+    border the outermost pixels are repeated. Channel 3 is 1 where a pixel shows anything: a value
     is bilinear where not all of its 16 pixels do.
 
     Raises:
@@ -88,7 +88,7 @@ def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
     for axis, side in ((1, height), (0, width)):
         place = ((grid[..., axis] + 1.0) * side - 1.0) / 2.0
         first = place.clamp(0.0, side - 1.0).floor().clamp(max=side - 2.0)
-        sides.append((first.long(), cubic_weights(place.clamp(0.0, side - 1.0) - first)))
+        sides.append((first.long(), _cubic_weights(place.clamp(0.0, side - 1.0) - first)))
     (row, down), (column, right) = sides
     flat, found = image.flatten(1), torch.zeros(len(image), *grid.shape[:2], device=image.device)
     for j in range(4):
@@ -99,7 +99,7 @@ def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
     return torch.where((found[3] - 1.0).abs() > _RIM_SHARE, sample(image, grid), found)
 
 
-def cubic_weights(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _cubic_weights(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Weights of four pixels in a row, in a value at `t` in 0..1 from the second to the third; any shape."""
     t2, t3 = t.square(), t.pow(3)
     return (

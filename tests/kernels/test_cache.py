@@ -20,6 +20,7 @@ _ASK = "import numba, nvsf_core.kernels.surfel_rendering as p; print(numba.confi
 
 def _where(root: Path) -> str:
     # The folder that a parent process of another checkout has set is not taken over.
+    assert "NUMBA_CACHE_DIR" in os.environ
     environ = os.environ | {"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(COMPILED)}
     done = subprocess.run(
         [sys.executable, "-c", _ASK], env=environ, cwd=root, capture_output=True, text=True, check=True

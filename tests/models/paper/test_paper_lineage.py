@@ -123,7 +123,8 @@ def test_sweeps_of_a_model_that_learned_recorded_ranges_get_no_laser_error_twice
     assert np.allclose(even["grid_range_m"], uneven["grid_range_m"], atol=1e-4)
     # Not to the bit: on an H200 two renderings differ by 6e-8.
     assert np.allclose(even["grid_intensity"], uneven["grid_intensity"], rtol=0.0, atol=1e-6)
-    assert np.allclose(even["ray_intensity"], uneven["ray_intensity"], rtol=0.0, atol=1e-6)
+    apart = np.abs(even["ray_intensity"] - uneven["ray_intensity"])
+    assert apart.max() <= (1e-6 if torch.cuda.is_available() else 0.0)
     # What is compared with recorded ranges without their biases has none either.
     laser = recording.lidar.sweeps.arrays["laser"][recording.lidar.sweeps.returns_of(2)]
     taken_off = even["ray_range_m"] - uneven["ray_range_m"]
