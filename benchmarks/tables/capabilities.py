@@ -85,13 +85,13 @@ CAPABILITIES = (
          "models/residual/camera_examples.py", "fields/camera_networks.py", "rendering/learned_warp.py",
          "rendering/plane_depth.py", "rendering/plane_volume.py", "rendering/camera_view.py",
          "rendering/sources.py", "rendering/warping.py",
-         "kernels/source_lookup.py"),
+         "kernels/images/source_lookup.py"),
         "k360_street: 20.4 (reproject) to 21.7 dB; kitti0005: 20.7 to 23.6; three for one network + .27",
     ),
     Capability(
         "views by depth maps of the images; pixels that nothing shows are known",
         ("models/residual/image_depths.py", "rendering/view_depth_maps.py",
-         "rendering/pixel_support.py", "kernels/depth_splat.py"),
+         "rendering/pixel_support.py", "kernels/images/depth_splat.py"),
         "street, quick, 3 m aside: 19.8 to 23.7 dB, turned by 15 degrees 14.5 to 25.5, on the path + .5 "
         "to .7; kitti0005, right camera: 19.9 to 20.5 (0022)",
     ),

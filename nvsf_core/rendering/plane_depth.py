@@ -6,7 +6,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.fields.camera_networks import CameraEnsemble, DepthNetwork
-from nvsf_core.kernels.plane_features import describe_planes
+from nvsf_core.kernels.images.plane_features import describe_planes
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.plane_volume import Agreement, agreement

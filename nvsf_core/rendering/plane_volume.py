@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kernels.source_lookup import agreement as cpu_agreement
+from nvsf_core.kernels.images.source_lookup import agreement as cpu_agreement
 from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look_up_by_torch
 from nvsf_core.rendering.warping import sample
 

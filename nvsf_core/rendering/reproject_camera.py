@@ -17,8 +17,8 @@ from torch.nn import functional
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.kernels.image_filling import median_of_7, nearest_known
-from nvsf_core.kernels.splat import splat_depth
+from nvsf_core.kernels.images.filling import median_of_7, nearest_known
+from nvsf_core.kernels.images.splat import splat_depth
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.warping import (
     plane_rays,

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kernels.source_lookup import LookUp, look_up_points
+from nvsf_core.kernels.images.source_lookup import LookUp, look_up_points
 from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.warping import sample, sample_cubic, source_pixels
 

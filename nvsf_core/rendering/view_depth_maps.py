@@ -9,8 +9,8 @@ from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.kernels.depth_splat import agreed_depths, splat_depth_map
-from nvsf_core.kernels.image_filling import nearest_known
+from nvsf_core.kernels.images.depth_splat import agreed_depths, splat_depth_map
+from nvsf_core.kernels.images.filling import nearest_known
 from nvsf_core.rendering.reproject_camera import FAR_M
 from nvsf_core.rendering.sources import SeenPoints, hides
 from nvsf_core.rendering.warping import plane_rays, sample, source_pixels

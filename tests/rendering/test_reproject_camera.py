@@ -4,7 +4,7 @@ import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kernels.splat import splat_depth
+from nvsf_core.kernels.images.splat import splat_depth
 from nvsf_core.rendering.reproject_camera import FAR_M, nearest_sources, render_by_warping, view_depth
 from nvsf_core.rendering.warping import ray_length
 

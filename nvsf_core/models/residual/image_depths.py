@@ -5,7 +5,7 @@ import torch
 
 from nvsf_core.fields.camera_networks import CameraEnsemble
 from nvsf_core.geometry.se3 import invert_pose, transform_points
-from nvsf_core.kernels.depth_splat import without_edges
+from nvsf_core.kernels.images.depth_splat import without_edges
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.rendering.camera_view import camera_view

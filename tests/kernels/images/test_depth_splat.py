@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nvsf_core.kernels.depth_splat import agreed_depths, splat_depth_map, without_edges
+from nvsf_core.kernels.images.depth_splat import agreed_depths, splat_depth_map, without_edges
 
 INTRINSICS = (40.0, 40.0, 31.5, 15.5)
 SHAPE = (32, 64)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt, median_filter
 
-from nvsf_core.kernels.image_filling import median_of_7, nearest_known
+from nvsf_core.kernels.images.filling import median_of_7, nearest_known
 
 SHAPES = [(40, 70), (3, 5), (1, 9), (9, 1)]
 
