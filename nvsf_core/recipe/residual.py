@@ -162,8 +162,8 @@ class ResidualRecipe(Recipe):
     lidar_training: TrainingSpec = TrainingSpec(
         steps=1000, rays=4096, table_rate=2e-2, final_share=1.0, averaged_share=0.4
     )
-    depth_training: TrainingSpec = TrainingSpec(steps=60, rays=8064, network_rate=5e-3)
-    camera_training: TrainingSpec = TrainingSpec(steps=160, rays=3200, network_rate=2e-3)
+    depth_training: TrainingSpec = TrainingSpec(steps=40, rays=8064, network_rate=5e-3)
+    camera_training: TrainingSpec = TrainingSpec(steps=110, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
     """None = the pano is projected from the simulated scan."""

@@ -53,8 +53,9 @@ def lidar_view(
         moving: Moving objects that may be visible.
     """
     clouds = [static_m, *(each.points_m for each in moving)]
-    sparse = splat_points(pose, pinhole, np.concatenate(clouds))
-    depth_m, gap_px = filled_depth(sparse)
+    points_m = np.concatenate(clouds)
+    sparse = splat_points(pose, pinhole, points_m)
+    depth_m, gap_px = filled_depth(pose, pinhole, points_m, sparse)
     label = np.zeros(sparse.shape, np.uint8)
     if moving:
         label = view_label(pose, pinhole, clouds, sparse, _REACH_PX)

@@ -18,7 +18,8 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.images.filling import median_of_7, nearest_known
-from nvsf_core.kernels.images.splat import splat_depth
+from nvsf_core.kernels.images.local_planes import on_planes
+from nvsf_core.kernels.images.splat import mean_places, splat_depth
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.warping import (
     plane_rays,
@@ -39,6 +40,8 @@ _SWEEP_WIDTH_PX = 704
 """The plane sweep compares images shrunk by a whole number to about this width, for speed."""
 WINDOW_PX = 17
 """Side of the square over which the two shrunk images are compared."""
+_FITTED_PX = 6.0
+"""Pixels nearer than this to a return have their depth from a plane through the returns around."""
 _BEYOND_PX = 3.0
 """Pixels nearer than this to a return keep the LiDAR's depth."""
 _PULL = 0.15
@@ -162,10 +165,13 @@ def view_depth(
         `depth_m` (H, W) float32 along z, positive and finite: that of the visible point nearest in the image;
         and `gap_px` (H, W) float32, the distance to it, inf if no point is visible.
     """
-    return filled_depth(splat_points(target_pose, pinhole, depth_points_local))
+    seen = splat_points(target_pose, pinhole, depth_points_local)
+    return filled_depth(target_pose, pinhole, depth_points_local, seen)
 
 
-def filled_depth(sparse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def filled_depth(
+    pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray, sparse: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """As `view_depth`, from the depth (H, W) float32 of the points that a view shows, inf between them."""
     known = np.isfinite(sparse)
     if not known.any():
@@ -173,8 +179,12 @@ def filled_depth(sparse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     gap_px, where = nearest_known(known)
     filled = np.minimum(sparse[where[0], where[1]], np.float32(FAR_M))
     # Leaves and range noise make depth jump from pixel to pixel, which tears the image; the median evens that
-    # out and keeps edges (0.6 dB on held-back training images of a real street).
-    return median_of_7(filled), gap_px
+    # out and keeps edges (0.6 dB on held-back training images of a real street). It tells which surface a
+    # pixel shows; where on it the pixel's centre lies, the points around say.
+    guess = np.float32(1.0) / median_of_7(filled)
+    places = mean_places(points_m, invert_pose(pose), _intrinsics(pinhole), sparse)
+    fitted = on_planes(places, guess, gap_px <= _FITTED_PX)
+    return np.float32(1.0) / np.maximum(fitted, np.float32(1.0 / FAR_M)), gap_px
 
 
 def view_label(
@@ -215,8 +225,11 @@ def view_label(
 
 def splat_points(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarray:
     """Depth (H, W) float32 in metres along z of the points (m, 3) that a view shows, inf between them."""
-    intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-    return splat_depth(points_m, invert_pose(pose), intrinsics, (pinhole.height, pinhole.width))
+    return splat_depth(points_m, invert_pose(pose), _intrinsics(pinhole), (pinhole.height, pinhole.width))
+
+
+def _intrinsics(pinhole: Pinhole) -> tuple[float, float, float, float]:
+    return pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy
 
 
 def _sweep(

@@ -82,8 +82,27 @@ def agreement(where: LookUp, unseen_difference: float, weight: np.ndarray) -> tu
     return agreed, colour
 
 
+def least_differences(where: LookUp, unseen_difference: float) -> np.ndarray:
+    """How little images differ from an image's own colours at d depths of each of its pixels.
+
+    Any surface is hidden in some images: the mean is of the half of the images that differ least.
+
+    Args:
+        where: Images and points; the first image is the one whose pixels they are, the others are compared
+            with it.
+        unseen_difference: The largest difference of two colours, and that at unknown depths or where no other
+            image shows the point.
+
+    Returns:
+        (d, h, w) float32, 0..1; 0 for pixels whose depths are all equal: nothing is to be compared.
+    """
+    found = np.empty(where.shape, np.float32)
+    _differ(*_flat(where), np.float32(unseen_difference), found)
+    return found
+
+
 def _flat(where: LookUp) -> tuple[Any, ...]:
-    """The first arguments of both kernels: images as rows of numbers, and the size of one."""
+    """The first arguments of all three kernels: images as rows of numbers, and the size of one."""
     images = where.images.reshape(len(where.images), -1)
     return (images, where.images.shape[1:], *where[1:-1], *where.hiding)
 
@@ -288,3 +307,62 @@ def _compare(found, is_seen, unseen, weight, agreed, colour):  # type: ignore[no
     agreed[3], agreed[4], agreed[5] = red, green, blue
     whole = max(whole, np.float32(1e-6))
     colour[0], colour[1], colour[2] = r / whole, g / whole, b / whole
+
+
+@njit(cache=True, nogil=True)
+def _differ(  # type: ignore[no-untyped-def]
+    images, size, chosen, motions, rays, label, inverse, share, per_m, unseen, found
+):
+    rows, columns, _ = rays.shape
+    beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
+    has_moving, own = size[2] > _MOVING, images[chosen[0]]
+    count = len(chosen) - 1
+    starts = np.empty((count, 3, columns), np.float32)
+    steps, place = np.empty_like(starts), np.empty_like(starts)
+    apart, asked = np.empty(count, np.float32), np.empty(columns, np.bool_)
+    for r in range(rows):
+        for k in range(count):
+            _starts(motions, label, rays, r, k + 1, starts[k], steps[k])
+        for c in range(columns):
+            asked[c] = False
+            for d in range(1, len(inverse)):
+                asked[c] = asked[c] or inverse[d, r, c] != inverse[0, r, c]
+        for d in range(len(inverse)):
+            depths = inverse[d, r]
+            for k in range(count):
+                _project(starts[k], steps[k], depths, place[k])
+            for c in range(columns):
+                if not asked[c] or (d > 0 and depths[c] == inverse[0, r, c]):
+                    found[d, r, c] = found[0, r, c] if asked[c] else _ZERO
+                    continue
+                here = np.uint64((r * columns + c) * size[2])
+                seen = 0
+                for k in range(count if depths[c] > _ZERO else 0):
+                    image = images[chosen[k + 1]]
+                    is_inside, at, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
+                    if not is_inside:
+                        continue
+                    weights = _weights(down, right)
+                    hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
+                    if _shows(image, at, beside, below, weights, hiding, has_moving and label[r, c] == 0):
+                        total = _ZERO
+                        for i in range(3):
+                            channel = np.uint64(i)
+                            there = _between(image, at, beside, below, channel, weights)
+                            total += abs(there - own[here + channel])
+                        _insert(apart, seen, min(total * np.float32(1.0 / 3.0), unseen))
+                        seen += 1
+                half, total = (seen + 1) // 2, _ZERO
+                for k in range(half):
+                    total += apart[k]
+                found[d, r, c] = total / np.float32(half) if half > 0 else unseen
+
+
+@njit(inline="always")
+def _insert(ascending, count, value):  # type: ignore[no-untyped-def]
+    """Insert a value among the first `count` of a list in ascending order."""
+    k = count
+    while k > 0 and ascending[k - 1] > value:
+        ascending[k] = ascending[k - 1]
+        k -= 1
+    ascending[k] = value

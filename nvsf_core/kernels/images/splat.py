@@ -1,5 +1,7 @@
 """Points projected into an image by a z-buffer, without those hidden by a nearer surface, in numba.
 
+Where in its pixel a point lies is kept, too: on a slanted surface depth changes within a pixel.
+
 A point hides what lies behind it within a small disc of the world, `radius_m`: between the returns of
 one wall there are gaps of pixels through which the returns behind it would otherwise be seen.
 """
@@ -13,6 +15,8 @@ _LARGEST_FOOTPRINT_PX = 12
 _NEAR_M = 0.5
 _MARGIN_M, _MARGIN_SHARE = 0.3, 0.05
 """A surface's own thickness, and its thickness as a share of the depth: it may be seen at a grazing angle."""
+_SAME_SHARE = 0.03
+"""Points of a pixel that are farther than its nearest one by at most this share are of the same surface."""
 
 
 def splat_depth(
@@ -50,6 +54,55 @@ def splat_depth(
     return np.where(nearest <= cover, nearest, np.float32(np.inf))
 
 
+def mean_places(
+    points_m: np.ndarray,
+    world_to_camera: np.ndarray,
+    intrinsics: tuple[float, float, float, float],
+    depth_m: np.ndarray,
+) -> np.ndarray:
+    """Where in its pixel a surface was hit, and its inverse depth there: the mean of the pixel's points.
+
+    Of pixels without a depth, because all their points count as hidden, all points are used: they may belong
+    to the surface that is seen beside.
+
+    Args:
+        points_m: As of `splat_depth`.
+        world_to_camera: As of `splat_depth`.
+        intrinsics: As of `splat_depth`.
+        depth_m: (H, W) float32, what `splat_depth` gives for these.
+
+    Returns:
+        (H, W, 4) float32: number of the points, their mean column and row, their mean inverse depth, 1/m; 0
+        without points.
+    """
+    points = np.ascontiguousarray(points_m, np.float32)
+    image = _project(points, np.ascontiguousarray(world_to_camera[:3], np.float32), *intrinsics, _NEAR_M)
+    found = np.zeros((*depth_m.shape, 4), np.float32)
+    _add(image, depth_m, found)
+    found[..., 1:] /= np.maximum(found[..., :1], 1.0)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _add(image, depth_m, found):  # type: ignore[no-untyped-def]
+    """Add up column, row and inverse depth of the points (M, 3) that pixels of a known depth show."""
+    rows, columns = depth_m.shape
+    for i in range(len(image)):
+        u, v, depth = image[i]
+        row, column = _pixel(u, v, depth, rows, columns)
+        if row >= 0 and depth <= depth_m[row, column] * (1.0 + _SAME_SHARE):
+            one = found[row, column]
+            one[0], one[1], one[2], one[3] = one[0] + 1.0, one[1] + u, one[2] + v, one[3] + 1.0 / depth
+
+
+@njit(inline="always")
+def _pixel(u, v, depth, rows, columns):  # type: ignore[no-untyped-def]
+    """Row and column of a projected point; -1, -1 if the image does not have it."""
+    if not (depth < np.inf and u >= -0.5 and u < columns - 0.5 and v >= -0.5 and v < rows - 0.5):
+        return -1, -1
+    return math.floor(v + 0.5), math.floor(u + 0.5)
+
+
 @njit(cache=True, nogil=True)
 def _project(points, motion, fx, fy, cx, cy, near_m):  # type: ignore[no-untyped-def]
     """(M, 3) float32: u, v, depth; depth inf where the point is too near or not finite."""
@@ -72,14 +125,9 @@ def _project(points, motion, fx, fy, cx, cy, near_m):  # type: ignore[no-untyped
 def _nearest(image, nearest):  # type: ignore[no-untyped-def]
     rows, columns = nearest.shape
     for i in range(image.shape[0]):
-        depth = image[i, 2]
-        if not depth < np.inf:
-            continue
-        u, v = image[i, 0], image[i, 1]
-        if not (u >= -0.5 and u < columns - 0.5 and v >= -0.5 and v < rows - 0.5):
-            continue
-        row, column = math.floor(v + 0.5), math.floor(u + 0.5)
-        if depth < nearest[row, column]:
+        u, v, depth = image[i]
+        row, column = _pixel(u, v, depth, rows, columns)
+        if row >= 0 and depth < nearest[row, column]:
             nearest[row, column] = depth
 
 

@@ -11,7 +11,8 @@ from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.rendering.camera_view import camera_view
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.plane_depth import image_inverse_depth
-from nvsf_core.rendering.view_depth_maps import DepthMaps
+from nvsf_core.rendering.sharp_depths import ASKED, COMPARED, agreed, sharpened, static_sources
+from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources
 
 _MARGIN_M = 0.3
 """Pixels of a moving object are nearer or farther than all its returns by at most so much."""
@@ -33,6 +34,10 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     poses, time_s = camera.shared.poses(recording), camera.shared.times_s(recording)
     around_movers = images.moving
 
+    def neighbours(number: int, most: int) -> list[int]:
+        left_out = camera.for_validation - {number}
+        return baseline_sources(poses, number, [k for k in range(len(poses)) if k not in left_out], most)
+
     def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
         instant_s = float(time_s[number])
         moving = world.moving(instant_s, time_s)
@@ -49,11 +54,23 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
             mover[(view.label.numpy() == place) & _is_at(inverse, each, poses[number])] = each.number
         known = shown.valid
         if around_movers is not None:
-            known = known & ((mover > 0) | ~around_movers[number].cpu().numpy())
-        return np.where(known, without_edges(inverse), np.float32(0.0)), mover
+            known = known & ~around_movers[number].cpu().numpy()
+        found, is_static = without_edges(inverse), mover == 0
+        chosen = [number, *neighbours(number, COMPARED)]
+        sharp = sharpened(
+            np.where(known & is_static, found, np.float32(0.0)), lidar,
+            static_sources(images.full.cpu(), chosen, poses, number), shown.pinhole,
+        )  # fmt: skip
+        return np.where(is_static, np.where(known, sharp, np.float32(0.0)), found), mover
 
-    inverse, mover = zip(*in_parts(depth, len(time_s), MOST_VIEWS), strict=True)
-    return DepthMaps(torch.from_numpy(np.stack(inverse)), torch.from_numpy(np.stack(mover)))
+    count = len(time_s)
+    inverse, mover = (np.stack(each) for each in zip(*in_parts(depth, count, MOST_VIEWS), strict=True))
+
+    def asked(number: int) -> np.ndarray:
+        others = neighbours(number, ASKED)
+        return agreed(inverse[number], number, others, inverse, poses, mover[number] == 0, shown.pinhole)
+
+    return DepthMaps(torch.from_numpy(np.stack(in_parts(asked, count))), torch.from_numpy(mover))
 
 
 def _is_at(inverse: np.ndarray, mover: MovingPoints, pose: np.ndarray) -> np.ndarray:
