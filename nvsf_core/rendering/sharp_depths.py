@@ -85,7 +85,6 @@ def _other(inverse: np.ndarray, candidate: np.ndarray) -> np.ndarray:
     return np.where((inverse > 0.0) & is_own, inverse, candidate)
 
 
-# Wide: the map, what it is asked of, and their geometry are independent inputs.
 def agreed(
     inverse: np.ndarray, own: int, others: Sequence[int], maps: np.ndarray, poses: np.ndarray,
     is_static: np.ndarray, pinhole: Pinhole,

@@ -133,3 +133,16 @@ def test_without_any_return_the_plane_sweep_alone_finds_the_wall() -> None:
     flat = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources), sweep=False)
     swept = render_by_warping(pose(0.1), CAMERA, nothing, images, np.stack(sources))
     assert psnr_db(swept.rgb, truth) > psnr_db(flat.rgb, truth) + 3.0
+
+
+def test_depth_on_a_road_is_that_of_pixel_centres() -> None:
+    g = np.random.default_rng(0)
+    x, z = g.uniform(-12.0, 12.0, 60_000), g.uniform(3.0, 25.0, 60_000)
+    road = np.stack([x, np.full_like(x, 1.7), z], axis=1).astype(np.float32)
+    depth_m, gap_px = view_depth(pose(0.0), CAMERA, road)
+    truth_m = CAMERA.fy * 1.7 / (np.arange(CAMERA.height) - CAMERA.cy)
+    rows = slice(40, 60)
+    share = np.abs(depth_m / truth_m[:, None] - 1.0)[rows, 4:-4]
+    # A pixel of these rows spans 3 to 12 % of its depth.
+    assert np.median(share) < 0.001
+    assert np.percentile(share, 95) < 0.01
