@@ -98,7 +98,8 @@ CAPABILITIES = (
     Capability(
         "depth maps of images at full size",
         ("rendering/sharp_depths.py", "kernels/images/depth_refinement.py", "kernels/images/local_planes.py"),
-        "left-out images, quick: k360_street 21.3 to 21.6 dB, kitti0005 22.5 to 22.8, street 27.4 to 27.6 (0039)",
+        "left-out images, quick: k360_street 21.3 to 21.6 dB, kitti0005 22.5 to 22.8, street 27.4 to 27.6 "
+        "(0039)",
     ),
     Capability(
         "images aligned among each other",

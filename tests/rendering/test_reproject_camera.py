@@ -139,7 +139,7 @@ def test_depth_on_a_road_is_that_of_pixel_centres() -> None:
     g = np.random.default_rng(0)
     x, z = g.uniform(-12.0, 12.0, 60_000), g.uniform(3.0, 25.0, 60_000)
     road = np.stack([x, np.full_like(x, 1.7), z], axis=1).astype(np.float32)
-    depth_m, gap_px = view_depth(pose(0.0), CAMERA, road)
+    depth_m, _ = view_depth(pose(0.0), CAMERA, road)
     truth_m = CAMERA.fy * 1.7 / (np.arange(CAMERA.height) - CAMERA.cy)
     rows = slice(40, 60)
     share = np.abs(depth_m / truth_m[:, None] - 1.0)[rows, 4:-4]
