@@ -81,21 +81,24 @@ def main() -> None:
     scene = find_scene(os.environ.get("SCENES") or "street")
     store, rows = SceneStore(home=home, scene=scene.name), []
     totals = np.zeros(3, np.int64)
+    # The exact depths of a camera's training images take minutes, once.
+    true: dict[str, TrueCamera] = {}
     for view in scene.views:
         path = store.path(f"novel_views/{recipe}/0/{view.name}/model.zarr")
         for camera in read_attrs(path).get("cameras", []) if path.is_dir() else ():
-            found = sum(_counts(store, path, camera), np.zeros(3, np.int64))
+            if camera not in true:
+                true[camera] = _true_camera(store, camera)
+            found = sum(_counts(store, path, camera, true[camera]), np.zeros(3, np.int64))
             totals += found
             rows.append((view.name, camera, *_quality(found)))
     rows.append(("all", "", *_quality(totals)))
     print(markdown_table(("view", "camera", "unseen pixels", "precision", "recall"), rows))
 
 
-def _counts(store: SceneStore, path: Path, camera: str) -> Iterator[np.ndarray]:
+def _counts(store: SceneStore, path: Path, camera: str, one: TrueCamera) -> Iterator[np.ndarray]:
     """Of each image the numbers of pixels: guessed and unseen, guessed, unseen."""
     if not holds_array(path, f"{camera}_support"):
         return
-    one = _true_camera(store, camera)
     a = read_arrays(path, f"{camera}_support", f"{camera}_camera_to_world", "time_s")
     valid = read_arrays(store.require("undistorted") / "images.zarr", f"{camera}_valid")[f"{camera}_valid"]
     for support, pose, time_s in zip(
