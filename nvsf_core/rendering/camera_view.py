@@ -54,7 +54,7 @@ class ShownImages:
 
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
-        shown = maps.inverse.to(self.full.device)
+        shown = maps.inverse.clamp_min(0.0).to(self.full.device)
 
         def with_it(images: Tensor) -> Tensor:
             images = images.clone()

@@ -20,7 +20,7 @@ _HOLE_PX = 5
 def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
     """(H, W) uint8 class of `Support` of each pixel of a view.
 
-    Guessed is where no image has a surface; seen is what one of the view's sources shows from about
+    Guessed is where no image shows anything; seen is what one of the view's sources shows from about
     the view's direction and distance; all else is extrapolated.
 
     Args:
@@ -40,7 +40,8 @@ def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
             alike = torch.where(view.label == mover + 1, own, alike)
         seen |= shown[number] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
-    is_hole = _holes((view.surfaces.support[0] == 0.0) & (view.surfaces.label == 0))
+    surfaces = view.surfaces
+    is_hole = _holes((surfaces.support[0] == 0.0) & (surfaces.label == 0) & ~surfaces.glimpsed)
     return torch.where(is_hole, int(Support.GUESSED), support).to(torch.uint8)
 
 

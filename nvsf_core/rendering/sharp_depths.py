@@ -89,7 +89,7 @@ def agreed(
     inverse: np.ndarray, own: int, others: Sequence[int], maps: np.ndarray, poses: np.ndarray,
     is_static: np.ndarray, pinhole: Pinhole,
 ) -> np.ndarray:  # fmt: skip
-    """A depth map (H, W), 1/m, without the static depths that no other map confirms.
+    """A depth map (H, W), 1/m; negative where no other map confirms a static depth.
 
     Args:
         inverse: (H, W) float32 of the image, 1/m.

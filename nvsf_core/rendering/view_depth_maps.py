@@ -1,7 +1,7 @@
 """Depth of a view from the depth maps of recorded images, and the images that see most of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -41,7 +41,7 @@ class DepthMaps:
     """Depth maps of the j images of a camera."""
 
     inverse: Tensor
-    """(j, H, W) float32 inverse depths along z, 1/m; 0 = unknown."""
+    """(j, H, W) float32 inverse depths along z, 1/m; 0 = unknown, negative = no other map confirms it."""
     mover: Tensor
     """(j, H, W) int16: number of the moving object that a pixel shows, 0 = static."""
 
@@ -53,7 +53,7 @@ class NearMaps:
     motions: np.ndarray
     """(m, k, 4, 4) float64, see `image_motions`; the last are zeros."""
     inverse: list[np.ndarray]
-    """(H, W) float32 inverse depths of each image, 1/m; 0 = unknown."""
+    """(H, W) float32 inverse depths of each image, 1/m; 0 = unknown, negative = unconfirmed."""
     label: list[np.ndarray]
     """(H, W) uint8: what each of its pixels shows, an index of `motions`; the last if that is not in the
     view."""
@@ -77,10 +77,14 @@ class ViewDepth:
     """(2, H, W) float32, 0..1: weight of the maps that agree on each; 0 where no image shows it."""
     label: Tensor
     """(H, W) uint8: the moving object that the front shows, as an index of the motions that were given."""
+    glimpsed: Tensor
+    """(H, W) bool: some image shows something about here, at a depth that no other confirms."""
 
     def to(self, device: torch.device) -> "ViewDepth":
         """The same depth on `device`."""
-        return ViewDepth(self.inverse.to(device), self.support.to(device), self.label.to(device))
+        return ViewDepth(
+            self.inverse.to(device), self.support.to(device), self.label.to(device), self.glimpsed.to(device)
+        )
 
     def completed(self, label: Tensor, inverse: Tensor) -> "ViewDepth":
         """The same depth; where no image shows a surface but a LiDAR return a moving object, the return's.
@@ -90,8 +94,10 @@ class ViewDepth:
             inverse: (H, W) of the return, 1/m.
         """
         where = (self.support[0] == 0.0) & (label > 0)
-        return ViewDepth(
-            torch.where(where, inverse, self.inverse), self.support, torch.where(where, label, self.label)
+        return replace(
+            self,
+            inverse=torch.where(where, inverse, self.inverse),
+            label=torch.where(where, label, self.label),
         )
 
 
@@ -169,10 +175,14 @@ def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> 
             or None = none is known to be there.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-    carried = [
-        splat_depth_map(inverse, label, _inverted(near.motions[:, k]), intrinsics)
-        for k, (inverse, label) in enumerate(zip(near.inverse, near.label, strict=True))
-    ]
+    maps = list(enumerate(zip(near.inverse, near.label, strict=True)))
+    carried, unconfirmed = (
+        [
+            splat_depth_map(sign * inverse, label, _inverted(near.motions[:, k]), intrinsics)
+            for k, (inverse, label) in maps
+        ]
+        for sign in (np.float32(1.0), np.float32(-1.0))
+    )
     nothing = np.zeros((pinhole.height, pinhole.width), np.uint8)
     depths, support, labels = agreed_depths(
         np.stack([one for one, _ in carried]), np.stack([one for _, one in carried]),
@@ -189,7 +199,8 @@ def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> 
     # A pixel is looked up as one thing: another one behind a moving object is left out.
     is_other = (support[1] > 0.0) & (labels[0] == labels[1])
     depths[1], support[1] = np.where(is_other, depths[1], depths[0]), np.where(is_other, support[1], 0.0)
-    return ViewDepth(torch.from_numpy(depths), torch.from_numpy(support), torch.from_numpy(labels[0]))
+    glimpsed = np.stack([one > 0.0 for one, _ in unconfirmed]).any(axis=0)
+    return ViewDepth(*(torch.from_numpy(each) for each in (depths, support, labels[0], glimpsed)))
 
 
 def _inverted(motions: np.ndarray) -> np.ndarray:

@@ -78,13 +78,13 @@ def test_a_return_offers_a_depth_that_the_map_lacks() -> None:
     assert (found == maps[0])[on_disc].mean() > 0.9
 
 
-def test_maps_of_the_same_street_agree_and_a_wrong_patch_is_dropped() -> None:
+def test_maps_of_the_same_street_agree_and_a_wrong_patch_is_marked() -> None:
     _, maps, poses = seen([0.0, 0.6, -0.6])
     wrong = maps[0].copy()
     wrong[5:15, 55:70] = 0.15
     static = np.ones(wrong.shape, np.bool_)
     found = agreed(wrong, 0, [1, 2], maps, poses, static, CAMERA)
-    assert (found[5:15, 55:70] == 0.0).all()
+    assert (found[5:15, 55:70] == -wrong[5:15, 55:70]).all()
     rest = np.ones_like(static)
     rest[5:15, 55:70] = False
     assert (found == wrong)[rest].mean() > 0.98

@@ -44,11 +44,13 @@ def depth_map(place: np.ndarray) -> np.ndarray:
     return np.tile(1.0 / depth_m, (32, 1)).astype(np.float32)
 
 
-def view(at: np.ndarray, places: list[np.ndarray], sources: int = 3) -> CameraView:
+def view(
+    at: np.ndarray, places: list[np.ndarray], sources: int = 3, maps: list[np.ndarray] | None = None
+) -> CameraView:
     images = np.full((len(places), 32, 64, 3), 100, np.uint8)
-    inverse = torch.from_numpy(np.stack([depth_map(place) for place in places]))
-    maps = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
-    shown = shown_images(images, np.ones((32, 64), np.bool_), 1).with_depths(maps)
+    inverse = torch.from_numpy(np.stack([depth_map(place) for place in places] if maps is None else maps))
+    known = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
+    shown = shown_images(images, np.ones((32, 64), np.bool_), 1).with_depths(known)
     nothing = lidar_view(at, CAMERA, np.zeros((0, 3), np.float32), ())
     return camera_view(
         at, CAMERA, nothing, shown, np.stack(places),
@@ -87,6 +89,23 @@ def test_what_no_image_shows_is_guessed_and_what_one_shows_from_elsewhere_extrap
     assert (classes[:, (x_m > 4.0) & (x_m < 9.0)] == Support.EXTRAPOLATED).float().mean() > 0.9
 
 
+def test_a_place_that_an_image_shows_at_an_unconfirmed_depth_is_no_surface_but_not_guessed() -> None:
+    at, places = pose(3.0), [pose(0.0), pose(0.2)]
+    x_m = (np.arange(64) - CAMERA.cx) / CAMERA.fx * WALL_M + 3.0
+    end = (x_m > 4.0) & (x_m < 9.0)
+    doubtful = [depth_map(place) for place in places]
+    for inverse in doubtful:
+        inverse[inverse < 0.5 / POST_M + 0.5 / WALL_M] *= -1.0
+    one = view(at, places, maps=doubtful)
+    assert one.surfaces is not None
+    assert (one.surfaces.support[0][:, end] == 0.0).all()
+    assert one.surfaces.glimpsed[:, end].float().mean() > 0.9
+    classes = support_at(one, torch.from_numpy(depth_map(at)))
+    assert (classes[:, end] == Support.EXTRAPOLATED).float().mean() > 0.9
+    # What the post hides from the images nobody saw in any way.
+    assert (classes[:, np.abs(x_m) < 1.5] == Support.GUESSED).all()
+
+
 def near_maps(at: np.ndarray, places: np.ndarray, inverse: np.ndarray, mover: np.ndarray) -> NearMaps:
     """Maps of images at `places`, all of whose pixels `mover` (k, H, W) move as what is static does."""
     motions = image_motions(at, places, [np.tile(np.eye(4), (len(places), 1, 1))])
@@ -98,7 +117,7 @@ def facing(label: int = 0) -> ViewDepth:
     """The wall alone, static or as a moving object."""
     return ViewDepth(
         torch.full((2, 32, 64), 1.0 / WALL_M), torch.ones(2, 32, 64),
-        torch.full((32, 64), label, dtype=torch.uint8),
+        torch.full((32, 64), label, dtype=torch.uint8), torch.zeros(32, 64, dtype=torch.bool),
     )  # fmt: skip
 
 

@@ -101,7 +101,7 @@ def _average(image, difference, near, row, column, mean):  # type: ignore[no-unt
 def confirmed(
     inverse: np.ndarray, motions: np.ndarray, others: np.ndarray, is_static: np.ndarray, least: int
 ) -> np.ndarray:
-    """A depth map (H, W) float32, 1/m, without static depths that too few other images' maps agree with.
+    """A depth map (H, W) float32, 1/m; negative where too few other images' maps agree with a static depth.
 
     Args:
         inverse: (H, W) float32 of the image, 1/m.
@@ -138,4 +138,4 @@ def _ask(inverse, motions, others, is_static, least, found):  # type: ignore[no-
                         known += 1
                         agree += abs(there - own) <= _AGREE_SHARE * max(there, own) + _AGREE_PER_M
             if agree < min(least, known):
-                found[r, c] = _ZERO
+                found[r, c] = -q
