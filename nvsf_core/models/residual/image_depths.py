@@ -14,6 +14,7 @@ from nvsf_core.rendering.plane_depth import image_inverse_depth
 from nvsf_core.rendering.sharp_depths import ASKED, COMPARED, agreed, sharpened, static_sources
 from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources
 
+_UNKNOWN = np.float32(0.0)
 _MARGIN_M = 0.3
 """Pixels of a moving object are nearer or farther than all its returns by at most so much."""
 
@@ -21,7 +22,8 @@ _MARGIN_M = 0.3
 def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     """Depth maps of a camera's training images, and of those that are shared with it, in their order.
 
-    Unknown are depth edges, pixels around moving objects and pixels that show nothing. No image's depth
+    Unknown are pixels around moving objects, pixels that show nothing, and depth edges where no surface of
+    those around is confirmed. Depths that no other image's map confirms are negative. No image's depth
     depends on an image for validation but its own: rendered, such an image knows nothing of its own pixels.
     Of the scan of its instant it knows what its neighbours' maps do.
 
@@ -32,7 +34,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     world, images = camera.drive.world, camera.images
     shown, recording = world.recording.cameras[camera.name].training, world.recording
     poses, time_s = camera.shared.poses(recording), camera.shared.times_s(recording)
-    around_movers = images.moving
+    around_movers, recorded = images.moving, images.full.cpu()
 
     def neighbours(number: int, most: int) -> list[int]:
         left_out = camera.for_validation - {number}
@@ -51,17 +53,14 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
         mover = np.zeros(inverse.shape, np.int16)
         for place, each in enumerate(moving, start=1):
             assert view.label is not None
-            mover[(view.label.numpy() == place) & _is_at(inverse, each, poses[number])] = each.number
-        known = shown.valid
+            is_it = (view.label.numpy() == place) & _is_at(inverse, each, poses[number])
+            mover[is_it & shown.valid] = each.number
+        found, is_static = without_edges(inverse), shown.valid & (mover == 0)
         if around_movers is not None:
-            known = known & ~around_movers[number].cpu().numpy()
-        found, is_static = without_edges(inverse), mover == 0
-        chosen = [number, *neighbours(number, COMPARED)]
-        sharp = sharpened(
-            np.where(known & is_static, found, np.float32(0.0)), lidar,
-            static_sources(images.full.cpu(), chosen, poses, number), shown.pinhole,
-        )  # fmt: skip
-        return np.where(is_static, np.where(known, sharp, np.float32(0.0)), found), mover
+            is_static &= ~around_movers[number].cpu().numpy()
+        sources = static_sources(recorded, [number, *neighbours(number, COMPARED)], poses, number)
+        sharp = sharpened(np.where(is_static, found, _UNKNOWN), lidar, sources, shown.pinhole)
+        return np.where(is_static, sharp, np.where(mover > 0, found, _UNKNOWN)), mover
 
     count = len(time_s)
     inverse, mover = (np.stack(each) for each in zip(*in_parts(depth, count, MOST_VIEWS), strict=True))
