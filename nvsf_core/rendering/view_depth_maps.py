@@ -175,14 +175,8 @@ def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> 
             or None = none is known to be there.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-    maps = list(enumerate(zip(near.inverse, near.label, strict=True)))
-    carried, unconfirmed = (
-        [
-            splat_depth_map(sign * inverse, label, _inverted(near.motions[:, k]), intrinsics)
-            for k, (inverse, label) in maps
-        ]
-        for sign in (np.float32(1.0), np.float32(-1.0))
-    )
+    carried = _carried(near, near.inverse, intrinsics)
+    unconfirmed = _carried(near, [-inverse for inverse in near.inverse], intrinsics)
     nothing = np.zeros((pinhole.height, pinhole.width), np.uint8)
     depths, support, labels = agreed_depths(
         np.stack([one for one, _ in carried]), np.stack([one for _, one in carried]),
@@ -201,6 +195,16 @@ def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> 
     depths[1], support[1] = np.where(is_other, depths[1], depths[0]), np.where(is_other, support[1], 0.0)
     glimpsed = np.stack([one > 0.0 for one, _ in unconfirmed]).any(axis=0)
     return ViewDepth(*(torch.from_numpy(each) for each in (depths, support, labels[0], glimpsed)))
+
+
+def _carried(
+    near: NearMaps, inverse: Sequence[np.ndarray], intrinsics: tuple[float, float, float, float]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What is positive in maps (H, W), 1/m, of the images of `near`, each as the view sees it; and labels."""
+    return [
+        splat_depth_map(one, label, _inverted(near.motions[:, k]), intrinsics)
+        for k, (one, label) in enumerate(zip(inverse, near.label, strict=True))
+    ]
 
 
 def _inverted(motions: np.ndarray) -> np.ndarray:

@@ -5,9 +5,10 @@ import torch
 
 from nvsf_core.errors import DivergedError
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images.source_lookup import least_differences
 from nvsf_core.rendering import plane_volume
 from nvsf_core.rendering.plane_volume import Agreement, agreement
-from nvsf_core.rendering.sources import SeenPoints, Sources, look_up, look_up_by_torch
+from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look_up, look_up_by_torch
 from nvsf_core.rendering.warping import plane_rays, sample, sample_cubic
 
 CAMERA = Pinhole(fx=40.0, fy=41.0, cx=23.0, cy=16.0, width=48, height=32)
@@ -84,3 +85,19 @@ def test_an_image_shows_of_a_moving_object_what_it_does_not_hide_itself() -> Non
     for _, seen in (look_up(sources, points, CAMERA), by_torch):
         shown = seen.reshape(32, 48)
         assert shown[:, :23].all() and not shown[:, 25:].any()
+
+
+def test_the_half_of_the_sources_that_differ_least_counts() -> None:
+    sources, points = scene(6, label=False)
+    # Of an image's own pixels: the first source, at the place itself.
+    sources.motion[0] = torch.eye(4)
+    inverse = points.inverse.clone()
+    inverse[:, :, 40:], inverse[1, 0, :40] = inverse[:1, :, 40:], 0.0
+    points = SeenPoints(points.rays, inverse, torch.zeros(32, 48, dtype=torch.uint8))
+    found = torch.from_numpy(least_differences(kernel_inputs(sources, points, CAMERA), 0.2))
+    colour, seen = look_up_by_torch(sources, points, CAMERA, sample)
+    apart = (colour[1] - sources.images[3, :3, None]).abs().mean(dim=0).clamp_max(0.2)
+    # The third source is a placeholder: what is left is the second.
+    expected = torch.where(seen[1] & (inverse > 0.0), apart, 0.2)
+    assert ((found - expected)[:, :, :40].abs() > 1e-4).float().mean() < 2e-3
+    assert (found[:, :, 40:] == 0.0).all(), "there is nothing to compare"
