@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
+from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
 from nvsf_core.rendering.reproject_camera import nearest_sources
 from nvsf_core.rendering.sources import Sources
@@ -103,6 +104,8 @@ class CameraView:
     """(o, k, 4, 4), see `Sources`."""
     surfaces: ViewDepth | None = None
     """What the images' depth maps show; None where the images have none."""
+    log_gain: float = 0.0
+    """Natural logarithm of the view's exposure over the common one of the images, see `at_exposure`."""
     label: Tensor | None = None
     """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 
@@ -151,7 +154,11 @@ def shrinking(pinhole: Pinhole, spec: CameraSpec) -> int:
 
 
 def shown_images(
-    images: np.ndarray, valid: np.ndarray, factor: int, moving: np.ndarray | None = None
+    images: np.ndarray,
+    valid: np.ndarray,
+    factor: int,
+    moving: np.ndarray | None = None,
+    log_gain: np.ndarray | None = None,
 ) -> ShownImages:
     """Convert recorded images to source images of two sizes.
 
@@ -160,9 +167,13 @@ def shown_images(
         valid: (H, W) bool, pixels that show anything.
         factor: By how much the small images are shrunk.
         moving: (j, H, W) bool, pixels that show moving objects; None = nothing moves.
+        log_gain: (j,) natural logarithms of the images' exposures, which are evened; None = all are the same.
     """
+    colours = to_float(images)
+    for number, gain in enumerate(() if log_gain is None else log_gain.tolist()):
+        colours[number] = at_exposure(colours[number], -gain)
     shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
-    parts = [to_float(images), shown, torch.zeros_like(shown)]
+    parts = [colours, shown, torch.zeros_like(shown)]
     if moving is not None:
         parts.append(torch.from_numpy(moving).float()[:, None])
     # A pixel's channels beside each other, as looked up.

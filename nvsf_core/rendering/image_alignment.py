@@ -9,25 +9,25 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import spsolve
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_se3, invert_pose
-from nvsf_core.rendering.reproject_camera import nearest_sources
+from nvsf_core.rendering.image_anchors import (
+    Anchors,
+    anchors_of,
+    levels_at,
+    near_images,
+    projected,
+    smoothed_grey,
+)
 
-_NEIGHBOURS = 4
-_BLUR_PX = 1.5
-"""Standard deviation of the smoothing. Slopes then point to the right place from about this far away."""
 _ROUNDS = 8
 _PRIOR = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
 """Expected standard deviation of a pose's error: three in metres, three in radians."""
 _NOISE = 0.1
 """Scale of the robust cost, in grey values 0..1: at larger differences a return is rather hidden."""
-_CELL_PX, _MOST_RETURNS = 4, 12_000
-_NEAREST_M = 0.5
-_RIM_PX = 4
 _SMOOTH_S = 0.75
 """Standard deviation in time over which corrections are averaged: pose errors change slowly."""
 
@@ -74,16 +74,6 @@ class PoseCorrection:
         return pose @ exp_se3(mean - slope * middle_s)
 
 
-@dataclass(frozen=True, slots=True)
-class _Anchors:
-    """Returns of a scan, in the frame of the camera whose image was taken with it."""
-
-    point_m: np.ndarray
-    """(m, 3) metres."""
-    grey: np.ndarray
-    """(m,) grey values of the image there, 0..1."""
-
-
 def align_images(
     rgb: Iterable[np.ndarray], pinhole: Pinhole, pose: np.ndarray, returns_m: Sequence[np.ndarray]
 ) -> np.ndarray:
@@ -104,10 +94,10 @@ def align_images(
         return twist
     seen = [_with_slopes(image) for image in rgb]
     anchors = [
-        _anchors(image, pinhole, one, points)
+        anchors_of(image, pinhole, one, points)
         for image, one, points in zip(seen, pose, returns_m, strict=True)
     ]
-    pairs = [(j, k) for j, found in enumerate(anchors) if len(found.grey) for k in _near(pose, j)]
+    pairs = [(j, k) for j, found in enumerate(anchors) if len(found.grey) for k in near_images(pose, j)]
     for _ in range(_ROUNDS):
         twist = _improved(twist, pose, pairs, anchors, seen, pinhole)
     before, after = (
@@ -121,7 +111,7 @@ def _improved(
     twist: np.ndarray,
     pose: np.ndarray,
     pairs: Sequence[tuple[int, int]],
-    anchors: Sequence[_Anchors],
+    anchors: Sequence[Anchors],
     seen: Sequence[np.ndarray],
     pinhole: Pinhole,
 ) -> np.ndarray:
@@ -159,7 +149,7 @@ def _motions(pose: np.ndarray, pairs: Sequence[tuple[int, int]]) -> list[tuple[i
 
 
 def _residual(
-    anchors: _Anchors, motion: np.ndarray, seen: np.ndarray, pinhole: Pinhole
+    anchors: Anchors, motion: np.ndarray, seen: np.ndarray, pinhole: Pinhole
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Grey values of anchors in another image, minus those in their own, for anchors that it shows.
 
@@ -167,9 +157,9 @@ def _residual(
         (m,), and its derivatives (m, 6) by the twists of the anchors' own pose and of the other one.
     """
     point = anchors.point_m @ motion[:3, :3].T + motion[:3, 3]
-    pixels, inside = _projected(point, pinhole)
+    pixels, inside = projected(point, pinhole)
     point, own = point[inside], anchors.point_m[inside]
-    found = _between(seen, pixels[inside])
+    found = levels_at(seen, pixels[inside])
     residual = found[:, 0] - anchors.grey[inside]
     if len(residual):
         residual = residual - np.median(residual)
@@ -188,43 +178,8 @@ def _cost(residual: np.ndarray) -> float:
     return -float((1.0 / (1.0 + (residual / _NOISE) ** 2)).sum())
 
 
-def _near(pose: np.ndarray, image: int) -> list[int]:
-    """Indices of the images whose cameras were nearest to that of one image."""
-    others = [index for index in range(len(pose)) if index != image]
-    return [others[index] for index in nearest_sources(pose[image], pose[others], _NEIGHBOURS)]
-
-
 def _with_slopes(image: np.ndarray) -> np.ndarray:
     """(3, h, w) float32: smoothed grey values 0..1, their slopes along a row and along a column."""
-    grey = gaussian_filter(image.mean(axis=-1, dtype=np.float32) / 255.0, _BLUR_PX, mode="nearest")
+    grey = smoothed_grey(image)
     down, across = np.gradient(grey)
     return np.stack([grey, across, down]).astype(np.float32)
-
-
-def _anchors(seen: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: np.ndarray) -> _Anchors:
-    """Returns (m, 3), scene-local, that an image shows: the nearest in each small cell of the image."""
-    inverse = invert_pose(pose)
-    point = returns_m @ inverse[:3, :3].T + inverse[:3, 3]
-    pixels, inside = _projected(point, pinhole)
-    point, pixels = point[inside], pixels[inside]
-    column, row = (pixels // _CELL_PX).astype(np.int64).T
-    cell = row * pinhole.width + column
-    by_depth = np.argsort(point[:, 2], kind="stable")
-    _, first = np.unique(cell[by_depth], return_index=True)
-    kept = by_depth[first]
-    kept = kept[:: max(1, -(-len(kept) // _MOST_RETURNS))]
-    return _Anchors(point[kept], _between(seen[:1], pixels[kept])[:, 0])
-
-
-def _projected(point: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (m, 2) of points (m, 3) in the camera's frame, and whether (m,) they are well in the image."""
-    pixels, _ = pinhole.project(point)
-    end = np.array([pinhole.width, pinhole.height]) - _RIM_PX - 0.5
-    well = ((pixels > _RIM_PX - 0.5) & (pixels < end)).all(axis=1)
-    return pixels, well & (point[:, 2] > _NEAREST_M)
-
-
-def _between(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Values (m, c) of an image (c, h, w) at places (m, 2) between its pixels, bilinear."""
-    places = pixels.T[::-1]
-    return np.stack([map_coordinates(one, places, np.float64, order=1) for one in image], axis=1)

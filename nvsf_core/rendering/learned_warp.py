@@ -8,6 +8,7 @@ from torch import Tensor
 from nvsf_core.fields.camera_networks import BlendInput, CameraEnsemble, CameraNetworks
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
+from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.rendering.pixel_support import pixel_support, without_holes
 from nvsf_core.rendering.plane_depth import FULL_TRUST_PX
 from nvsf_core.rendering.plane_volume import agreement
@@ -77,7 +78,7 @@ def blend_sources(
 ) -> Tensor:
     """Colours (3, h, w), about 0..1, of a window of a view; arguments as of `blend_input`."""
     found: Tensor = networks.blend(blend_input(view, hypotheses(view, 1, window), coarse, window))
-    return found
+    return at_exposure(found, view.log_gain)
 
 
 @torch.no_grad()
@@ -86,7 +87,8 @@ def render_view(networks: CameraEnsemble, view: CameraView) -> RenderedImage:
     members, found = list(networks), hypotheses(view, 1, WHOLE)
     given = blend_input(view, found, coarse_colour(view))
     colours = in_parts(lambda number: members[number].blend(given), len(members))
-    image = (torch.stack(colours).mean(dim=0).clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
+    levels = at_exposure(torch.stack(colours).mean(dim=0), view.log_gain)
+    image = (levels.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
     likeliest = found.share.argmax(dim=0, keepdim=True)
     inverse = found.inverse.gather(0, likeliest)[0]
     by_depth = given.shown[:-1].reshape(len(found.share), -1, *inverse.shape)

@@ -23,6 +23,12 @@ from nvsf_core.models.holdout import compare
 from nvsf_core.models.residual.camera_examples import LeftOut, ShownCamera
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.models.residual.exposures import (
+    Exposures,
+    exposures_from,
+    exposures_of,
+    facts_of_exposures,
+)
 from nvsf_core.models.residual.image_depths import image_depths
 from nvsf_core.models.residual.pose_refinement import (
     AlignedDrive,
@@ -58,6 +64,8 @@ SHARED = "shared_images"
 """Name of the fact: lists of the cameras that share their images; of older models each camera is alone."""
 TONES = "tones"
 """Name of the fact: by camera, gain and exponent of its `ToneCurve`."""
+EXPOSURES = "exposures"
+"""Name of the fact: by camera, times and logarithms of gains of its images, see `Exposures`."""
 ALONE = "cameras_alone"
 """Name of the fact: cameras whose views do without the images that are shared with them."""
 _MAPS = "depth_maps"
@@ -76,9 +84,10 @@ def train_camera(
     tones = tones_of(recording, shared)
     recording = with_tones(recording, tones)
     given = aligned_by(MovingWorld(recording), {})
-    images = {one.name: _shown(given.world, one, recipe.camera).to(device) for one in shared}
+    exposures = exposures_of(given.world, usable)
+    images = {one.name: _shown(given.world, one, recipe.camera, exposures).to(device) for one in shared}
     cameras = {
-        name: ShownCamera(given, name, one, images[one.name], recipe.camera)
+        name: ShownCamera(given, name, one, images[one.name], recipe.camera, exposures.get(name))
         for one in shared
         for name in one.cameras
     }
@@ -89,7 +98,7 @@ def train_camera(
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
             states={}, preparation_seconds=time.perf_counter() - started, metadata=few,
-            facts={LEARNED: [], ALIGNED: {}, SHARED: [], TONES: {}, ALONE: []},
+            facts={LEARNED: [], ALIGNED: {}, SHARED: [], TONES: {}, ALONE: [], EXPOSURES: {}},
         )  # fmt: skip
     session.say("camera", f"{len(wanted)} images to learn from")
     depths = nn.ModuleList(one.depth for one in networks)
@@ -125,7 +134,7 @@ def train_camera(
         ),
     )  # fmt: skip
     validating = time.perf_counter()
-    verdict, facts = _verdict(networks, given, cameras, recipe.camera)
+    verdict, facts = _verdict(networks, given, cameras, recipe.camera, exposures)
     preparation += time.perf_counter() - validating
     return TrainedPart(
         states={"depth": depth, "camera": both}, preparation_seconds=preparation,
@@ -133,6 +142,7 @@ def train_camera(
         facts=facts | {
             SHARED: [list(one.cameras) for one in shared],
             TONES: {name: (one.gain, one.exponent) for name, one in tones.items()},
+            EXPOSURES: facts_of_exposures(exposures),
         },
         tensors={key: value for name, one in maps.items() for key, value in _stored_maps(name, one).items()},
     )  # fmt: skip
@@ -163,7 +173,11 @@ def _of_members(
 
 
 def _verdict(
-    networks: CameraEnsemble, given: AlignedDrive, cameras: Mapping[str, ShownCamera], spec: CameraSpec
+    networks: CameraEnsemble,
+    given: AlignedDrive,
+    cameras: Mapping[str, ShownCamera],
+    spec: CameraSpec,
+    exposures: Mapping[str, Exposures],
 ) -> tuple[dict[str, Scalar], dict[str, Any]]:
     """Scores on the validation images, and as facts the cameras that use the networks, and how.
 
@@ -174,7 +188,7 @@ def _verdict(
     """
     left_out = {name: one.validation for name, one in cameras.items()}
     aligning = list(cameras) if spec.aligned else []
-    aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out))
+    aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out, exposures))
     scores = {
         name: compare(_METRICS, one.validation, _candidates(networks, given, aligned, one))
         for name, one in cameras.items()
@@ -199,7 +213,7 @@ def _verdict(
         metadata[f"{name}_shows"] = "learned" if is_better else "reproject: learning did not beat it"
         if is_better:
             learned.append(name)
-    corrections = align_drive(given.world, better)
+    corrections = align_drive(given.world, better, exposures=exposures)
     return metadata, {LEARNED: learned, ALIGNED: facts_of(corrections), ALONE: alone}
 
 
@@ -234,6 +248,7 @@ def camera_renderer(
     facts = weights.facts
     tones = {name: ToneCurve(*map(tuple, one)) for name, one in facts.get(TONES, {}).items()}
     corrections = corrections_from(facts.get(ALIGNED, {}))
+    exposures = exposures_from(facts.get(EXPOSURES, {}))
     drive = aligned_by(MovingWorld(with_tones(recording, tones)), corrections)
     world, learned, alone = drive.world, facts[LEARNED], facts.get(ALONE, ())
     shared = {
@@ -243,7 +258,7 @@ def camera_renderer(
         if name in learned
     }
     shown = {
-        one.name: _shown(world, one, spec).with_depths(_maps_from(weights, one.name)).to(device)
+        one.name: _shown(world, one, spec, exposures).with_depths(_maps_from(weights, one.name)).to(device)
         for one in set(shared.values())
     }
 
@@ -262,6 +277,8 @@ def camera_renderer(
             at, pinhole, lidar, shown[one.name], poses, spec, instant=one.instant, leave_out=others,
             moving=moving,
         )  # fmt: skip
+        if camera in exposures:
+            view = replace(view, log_gain=exposures[camera].at(place_s))
         found = render_view(networks, view.to(device))
         return replace(found, rgb=tones[camera].inverse().of(found.rgb)) if camera in tones else found
 
@@ -316,12 +333,18 @@ def _scores(recording: Recording, camera: str, index: int, shown: RenderedImage)
     return [psnr(shown.rgb[images.valid] / 255.0, images.rgb[index][images.valid] / 255.0, 1.0).value]
 
 
-def _shown(world: MovingWorld, shared: SharedImages, spec: CameraSpec) -> ShownImages:
+def _shown(
+    world: MovingWorld, shared: SharedImages, spec: CameraSpec, exposures: Mapping[str, Exposures]
+) -> ShownImages:
     cameras = [world.recording.cameras[name] for name in shared.cameras]
     first, shadows = cameras[0].training, [world.shadows(one) for one in cameras]
     known = [one for one in shadows if one is not None]
     moving = np.concatenate(known) if known else None
-    return shown_images(shared.rgb(world.recording), first.valid, shrinking(first.pinhole, spec), moving)
+    fixed, gains = np.zeros(shared.count), [exposures.get(name) for name in shared.cameras]
+    log_gain = np.concatenate([fixed if one is None else one.log_gain for one in gains])
+    return shown_images(
+        shared.rgb(world.recording), first.valid, shrinking(first.pinhole, spec), moving, log_gain
+    )
 
 
 def _images(recording: Recording, camera: str) -> int:

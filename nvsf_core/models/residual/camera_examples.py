@@ -1,7 +1,7 @@
 """Training images of a camera as views that the other images render."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -9,10 +9,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.models.holdout import validation_numbers
+from nvsf_core.models.residual.exposures import Exposures
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.models.residual.shared_images import SharedImages
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
+from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
 from nvsf_core.rendering.warping import to_float
@@ -31,7 +33,7 @@ class LeftOut:
     truth: Tensor
     """(3, H, W) uint8."""
     small_truth: Tensor
-    """(3, h, w) float32 in 0..1, at the size at which depth planes are compared."""
+    """(3, h, w) float32 in 0..1, at the size at which depth planes are compared, and the common exposure."""
     coarse: Tensor | None = None
     """(3, h, w) of `coarse_colour`; None while images have no depths."""
 
@@ -56,6 +58,8 @@ class ShownCamera:
     """All of these, as sources."""
     spec: CameraSpec
     """Of the recipe."""
+    exposures: Exposures | None = None
+    """Of the camera; None = fixed."""
     returns: dict[int, tuple[list[MovingPoints], LidarView]] = field(default_factory=dict)
     """What is known already of `_returns`, for all views of an image by this drive's poses."""
 
@@ -84,7 +88,7 @@ class ShownCamera:
 
     def left_out(self, index: int) -> LeftOut:
         """One of its images rendered from all of other instants."""
-        return self._with_truth(self.from_others(index), index)
+        return self._with_truth(self._view(index, self.shared.at_instant_of(index)), index)
 
     def left_out_in_block(self, index: int, place: int) -> LeftOut:
         """One of its images rendered from those beyond a distance, which alternates with `place`."""
@@ -92,9 +96,13 @@ class ShownCamera:
         return self._with_truth(self._view(index, block), index)
 
     def from_others(self, index: int, *, alone: bool = False) -> CameraView:
-        """The view of one of its images by all of other instants; `alone`: by its own only."""
+        """The view of one of its images by all of other instants, whose exposures give its own.
+
+        `alone`: by its own camera's images only.
+        """
         not_own = self.shared.of_others(self.name) if alone else set()
-        return self._view(index, self.shared.at_instant_of(index) | not_own)
+        view = self._view(index, self.shared.at_instant_of(index) | not_own)
+        return replace(view, log_gain=self._log_gain(index, leave_out=True))
 
     def _view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
         """The view of one of its images; the scan of its instant is known to the others' depths alone.
@@ -112,7 +120,14 @@ class ShownCamera:
             self.shared.poses(recording), self.spec, instant=self.shared.instant, leave_out=leave_out,
             own=own, moving=moving,
         )  # fmt: skip
-        return view.to(self.images.full.device)
+        return replace(view, log_gain=self._log_gain(index)).to(self.images.full.device)
+
+    def _log_gain(self, index: int, *, leave_out: bool = False) -> float:
+        """Of one of its images; `leave_out`: as the others tell it."""
+        if self.exposures is None:
+            return 0.0
+        time_s = self.drive.world.recording.cameras[self.name].training_time_s[index]
+        return self.exposures.at(float(time_s), leave_out=leave_out)
 
     def _returns(self, index: int) -> tuple[list[MovingPoints], LidarView]:
         """Moving objects at an image's instant, and what returns show in it; computed once."""
@@ -129,7 +144,8 @@ class ShownCamera:
 
     def _with_truth(self, view: CameraView, index: int) -> LeftOut:
         truth = self.drive.given.cameras[self.name].training.rgb[index]
-        small = functional.avg_pool2d(to_float(truth[None]), view.factor)[0]
+        evened = at_exposure(to_float(truth[None]), -view.log_gain)
+        small = functional.avg_pool2d(evened, view.factor)[0]
         coarse = None if view.surfaces is None else coarse_colour(view)
         example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), small, coarse)
         return example.to(self.images.full.device)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nvsf_core.geometry.se3 import pose_from_parts
-from nvsf_core.models.baselines.reproject import SAME_INSTANT_S
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.models.residual.exposures import Exposures, evened
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.image_alignment import PoseCorrection, align_images
 
@@ -53,7 +53,10 @@ class AlignedDrive:
 
 
 def align_drive(
-    world: MovingWorld, cameras: Sequence[str], left_out: Mapping[str, Collection[int]] | None = None
+    world: MovingWorld,
+    cameras: Sequence[str],
+    left_out: Mapping[str, Collection[int]] | None = None,
+    exposures: Mapping[str, Exposures] | None = None,
 ) -> dict[str, PoseCorrection]:
     """Correct the poses of the named cameras, each camera by itself; without a LiDAR nothing is corrected.
 
@@ -61,6 +64,7 @@ def align_drive(
         world: The drive with its recorded poses.
         cameras: Names.
         left_out: By camera, numbers of training images that take no part.
+        exposures: By camera; the exposure of one that is not named is fixed.
     """
     if world.recording.lidar is None:
         return {}
@@ -70,8 +74,9 @@ def align_drive(
         unused = () if left_out is None else left_out.get(name, ())
         used = [index for index in range(len(one.training.rgb)) if index not in unused]
         time_s = one.training_time_s[used]
-        returns_m = [_own_returns(world, instant_s) for instant_s in time_s.tolist()]
-        images = (one.training.rgb[index] for index in used)
+        returns_m = [world.own_returns(instant_s) for instant_s in time_s.tolist()]
+        exposed = None if exposures is None else exposures.get(name)
+        images = (evened(exposed, one.training.rgb, index) for index in used)
         twist = align_images(images, one.training.pinhole, one.training.pose[used], returns_m)
         corrections[name] = PoseCorrection(time_s, twist)
     return corrections
@@ -104,16 +109,3 @@ def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, Pos
         name: PoseCorrection(np.array(one["time_s"], np.float64), np.array(one["twist"], np.float64))
         for name, one in facts.items()
     }
-
-
-def _own_returns(world: MovingWorld, instant_s: float) -> np.ndarray:
-    """Static returns (m, 3) float32, scene-local, of the scan at an image's instant; none without one.
-
-    Only this scan has the image's pose error; other scans have errors of their own.
-    """
-    assert world.recording.lidar is not None
-    sweeps = world.recording.lidar.sweeps
-    apart_s = np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)
-    if not (apart_s <= SAME_INSTANT_S).any():
-        return np.zeros((0, 3), np.float32)
-    return world.static_points(instant_s, most=1)

@@ -1,0 +1,79 @@
+"""Exposures of a camera's training images, and of a view at any time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from nvsf_core.models.residual.dynamic_masks import MovingWorld
+from nvsf_core.rendering.image_exposure import at_exposure, log_gains
+
+_SAME = 0.02
+"""Logarithms of gains that are all smaller are noise: the camera's exposure is taken to be fixed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exposures:
+    """Exposures of one camera."""
+
+    time_s: np.ndarray
+    """(n,) ascending, seconds: instants of the training images."""
+    log_gain: np.ndarray
+    """(n,) natural logarithm of each image's gain over the camera's common exposure."""
+
+    def at(self, time_s: float, *, leave_out: bool = False) -> float:
+        """The logarithm of the gain at any time, between those of the images before and after it.
+
+        Args:
+            time_s: Before the first and after the last image theirs hold.
+            leave_out: Ignore the image of exactly that time.
+        """
+        used = self.time_s != time_s if leave_out and len(self.time_s) > 1 else np.ones(1, np.bool_)
+        used = np.broadcast_to(used, self.time_s.shape)
+        return float(np.interp(time_s, self.time_s[used], self.log_gain[used]))
+
+
+def exposures_of(world: MovingWorld, cameras: Sequence[str]) -> dict[str, Exposures]:
+    """By name, the exposures of those of the cameras whose exposure changes; none without a LiDAR."""
+    if world.recording.lidar is None:
+        return {}
+    found = {}
+    for name in cameras:
+        one = world.recording.cameras[name]
+        returns_m = [world.own_returns(time_s) for time_s in one.training_time_s.tolist()]
+        gains = log_gains(one.training.rgb, one.training.pinhole, one.training.pose, returns_m)
+        if np.abs(gains).max() > _SAME:
+            found[name] = Exposures(one.training_time_s, gains)
+    return found
+
+
+def evened(exposures: Exposures | None, rgb: np.ndarray, index: int) -> np.ndarray:
+    """A training image (h, w, 3) of `rgb` (n, h, w, 3) uint8, levels 0..255, at the common exposure.
+
+    Args:
+        exposures: Of the camera; None = fixed, the image is returned as it is.
+        rgb: All training images.
+        index: Of the image.
+    """
+    if exposures is None:
+        return rgb[index]
+    levels = torch.from_numpy(rgb[index]).float() / 255.0
+    found: np.ndarray = 255.0 * at_exposure(levels, -float(exposures.log_gain[index])).numpy()
+    return found
+
+
+def facts_of_exposures(exposures: Mapping[str, Exposures]) -> dict[str, dict[str, list[float]]]:
+    """Exposures as plain JSON values."""
+    return {
+        name: {"time_s": one.time_s.tolist(), "log_gain": one.log_gain.tolist()}
+        for name, one in exposures.items()
+    }
+
+
+def exposures_from(facts: Mapping[str, Mapping[str, list[float]]]) -> dict[str, Exposures]:
+    """Exposures from the values of `facts_of_exposures`."""
+    return {
+        name: Exposures(np.array(one["time_s"], np.float64), np.array(one["log_gain"], np.float64))
+        for name, one in facts.items()
+    }
