@@ -27,8 +27,14 @@ from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 
 TITLE = "Drives elsewhere in the world, through the stages"
-_SHIFTS_M = {"3.8 km": (1_000.0, 3_700.0, 115.0), "5e6 m along each axis": (5e6, -5e6, 5e6)}
-"""Where the first sweep of both real drives lies, in KITTI-360's coordinates; as in UTM."""
+_SHIFTS_M = {
+    "3.8 km": ((1_000.0, 3_700.0, 115.0), 1e-5),
+    "5e6 m along each axis": ((5e6, -5e6, 5e6), 2e-4),
+}
+"""Where the first sweep of both real drives lies, in KITTI-360's coordinates; as in UTM. And the largest
+difference of trained metrics: so far out poses are rounded at 1e-9 m, some rays differ in float32's last
+place, and after a training a return or two of some 40,000 are not there, or are there, that were (2.4e-5 of F
+each)."""
 _MOVES, _SEEDS = 10, 6
 _SIZE = replace(DemoSize.tiny(), frames=5, lasers=tuple(range(64)), firings=1050, width=176, height=47)
 """Whole turns: with thinned ones a range image is mostly empty, and its PSNR says little."""
@@ -140,11 +146,11 @@ def _spread(name: tuple[str, str]) -> Reading:
 
 CASES = tuple(
     Case(stage, f"demo, 5 frames, moved by {name}: {words}", partial(_compared, what, by), limit, unit)
-    for name, by in _SHIFTS_M.items()
+    for name, (by, apart) in _SHIFTS_M.items()
     for stage, what, words, limit, unit in (
         ("stages.sweeps", "rays", "starts, 80 m along, and ranges of rays", SHIFTED_POSE_M, "m"),
         ("stages.evidence", "surfels", "means of surfels, and their hits", SHIFTED_POSE_M, "m"),
-        ("stages.field to scene_metrics", "metrics", "Chamfer distance, F, range PSNR", 1e-5, "m², 1, dB"),
+        ("stages.field to scene_metrics", "metrics", "Chamfer distance, F, range PSNR", apart, "m², 1, dB"),
     )
 ) + tuple(
     Case(
