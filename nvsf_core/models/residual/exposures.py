@@ -10,7 +10,8 @@ from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.rendering.image_exposure import at_exposure, log_gains
 
 _SAME = 0.02
-"""Logarithms of gains that are all smaller are noise: the camera's exposure is taken to be fixed."""
+"""A camera's exposure is fixed where no logarithm of a gain is farther from a straight line along the drive.
+A line is no exposure: what comes nearer looks a little darker or brighter each time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ def exposures_of(world: MovingWorld, cameras: Sequence[str]) -> dict[str, Exposu
         one = world.recording.cameras[name]
         returns_m = [world.own_returns(time_s) for time_s in one.training_time_s.tolist()]
         gains = log_gains(one.training.rgb, one.training.pinhole, one.training.pose, returns_m)
-        if np.abs(gains).max() > _SAME:
+        if np.abs(gains - _line(one.training_time_s, gains)).max() > _SAME:
             found[name] = Exposures(one.training_time_s, gains)
     return found
 
@@ -77,3 +78,10 @@ def exposures_from(facts: Mapping[str, Mapping[str, list[float]]]) -> dict[str, 
         name: Exposures(np.array(one["time_s"], np.float64), np.array(one["log_gain"], np.float64))
         for name, one in facts.items()
     }
+
+
+def _line(time_s: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """The straight line (n,) through values (n,) at times (n,), by least squares."""
+    design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
+    line: np.ndarray = design @ np.linalg.lstsq(design, gains, rcond=None)[0]
+    return line

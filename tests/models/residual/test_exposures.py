@@ -48,16 +48,21 @@ def fixed(run: SceneRun) -> Recording:
     return read_recording(run.store)
 
 
+def taken_with(recording: Recording, log_gain: np.ndarray) -> Recording:
+    """The drive, whose images were taken with these gains."""
+    one = recording.cameras[CAMERA]
+    levels = (
+        at_exposure(torch.from_numpy(image) / 255.0, float(gain))
+        for image, gain in zip(one.training.rgb, log_gain, strict=True)
+    )
+    rgb = np.stack([(255.0 * each).round().to(torch.uint8).numpy() for each in levels])
+    return replace(recording, cameras={CAMERA: replace(one, training=replace(one.training, rgb=rgb))})
+
+
 @pytest.fixture(scope="module")
 def drive(fixed: Recording) -> Recording:
     """The drive taken with a camera of changing exposure."""
-    one = fixed.cameras[CAMERA]
-    levels = (
-        at_exposure(torch.from_numpy(image) / 255.0, float(gain))
-        for image, gain in zip(one.training.rgb, TRUE, strict=True)
-    )
-    rgb = np.stack([(255.0 * each).round().to(torch.uint8).numpy() for each in levels])
-    return replace(fixed, cameras={CAMERA: replace(one, training=replace(one.training, rgb=rgb))})
+    return taken_with(fixed, TRUE)
 
 
 def test_a_fixed_exposure_is_left_alone_and_a_changing_one_is_found(
@@ -67,6 +72,11 @@ def test_a_fixed_exposure_is_left_alone_and_a_changing_one_is_found(
     assert exposures_of(MovingWorld(replace(drive, lidar=None)), [CAMERA]) == {}, "nothing tells"
     found = exposures_of(MovingWorld(drive), [CAMERA])[CAMERA].log_gain
     assert found - found.mean() == pytest.approx(TRUE - TRUE.mean(), abs=0.03)
+
+
+def test_what_drifts_along_a_drive_is_no_exposure(fixed: Recording) -> None:
+    drifting = taken_with(fixed, -0.02 * np.arange(FRAMES))
+    assert exposures_of(MovingWorld(drifting), [CAMERA]) == {}
 
 
 def test_evened_images_look_as_if_taken_with_one_exposure(fixed: Recording, drive: Recording) -> None:
