@@ -84,27 +84,26 @@ def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
         DivergedError: A coordinate of `grid` is not finite.
     """
     height, width = image.shape[-2:]
+    four = torch.arange(-1, 3, device=image.device).view(4, 1, 1)
     sides = []
     for axis, side in ((1, height), (0, width)):
-        place = ((grid[..., axis] + 1.0) * side - 1.0) / 2.0
-        first = place.clamp(0.0, side - 1.0).floor().clamp(max=side - 2.0)
-        sides.append((first.long(), _cubic_weights(place.clamp(0.0, side - 1.0) - first)))
+        place = (((grid[..., axis] + 1.0) * side - 1.0) / 2.0).clamp(0.0, side - 1.0)
+        first = place.floor().clamp(max=side - 2.0)
+        sides.append(((first.long() + four).clamp(0, side - 1), _cubic_weights(place - first)))
     (row, down), (column, right) = sides
     flat, found = image.flatten(1), torch.zeros(len(image), *grid.shape[:2], device=image.device)
+    # The four pixels of a row at once: on a GPU the number of operations counts, not their size.
     for j in range(4):
-        start = (row + (j - 1)).clamp(0, height - 1) * width
-        for i in range(4):
-            pixel = start + (column + (i - 1)).clamp(0, width - 1)
-            found = found + down[j] * right[i] * flat[:, pixel]
+        in_row = (flat[:, row[j] * width + column] * right).sum(dim=1)
+        found = torch.addcmul(found, down[j], in_row)
     return torch.where((found[3] - 1.0).abs() > _RIM_SHARE, sample(image, grid), found)
 
 
-def _cubic_weights(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Weights of four pixels in a row, in a value at `t` in 0..1 from the second to the third; any shape."""
+def _cubic_weights(t: Tensor) -> Tensor:
+    """Weights (4, ...) of four pixels in a row, in a value at `t` (...) in 0..1 from the second to the third."""
     t2, t3 = t.square(), t.pow(3)
-    return (
-        (2.0 * t2 - t3 - t) / 2.0, (3.0 * t3 - 5.0 * t2 + 2.0) / 2.0, (4.0 * t2 - 3.0 * t3 + t) / 2.0,
-        (t3 - t2) / 2.0,
+    return 0.5 * torch.stack(
+        (2.0 * t2 - t3 - t, 3.0 * t3 - 5.0 * t2 + 2.0, 4.0 * t2 - 3.0 * t3 + t, t3 - t2)
     )  # fmt: skip
 
 
