@@ -65,7 +65,9 @@ class ShownImages:
         full = with_it(self.full)
         nothing_static = full[:, _SHOWN] < 0.999
         if self.moving is not None:
-            nothing_static = nothing_static | self.moving
+            # What maps show of an object reaches beyond its returns.
+            full[:, _MOVING] = torch.maximum(full[:, _MOVING], (maps.mover > 0).float().to(full.device))
+            nothing_static = nothing_static | (full[:, _MOVING] > 0.5)
         fronts = torch.where(nothing_static, _IN_FRONT, full[:, _DEPTH]).cpu()
         return ShownImages(full, with_it(self.small), maps, fronts)
 

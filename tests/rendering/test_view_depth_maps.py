@@ -250,3 +250,15 @@ def test_holes_take_the_colour_of_what_is_around_and_known_pixels_keep_theirs() 
     assert (filled[0, 4:12, 2:10] - 0.8).abs().max() < 0.2
     assert (filled[1, 14:20, 28:36] - 0.6).abs().max() < 0.2
     assert (without_holes(colour, torch.zeros(24, 40)) == 0.0).all(), "nothing is known: black"
+
+
+def test_pixels_that_maps_show_as_an_objects_hide_the_street_whatever_returns_say() -> None:
+    images, nothing = np.full((2, 32, 64, 3), 100, np.uint8), np.zeros((2, 32, 64), np.bool_)
+    mover = torch.zeros(2, 32, 64, dtype=torch.int16)
+    mover[1, 10:20, 30:40] = 2
+    maps = DepthMaps(torch.full((2, 32, 64), 0.1), mover)
+    shown = shown_images(images, np.ones((32, 64), np.bool_), 1, nothing).with_depths(maps)
+    assert shown.moving is not None and shown.fronts is not None
+    assert torch.equal(shown.moving, mover > 0)
+    assert (shown.fronts[mover > 0] > 100.0).all()
+    torch.testing.assert_close(shown.fronts[mover == 0], torch.full((int((mover == 0).sum()),), 0.1))

@@ -15,6 +15,8 @@ _FOOTPRINT = 1.2
 """Side of the square that a pixel covers in the view, in pixels of its own size there: no cracks between."""
 _AGREE_SHARE, _AGREE_PER_M, _ZERO = np.float32(0.03), np.float32(0.002), np.float32(0.0)
 """Two inverse depths agree within this share of the nearer one plus so much, 1/m."""
+_NEAREST, _HALF = 3, np.float32(0.5)
+"""A moving object needs as much as half of the weight of so many maps, the nearest to it."""
 _EDGE = 0.25
 """An inverse depth that changes by a larger share to a neighbour lies on an edge."""
 
@@ -59,6 +61,8 @@ def agreed_depths(
 
     A single map's errors lie at other places than another's: a depth that only one of several gives is passed
     over for the next one behind it. Where no surface has enough support, the best supported one is taken.
+    Maps that show what is static say little about a moving object, which was elsewhere at their instants: it
+    has enough, too, with half of the weight of the three maps nearest to it.
     Where a moving object is expected and some map shows it, the others say nothing: they show what was there
     at another time.
 
@@ -119,6 +123,7 @@ def _agree(inverse, label, weight, least_share, expected, depth, support, labels
     maps, rows, columns = inverse.shape
     whole = weight.sum(axis=1)
     mass, mean = np.empty(maps, np.float32), np.empty(maps, np.float32)
+    enough, of_object = np.empty(maps, np.float32), _enough_of_objects(weight)
     q, what = np.empty(maps, np.float32), np.empty(maps, np.int32)
     for row in range(rows):
         for column in range(columns):
@@ -127,7 +132,9 @@ def _agree(inverse, label, weight, least_share, expected, depth, support, labels
             if expected[row, column] > 0:
                 _leave_expected(q, what, expected[row, column])
             total = _agreeing(q, what, weight, mass, mean)
-            first = _front(q, mass, least_share * total)
+            for i in range(maps):
+                enough[i] = min(least_share * total, of_object[what[i]])
+            first = _front(q, mass, enough)
             if first < 0:
                 continue
             second = -1
@@ -139,6 +146,16 @@ def _agree(inverse, label, weight, least_share, expected, depth, support, labels
                     depth[place, row, column] = mean[i] / mass[i]
                     support[place, row, column] = mass[i] / whole[what[i]]
                     labels[place, row, column] = what[i]
+
+
+@njit(cache=True, nogil=True)
+def _enough_of_objects(weight):  # type: ignore[no-untyped-def]
+    """(m,) weight that is enough for each label; infinite for what is static."""
+    found = np.empty(len(weight), np.float32)
+    found[0] = np.inf
+    for m in range(1, len(weight)):
+        found[m] = _HALF * np.sort(weight[m])[-_NEAREST:].sum()
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -159,10 +176,10 @@ def _front(inverse, mass, enough):  # type: ignore[no-untyped-def]
     for i in range(len(mass)):
         if mass[i] == 0.0:
             continue
-        if first < 0 or (mass[i] >= enough and mass[first] < enough):
+        if first < 0 or (mass[i] >= enough[i] and mass[first] < enough[first]):
             first = i
-        elif mass[first] >= enough:
-            first = i if mass[i] >= enough and inverse[i] > inverse[first] else first
+        elif mass[first] >= enough[first]:
+            first = i if mass[i] >= enough[i] and inverse[i] > inverse[first] else first
         elif mass[i] > mass[first]:
             first = i
     return first

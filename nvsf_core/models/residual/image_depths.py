@@ -10,6 +10,7 @@ from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.rendering.camera_view import camera_view
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
+from nvsf_core.rendering.object_outlines import ComparedImages, outlined
 from nvsf_core.rendering.plane_depth import image_inverse_depth
 from nvsf_core.rendering.sharp_depths import ASKED, COMPARED, agreed, sharpened, static_sources
 from nvsf_core.rendering.view_depth_maps import DepthMaps, baseline_sources
@@ -36,9 +37,11 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     poses, time_s = camera.shared.poses(recording), camera.shared.times_s(recording)
     around_movers, recorded = images.moving, images.full.cpu()
 
+    def known_beside(number: int) -> list[int]:
+        return [k for k in range(len(poses)) if k != number and k not in camera.for_validation]
+
     def neighbours(number: int, most: int) -> list[int]:
-        left_out = camera.for_validation - {number}
-        return baseline_sources(poses, number, [k for k in range(len(poses)) if k not in left_out], most)
+        return baseline_sources(poses, number, known_beside(number), most)
 
     def depth(number: int) -> tuple[np.ndarray, np.ndarray]:
         instant_s = float(time_s[number])
@@ -55,6 +58,9 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
             assert view.label is not None
             is_it = (view.label.numpy() == place) & _is_at(inverse, each, poses[number])
             mover[is_it & shown.valid] = each.number
+        compared = ComparedImages(recorded, poses, shown.pinhole, number, known_beside(number))
+        inverse, mover = outlined(inverse, mover, moving, compared)
+        mover[~shown.valid] = 0
         found, is_static = without_edges(inverse), shown.valid & (mover == 0)
         if around_movers is not None:
             is_static &= ~around_movers[number].cpu().numpy()

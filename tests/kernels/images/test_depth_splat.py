@@ -110,3 +110,18 @@ def test_a_map_has_a_weight_of_its_own_for_each_label() -> None:
         labels = np.full((2, 1, 1), label, np.uint8)
         found, support, _ = agreed_depths(inverse, labels, weight, 0.5, np.zeros((1, 1), np.uint8))
         assert abs(found[0, 0, 0] - depth) < 1e-6 and abs(support[0, 0, 0] - share) < 1e-6
+
+
+def test_a_moving_object_is_believed_by_the_maps_nearest_to_it_whatever_others_show_of_the_street() -> None:
+    inverse = np.array([0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1], np.float32)[:, None, None]
+    weight = np.array([[0.1, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0], [2.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1]], np.float32)
+    nothing = np.zeros((1, 1), np.uint8)
+
+    def front(*label: int) -> tuple[float, int]:
+        labels = np.array(label, np.uint8)[:, None, None]
+        depth, _, found = agreed_depths(inverse, labels, weight, 0.8, nothing)
+        return round(float(depth[0, 0, 0]), 6), int(found[0, 0, 0])
+
+    assert front(1, 1, 0, 0, 0, 0, 0) == (0.2, 1), "three of the four that weigh most for it"
+    assert front(0, 1, 0, 0, 0, 0, 0) == (0.1, 0), "one of the four"
+    assert front(0, 0, 0, 0, 0, 0, 0) == (0.1, 0)

@@ -1,0 +1,116 @@
+"""Pixels of an image that show a moving object where no return lies on it: wheels, glass, and its shadow.
+
+A pixel beside an object is static or moves with the object. Other images tell which: those that see the
+static place at another time, or the object at another place, show the same colour there, or do not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images.depth_refinement import likeliest_surface
+from nvsf_core.kernels.images.filling import nearest_known
+from nvsf_core.kernels.images.source_lookup import least_differences
+from nvsf_core.rendering.lidar_view import MovingPoints
+from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs
+from nvsf_core.rendering.view_depth_maps import camera_distance_m, image_motions
+from nvsf_core.rendering.warping import plane_rays
+
+_COMPARED = 6
+"""Images that a pixel is looked up in: the nearest as what is static sees them, and as the object does."""
+_REACH_M, _REACH_PX = 0.5, 60.0
+"""Pixels are asked about up to this distance from the object, measured at its depth, and in the image."""
+_IN_FRONT = np.float32(1.01)
+"""What hides a static surface is nearer than it: its inverse depth is at least so many times as large."""
+_NOWHERE = np.float32(1.0)
+"""Difference of colours where no other image shows the point."""
+_LARGEST, _EXPECTED = np.float32(0.06), np.float32(0.03)
+"""The largest difference that counts, and the one that is assumed where no other image shows the point."""
+_OBJECT_COSTS = np.float32(0.01)
+"""An object must look more alike by so much."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedImages:
+    """Images that are compared with one of them."""
+
+    images: Tensor
+    """(j, c, H, W) on the CPU, channels as of `Sources.images`; no depths are known yet."""
+    poses: np.ndarray
+    """(j, 4, 4) camera to scene-local frame."""
+    pinhole: Pinhole
+    """Intrinsics of all images."""
+    own: int
+    """Number of the image that is asked about."""
+    others: Sequence[int]
+    """Numbers of those that it is compared with."""
+
+
+def outlined(
+    inverse: np.ndarray, mover: np.ndarray, moving: Sequence[MovingPoints], compared: ComparedImages
+) -> tuple[np.ndarray, np.ndarray]:
+    """A recorded image's depths and moving objects, with all of what moves with an object as part of it.
+
+    Args:
+        inverse: (H, W) float32 inverse depths of the image, 1/m, positive.
+        mover: (H, W) int16: number of the moving object that returns show at a pixel, 0 = none.
+        moving: The objects that are there at its instant.
+        compared: The image and the others.
+
+    Returns:
+        (H, W) float32, 1/m, and (H, W) int16: as given, but for what was found to be an object's.
+    """
+    inverse, mover = inverse.copy(), mover.copy()
+    for each in moving:
+        shown = mover == each.number
+        if shown.any():
+            is_it, depth = _around(inverse, shown, each, compared)
+            is_it &= mover == 0
+            inverse[is_it], mover[is_it] = depth[is_it], each.number
+    return inverse, mover
+
+
+def _around(
+    inverse: np.ndarray, shown: np.ndarray, one: MovingPoints, compared: ComparedImages
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (H, W) bool around those `shown` that are an object's, and inverse depths (H, W), 1/m, for them.
+
+    The depth is that of the nearest pixel shown; wheels and shadows touch the road, where it is the road's.
+    """
+    gap_px, nearest = nearest_known(shown)
+    beside = inverse[nearest[0], nearest[1]]
+    asked = gap_px <= np.minimum(_REACH_PX, _REACH_M * compared.pinhole.fx * beside)
+    depth = np.where(shown, inverse, np.maximum(beside, inverse * _IN_FRONT))
+    motions = image_motions(compared.poses[compared.own], compared.poses, [one.moved])
+    static = _difference(np.where(asked, inverse, np.float32(0.0)), motions[:1], compared)
+    of_it = _difference(np.where(asked, depth, np.float32(0.0)), motions, compared)
+    colours = np.ascontiguousarray(compared.images[compared.own, :3].permute(1, 2, 0).numpy())
+    layers = np.stack([inverse, np.where(asked, depth, inverse)])
+    found = likeliest_surface(colours, layers, np.stack([static, of_it + _OBJECT_COSTS]))
+    return (found == layers[1]) & (layers[0] != layers[1]), depth
+
+
+def _difference(inverse: np.ndarray, motions: np.ndarray, compared: ComparedImages) -> np.ndarray:
+    """How much other images differ from an image at its pixels' depths, (H, W) float32, at most `_LARGEST`.
+
+    Args:
+        inverse: (H, W) float32, 1/m; 0 = not asked.
+        motions: (m, j, 4, 4), see `image_motions`; all pixels move by the last.
+        compared: The image and the others.
+    """
+    others = np.array(compared.others, np.int64)
+    distance_m = camera_distance_m(motions[-1, others])
+    near = np.argsort(distance_m, kind="stable")[:_COMPARED]
+    chosen = [compared.own, *others[near[np.isfinite(distance_m[near])]].tolist()]
+    to_sources = torch.from_numpy(motions[:, chosen].astype(np.float32))
+    sources = Sources(compared.images, chosen, to_sources[0], torch.ones(len(chosen)), to_sources[1:])
+    label = torch.full(inverse.shape, len(motions) - 1, dtype=torch.uint8)
+    # The kernel compares pixels whose depths differ; of a layer without depths it asks nothing.
+    layers = torch.from_numpy(np.stack([np.zeros_like(inverse), inverse]))
+    where = kernel_inputs(sources, SeenPoints(plane_rays(compared.pinhole), layers, label), compared.pinhole)
+    found = least_differences(where, float(_NOWHERE))[1]
+    return np.where(found < _NOWHERE, np.minimum(found, _LARGEST), _EXPECTED)
