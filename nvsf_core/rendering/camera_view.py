@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
-from nvsf_core.rendering.image_exposure import at_exposure
+from nvsf_core.rendering.image_exposure import recorded_at_exposure
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
 from nvsf_core.rendering.reproject_camera import nearest_sources
 from nvsf_core.rendering.sources import Sources
@@ -25,7 +25,7 @@ from nvsf_core.rendering.view_depth_maps import (
     image_motions,
     images_near,
 )
-from nvsf_core.rendering.warping import shrunk, to_float
+from nvsf_core.rendering.warping import shrunk
 
 _DISTANCE_FLOOR_M = 0.05
 _SHOWN, _DEPTH, _MOVING = 3, 4, 5
@@ -171,9 +171,8 @@ def shown_images(
         moving: (j, H, W) bool, pixels that show moving objects; None = nothing moves.
         log_gain: (j,) natural logarithms of the images' exposures, which are evened; None = all are the same.
     """
-    colours = to_float(images)
-    for number, gain in enumerate(() if log_gain is None else log_gain.tolist()):
-        colours[number] = at_exposure(colours[number], -gain)
+    gains = [0.0] * len(images) if log_gain is None else log_gain.tolist()
+    colours = torch.stack([recorded_at_exposure(one, -gain) for one, gain in zip(images, gains, strict=True)])
     shown = torch.from_numpy(valid).float().expand(len(images), 1, -1, -1)
     parts = [colours, shown, torch.zeros_like(shown)]
     if moving is not None:

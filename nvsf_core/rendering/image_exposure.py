@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from scipy.sparse import coo_array, eye_array
 from scipy.sparse.linalg import spsolve
 from torch import Tensor
@@ -53,6 +54,12 @@ def at_exposure(levels: Tensor, log_gain: float) -> Tensor:
     # The power's slope at 0 is finite, but torch's is not a number there.
     saturation = 1.0 + math.expm1(_SHOULDER * log_gain) * x.clamp_min(1e-4) ** _SHOULDER
     return math.exp(log_gain) * x * saturation ** (-1.0 / _SHOULDER)
+
+
+def recorded_at_exposure(image: np.ndarray, log_gain: float) -> Tensor:
+    """Levels (3, h, w) float32, 0..1, of an image (h, w, 3) uint8 as they would be with another exposure."""
+    table: np.ndarray = at_exposure(torch.arange(256) / 255.0, log_gain).numpy()
+    return torch.from_numpy(table[image]).permute(2, 0, 1)
 
 
 def log_gains(

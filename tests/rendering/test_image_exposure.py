@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nvsf_core.rendering.image_exposure import at_exposure, log_gains
+from nvsf_core.rendering.image_exposure import at_exposure, log_gains, recorded_at_exposure
 from tests.rendering.corner import CAMERA, COUNT, RGB, SEEN, TRUE
 
 GAINS = st.floats(-1.0, 1.0)
@@ -73,3 +73,10 @@ def test_glare_and_darkness_tell_nothing() -> None:
     for level in (3, 252):
         images = np.full_like(RGB, level)
         assert not log_gains(images, CAMERA, TRUE, RETURNS_M).any()
+
+
+@pytest.mark.parametrize("log_gain", [-0.4, 0.0, 0.3])
+def test_recorded_levels_are_changed_as_any_others(log_gain: float) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+    expected = at_exposure(torch.from_numpy(image).permute(2, 0, 1) / 255.0, log_gain)
+    torch.testing.assert_close(recorded_at_exposure(image, log_gain), expected)

@@ -134,14 +134,13 @@ def _project(starts, steps, inverse, place):  # type: ignore[no-untyped-def]
 @njit(inline="always")
 def _corner(size, u, v):  # type: ignore[no-untyped-def]
     """Whether an image of a size has column u and row v; the upper left of four pixels, and the rests."""
-    rows, columns, channels = size
+    rows, columns, _ = size
     right_most, lowest = np.float32(columns - 1), np.float32(rows - 1)
     if not (u >= -_RIM_PX and v >= -_RIM_PX and u <= right_most + _RIM_PX and v <= lowest + _RIM_PX):
         return False, _U0, _ZERO, _ZERO
     u, v = min(max(u, _ZERO), right_most), min(max(v, _ZERO), lowest)
     row, column = min(int(v), rows - 2), min(int(u), columns - 2)
-    at = np.uint64((row * columns + column) * channels)
-    return True, at, v - np.float32(row), u - np.float32(column)
+    return True, np.uint64(row * columns + column), v - np.float32(row), u - np.float32(column)
 
 
 @njit(inline="always")
@@ -171,6 +170,32 @@ def _shows(image, at, beside, below, weights, hiding, asks_moving):  # type: ign
     )
 
 
+@njit(cache=True, nogil=True)
+def _open_pixels(images, size, chosen):  # type: ignore[no-untyped-def]
+    """(k, H * W) bool: pixels that show points of any depth, between them and those right and below, too.
+
+    They show something static of unknown depth. Before images have depths these are nearly all, and need
+    not be asked one by one.
+    """
+    rows, columns, channels = size
+    shown, depth, moving = np.int64(_SHOWN), np.int64(_DEPTH), np.int64(_MOVING)
+    found = np.zeros((len(chosen), rows * columns), np.bool_)
+    for k in range(len(chosen)):
+        image = images[chosen[k]]
+        for row in range(rows - 1):
+            # From right to left, so that both pixels to the right are known already.
+            right = False
+            for column in range(columns - 1, -1, -1):
+                here = True
+                for below in range(2):
+                    at = ((row + below) * columns + column) * channels
+                    here = here and image[at + shown] > _ALMOST and image[at + depth] == _ZERO
+                    here = here and (channels == moving or image[at + moving] == _ZERO)
+                found[k, row * columns + column] = here and right
+                right = here
+    return found
+
+
 @njit(inline="always")
 def _cubic(t):  # type: ignore[no-untyped-def]
     """Of four pixels in a row, in a value at t in 0..1 from the second to the third."""
@@ -184,14 +209,13 @@ def _cubic(t):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _smooth(image, size, at, down, right):  # type: ignore[no-untyped-def]
-    """Bicubic colour of 4 x 4 pixels, `at` the first of the inner four; bilinear if one shows nothing.
+def _smooth(image, size, pixel, down, right):  # type: ignore[no-untyped-def]
+    """Bicubic colour of 4 x 4 pixels, `pixel` the first of the inner four; bilinear if one shows nothing.
 
     Beyond the image's border its outermost pixels are repeated.
     """
     rows, columns, channels = size
-    place = np.int64(at) // channels
-    row, column = place // columns, place % columns
+    row, column = np.int64(pixel) // columns, np.int64(pixel) % columns
     along, across = _cubic(down), _cubic(right)
     red, green, blue, shown = _ZERO, _ZERO, _ZERO, _ZERO
     for j in range(4):
@@ -205,6 +229,7 @@ def _smooth(image, size, at, down, right):  # type: ignore[no-untyped-def]
             shown += weight * image[here + _SHOWN]
     if abs(shown - _ONE) > _RIM_SHARE:
         weights, beside, below = _weights(down, right), np.uint64(channels), np.uint64(columns * channels)
+        at = pixel * beside
         red = _between(image, at, beside, below, _U0, weights)
         green = _between(image, at, beside, below, _GREEN, weights)
         blue = _between(image, at, beside, below, _BLUE, weights)
@@ -228,13 +253,13 @@ def _look_up(  # type: ignore[no-untyped-def]
                 depths = _row_of(inverse, d, r, columns)
                 _project(starts, steps, depths, place)
                 for c in range(columns):
-                    is_seen, at, down, right = _corner(size, place[0, c], place[1, c])
+                    is_seen, pixel, down, right = _corner(size, place[0, c], place[1, c])
                     if is_seen:
                         weights = _weights(down, right)
                         hiding = depths[c] * place[2, c] * (_ONE + share) + per_m
                         asks_moving = has_moving and label[r, c] == 0
-                        is_seen = _shows(image, at, beside, below, weights, hiding, asks_moving)
-                    found = _smooth(image, size, at, down, right) if is_seen else (_ZERO, _ZERO, _ZERO)
+                        is_seen = _shows(image, pixel * beside, beside, below, weights, hiding, asks_moving)
+                    found = _smooth(image, size, pixel, down, right) if is_seen else (_ZERO, _ZERO, _ZERO)
                     seen[k, d, r, c] = is_seen
                     colour[k, 0, d, r, c], colour[k, 1, d, r, c], colour[k, 2, d, r, c] = found
 
@@ -251,7 +276,7 @@ def _agree(  # type: ignore[no-untyped-def]
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    count, has_moving = len(chosen), size[2] > _MOVING
+    count, has_moving, is_open = len(chosen), size[2] > _MOVING, _open_pixels(images, size, chosen)
     starts = np.empty((count, 3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
     found, is_seen = np.zeros((count, 3), np.float32), np.zeros(count, np.bool_)
@@ -266,12 +291,14 @@ def _agree(  # type: ignore[no-untyped-def]
                 asks_moving = has_moving and label[r, c] == 0
                 for k in range(count):
                     image = images[chosen[k]]
-                    is_inside, at, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
+                    is_inside, pixel, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
                     is_seen[k] = False
                     if is_inside:
-                        weights = _weights(down, right)
+                        at, weights = pixel * beside, _weights(down, right)
                         hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
-                        is_seen[k] = _shows(image, at, beside, below, weights, hiding, asks_moving)
+                        is_seen[k] = is_open[k, pixel] or _shows(
+                            image, at, beside, below, weights, hiding, asks_moving
+                        )
                         for i in range(3):
                             found[k, i] = _between(image, at, beside, below, np.uint64(i), weights)
                 _compare(found, is_seen, unseen, weight, agreed[d, r, c], colour[d, r, c])
@@ -316,7 +343,7 @@ def _differ(  # type: ignore[no-untyped-def]
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
     has_moving, own = size[2] > _MOVING, images[chosen[0]]
-    count = len(chosen) - 1
+    count, is_open = len(chosen) - 1, _open_pixels(images, size, chosen)
     starts = np.empty((count, 3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
     apart, asked = np.empty(count, np.float32), np.empty(columns, np.bool_)
@@ -339,12 +366,14 @@ def _differ(  # type: ignore[no-untyped-def]
                 seen = 0
                 for k in range(count if depths[c] > _ZERO else 0):
                     image = images[chosen[k + 1]]
-                    is_inside, at, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
+                    is_inside, pixel, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
                     if not is_inside:
                         continue
-                    weights = _weights(down, right)
+                    at, weights = pixel * beside, _weights(down, right)
                     hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
-                    if _shows(image, at, beside, below, weights, hiding, has_moving and label[r, c] == 0):
+                    if is_open[k + 1, pixel] or _shows(
+                        image, at, beside, below, weights, hiding, has_moving and label[r, c] == 0
+                    ):
                         total = _ZERO
                         for i in range(3):
                             channel = np.uint64(i)

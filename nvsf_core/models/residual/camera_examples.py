@@ -14,10 +14,9 @@ from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.models.residual.shared_images import SharedImages
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
-from nvsf_core.rendering.image_exposure import at_exposure
+from nvsf_core.rendering.image_exposure import recorded_at_exposure
 from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
-from nvsf_core.rendering.warping import to_float
 
 _BLOCKS_M = (1.0, 2.0, 4.0)
 """An image is also rendered without those within one of these distances: networks learn to look from afar."""
@@ -144,8 +143,7 @@ class ShownCamera:
 
     def _with_truth(self, view: CameraView, index: int) -> LeftOut:
         truth = self.drive.given.cameras[self.name].training.rgb[index]
-        evened = at_exposure(to_float(truth[None]), -view.log_gain)
-        small = functional.avg_pool2d(evened, view.factor)[0]
+        small = functional.avg_pool2d(recorded_at_exposure(truth, -view.log_gain), view.factor)
         coarse = None if view.surfaces is None else coarse_colour(view)
         example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), small, coarse)
         return example.to(self.images.full.device)

@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
-from nvsf_core.rendering.image_exposure import at_exposure, log_gains
+from nvsf_core.rendering.image_exposure import log_gains, recorded_at_exposure
 
 _SAME = 0.02
 """A camera's exposure is fixed where no logarithm of a gain is farther from a straight line along the drive.
@@ -59,8 +58,8 @@ def evened(exposures: Exposures | None, rgb: np.ndarray, index: int) -> np.ndarr
     """
     if exposures is None:
         return rgb[index]
-    levels = torch.from_numpy(rgb[index]).float() / 255.0
-    found: np.ndarray = 255.0 * at_exposure(levels, -float(exposures.log_gain[index])).numpy()
+    levels = recorded_at_exposure(rgb[index], -float(exposures.log_gain[index]))
+    found: np.ndarray = 255.0 * levels.permute(1, 2, 0).numpy()
     return found
 
 
