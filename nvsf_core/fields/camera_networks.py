@@ -1,8 +1,7 @@
 """The camera networks: they choose a pixel's depths and blend the recorded images' colours there."""
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import NamedTuple, Self, TypeVar, cast
+from typing import NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -151,29 +150,13 @@ class BlendNetwork(nn.Module):
 
 
 class CameraNetworks(nn.Module):
-    """One member of the ensemble: the networks that render a view; all cameras of a drive share them."""
+    """The networks that render a view; all cameras of a drive share them."""
 
     def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
         """Sample all weights from `generator`."""
         super().__init__()
         self.depth = DepthNetwork(spec, generator)
         self.blend = BlendNetwork(spec, generator)
-
-
-class CameraEnsemble(nn.Module):
-    """Networks trained independently, each from its own initial weights and crops; a view is their mean.
-
-    With few images each member has random errors of its own, which the mean reduces.
-    """
-
-    def __init__(self, spec: CameraSpec, generator: torch.Generator) -> None:
-        """Sample all weights from `generator`, member by member."""
-        super().__init__()
-        self.members = nn.ModuleList(CameraNetworks(spec, generator) for _ in range(spec.members))
-
-    def __iter__(self) -> Iterator[CameraNetworks]:
-        """The members, typed (ModuleList's iterator is not)."""
-        return iter(cast(Iterable[CameraNetworks], self.members))
 
 
 def _resized(x: Tensor, like: Tensor) -> Tensor:

@@ -61,9 +61,6 @@ class CameraSpec:
     aligned: bool = False
     """Correct camera poses so that LiDAR returns have similar colours in neighbouring images. Networks are
     trained with uncorrected poses, because a requested view's pose has the same kind of error."""
-    members: int = 1
-    """Networks in the ensemble, trained independently and averaged; training and rendering times grow in
-    proportion."""
     judge_every: int = 9
     """One of so many training images is for validation: they choose between networks and `reproject`."""
 
@@ -162,8 +159,8 @@ class ResidualRecipe(Recipe):
     lidar_training: TrainingSpec = TrainingSpec(
         steps=1000, rays=4096, table_rate=2e-2, final_share=1.0, averaged_share=0.4
     )
-    depth_training: TrainingSpec = TrainingSpec(steps=40, rays=8064, network_rate=5e-3)
-    camera_training: TrainingSpec = TrainingSpec(steps=110, rays=3200, network_rate=2e-3)
+    depth_training: TrainingSpec = TrainingSpec(steps=20, rays=8064, network_rate=5e-3)
+    camera_training: TrainingSpec = TrainingSpec(steps=40, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
     """None = the pano is projected from the simulated scan."""

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nvsf_core.fields.camera_networks import BlendInput, CameraEnsemble, CameraNetworks
-from nvsf_core.kernels.threads import in_parts
+from nvsf_core.fields.camera_networks import BlendInput, CameraNetworks
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.rendering.pixel_support import pixel_support, without_holes
@@ -55,7 +54,7 @@ def coarse_colour(view: CameraView) -> Tensor:
 
 
 def blend_input(view: CameraView, found: Hypotheses, coarse: Tensor, window: Window = WHOLE) -> BlendInput:
-    """What a blend network renders a window of a view from; the same for all members.
+    """What a blend network renders a window of a view from.
 
     Args:
         view: The view; its images have depths.
@@ -82,12 +81,11 @@ def blend_sources(
 
 
 @torch.no_grad()
-def render_view(networks: CameraEnsemble, view: CameraView) -> RenderedImage:
-    """Render a whole view: the mean image of the ensemble, and each pixel's depth of most trust."""
-    members, found = list(networks), hypotheses(view, 1, WHOLE)
+def render_view(networks: CameraNetworks, view: CameraView) -> RenderedImage:
+    """Render a whole view: its colours, and each pixel's depth of most trust."""
+    found = hypotheses(view, 1, WHOLE)
     given = blend_input(view, found, coarse_colour(view))
-    colours = in_parts(lambda number: members[number].blend(given), len(members))
-    levels = at_exposure(torch.stack(colours).mean(dim=0), view.log_gain)
+    levels = at_exposure(networks.blend(given), view.log_gain)
     image = (levels.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
     likeliest = found.share.argmax(dim=0, keepdim=True)
     inverse = found.inverse.gather(0, likeliest)[0]

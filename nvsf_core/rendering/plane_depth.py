@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nvsf_core.fields.camera_networks import CameraEnsemble, DepthNetwork
+from nvsf_core.fields.camera_networks import DepthNetwork
 from nvsf_core.kernels.images.plane_features import describe_planes
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
@@ -142,23 +142,20 @@ def likeliest_depth(probability: Tensor, inverses: Tensor) -> tuple[Tensor, Tens
 
 
 @torch.no_grad()
-def image_inverse_depth(networks: CameraEnsemble, view: CameraView, spec: CameraSpec) -> Tensor:
-    """Inverse depth (H, W), 1/m, of a recorded image; near returns the LiDAR's. The median of the members'.
+def image_inverse_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> Tensor:
+    """Inverse depth (H, W), 1/m, of a recorded image; near returns the LiDAR's.
 
     Args:
-        networks: Whose depth networks are used.
+        network: Compares its depth planes.
         view: Of the image, which is its first source.
         spec: Recipe of the camera networks.
     """
     trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_in_small(view)
     features, _ = compared_planes(view, spec)
-    depths = []
-    for member in networks:
-        both = torch.stack(likeliest_depth(probabilities(member.depth, features), inverses))
-        inverse, mass = resized(both, places, plane_step(spec))
-        depths.append(torch.where(trust > mass * (1.0 - trust), view.inverse, inverse))
-    return torch.stack(depths).median(dim=0).values
+    both = torch.stack(likeliest_depth(probabilities(network, features), inverses))
+    inverse, mass = resized(both, places, plane_step(spec))
+    return torch.where(trust > mass * (1.0 - trust), view.inverse, inverse)
 
 
 def resized(layers: Tensor, places: Tensor, jump: float) -> Tensor:

@@ -100,7 +100,7 @@ def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
 
 
 def _cubic_weights(t: Tensor) -> Tensor:
-    """Weights (4, ...) of four pixels in a row, in a value at `t` (...) in 0..1 from the second to the third."""
+    """Weights (4, ...) of four pixels in a row, in a value at `t` (...), 0..1, from second to third."""
     t2, t3 = t.square(), t.pow(3)
     return 0.5 * torch.stack(
         (2.0 * t2 - t3 - t, 3.0 * t3 - 5.0 * t2 + 2.0, 4.0 * t2 - 3.0 * t3 + t, t3 - t2)

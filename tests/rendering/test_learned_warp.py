@@ -1,12 +1,11 @@
 """Laws of depth planes and of the learned camera, on photographs of a textured wall."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraEnsemble, CameraNetworks
+from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering import plane_depth
@@ -112,35 +111,13 @@ def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surfa
 
 @pytest.mark.parametrize("points", [NOTHING, wall_points()])
 def test_untrained_networks_show_the_wall_where_the_depths_of_images_are_known(points: np.ndarray) -> None:
-    networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
+    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
     shown = render_view(networks, view(points, depths=wall_maps()))
     assert shown.support is not None and (shown.support == Support.SEEN)[8:-8, 16:-16].all()
     error = np.abs(shown.rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
     assert np.median(error) < 12.0
     length_m = WALL_M / CAMERA.rays(CAMERA.pixels())[..., 2]
     assert np.median(np.abs(shown.range_m / length_m - 1.0)[8:-8, 16:-16]) < 0.01
-
-
-@torch.no_grad()
-def test_a_view_is_the_mean_of_what_its_members_show() -> None:
-    spec = replace(SPEC, members=3)
-    networks = CameraEnsemble(spec, torch.Generator().manual_seed(0))
-    one = view(wall_points(), depths=wall_maps())
-    for number, member in enumerate(networks):
-        assert member.blend.out.bias is not None
-        member.blend.out.bias += 0.1 * (number + 1) * torch.linspace(-1.0, 1.0, len(member.blend.out.bias))
-    alone = []
-    for member in networks:
-        single = CameraEnsemble(SPEC, torch.Generator())
-        single.members[0].load_state_dict(member.state_dict())
-        alone.append(render_view(single, one))
-    together = render_view(networks, one)
-    colours = np.stack([shown.rgb for shown in alone]).astype(float)
-    assert np.abs(colours[0] - colours[2]).max() > 3.0
-    # Members are rounded to whole levels here, their mean once.
-    assert np.abs(together.rgb - colours.mean(axis=0)).max() <= 1.0
-    median_m = np.median([shown.range_m for shown in alone], axis=0)
-    np.testing.assert_allclose(together.range_m, median_m, rtol=1e-5)
 
 
 @torch.no_grad()
@@ -201,7 +178,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     lidar = lidar_view(pose(0.0), CAMERA, wall_points(), moving)
     one = camera_view(pose(0.0), CAMERA, lidar, shown, PLACES, SPEC, leave_out=(1,), moving=moving)
     assert one.label is not None and (one.label.numpy() > 0)[28:36, 60:68].all()
-    networks = CameraEnsemble(SPEC, torch.Generator().manual_seed(0))
+    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
     error = np.abs(render_view(networks, one).rgb.astype(float) - images[1]).max(axis=-1)
     middle = (slice(28, 36), slice(60, 68))
     assert error[middle].max() < 30.0

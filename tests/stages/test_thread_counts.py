@@ -24,7 +24,7 @@ def residual() -> ResidualRecipe:
         smoke, name="all_parts", lidar_training=few, depth_training=few, camera_training=few,
         hits=replace(smoke.hits, training=few),
         pano=PanoSpec(phases=1, parts=2, channels=8, layers=2, frames=3, judge_every=2, training=few),
-        camera=CameraSpec(members=2, aligned=True),
+        camera=CameraSpec(aligned=True),
     )  # fmt: skip
 
 

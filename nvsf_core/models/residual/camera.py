@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from nvsf_core._types import Scalar
-from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.losses.total import LossBreakdown
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
 from nvsf_core.models.family import TrainedPart, TrainingSession, Weights, fit, training_device
@@ -48,7 +47,7 @@ from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.simulation.scene_model import ImageRenderer
-from nvsf_core.training.loop import Part, fresh_state, side_by_side
+from nvsf_core.training.loop import fresh_state, side_by_side
 
 _DB = "psnr_db"
 _METRICS = {_DB: True}
@@ -73,7 +72,7 @@ _MAPS = "depth_maps"
 
 
 def train_camera(
-    session: TrainingSession, networks: CameraEnsemble, recipe: ResidualRecipe, recording: Recording
+    session: TrainingSession, networks: CameraNetworks, recipe: ResidualRecipe, recording: Recording
 ) -> TrainedPart:
     """Train all networks on the training images, then decide on the validation images whether to use them."""
     started = time.perf_counter()
@@ -101,21 +100,19 @@ def train_camera(
             facts={LEARNED: [], ALIGNED: {}, SHARED: [], TONES: {}, ALONE: [], EXPOSURES: {}},
         )  # fmt: skip
     session.say("camera", f"{len(wanted)} images to learn from")
-    depths = nn.ModuleList(one.depth for one in networks)
-    depth = fresh_state(depths, recipe.depth_training, session.seed * 3 + 1)
+    depth = fresh_state(networks.depth, recipe.depth_training, session.seed * 3 + 1)
     preparation = time.perf_counter() - started
     # First the depth of each image, compared with those around it; by these depths views are then drawn.
     fit(
         session, "depth", depth, recipe.depth_training,
-        lambda _, generator: _of_members(
-            recipe.depth_training.parts, generator,
-            [partial(depth_step, one.depth, examples, recipe) for one in networks],
+        lambda _, generator: side_by_side(
+            recipe.depth_training.parts, generator, partial(depth_step, networks.depth, examples, recipe)
         ),
     )  # fmt: skip
     # They hold all images without depths.
     examples.clear()
     placing = time.perf_counter()
-    maps = {one.name: image_depths(networks, cameras[one.name]) for one in shared}
+    maps = {one.name: image_depths(networks.depth, cameras[one.name]) for one in shared}
     images = {name: images[name].with_depths(one) for name, one in maps.items()}
     cameras = {name: replace(one, images=images[one.shared.name]) for name, one in cameras.items()}
     # As many without one image as without a block, and of other images where not all are drawn.
@@ -128,9 +125,8 @@ def train_camera(
     both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
     fit(
         session, "camera", both, recipe.camera_training,
-        lambda _, generator: _of_members(
-            recipe.camera_training.parts, generator,
-            [partial(camera_step, one, views, recipe) for one in networks],
+        lambda _, generator: side_by_side(
+            recipe.camera_training.parts, generator, partial(camera_step, networks, views, recipe)
         ),
     )  # fmt: skip
     validating = time.perf_counter()
@@ -165,15 +161,8 @@ def _most_views(training: TrainingSpec) -> int:
     return max(1, training.steps * training.parts // _WINDOWS_A_VIEW)
 
 
-def _of_members(
-    parts: int, generator: torch.Generator, losses: Sequence[Callable[[torch.Generator], LossBreakdown]]
-) -> list[Part]:
-    """The parts of a step of all members, each of whose losses is in `losses`."""
-    return [part for loss in losses for part in side_by_side(parts, generator, loss)]
-
-
 def _verdict(
-    networks: CameraEnsemble,
+    networks: CameraNetworks,
     given: AlignedDrive,
     cameras: Mapping[str, ShownCamera],
     spec: CameraSpec,
@@ -218,7 +207,7 @@ def _verdict(
 
 
 def _candidates(
-    networks: CameraEnsemble, given: AlignedDrive, aligned: AlignedDrive, camera: ShownCamera
+    networks: CameraNetworks, given: AlignedDrive, aligned: AlignedDrive, camera: ShownCamera
 ) -> dict[str, Callable[[int], list[float]]]:
     """What a camera's validation images may be rendered by, each as a function that scores one of them."""
     found = {"learned": _by_networks(networks, camera), "reproject": _by_warping(given.given, camera.name)}
@@ -230,7 +219,7 @@ def _candidates(
 
 
 def camera_renderer(
-    networks: CameraEnsemble, recording: Recording, spec: CameraSpec, weights: Weights
+    networks: CameraNetworks, recording: Recording, spec: CameraSpec, weights: Weights
 ) -> ImageRenderer:
     """Renders images by the networks for the cameras that use them, by `reproject` for the others.
 
@@ -299,7 +288,7 @@ def _maps_from(weights: Weights, camera: str) -> DepthMaps:
 
 
 def _by_networks(
-    networks: CameraEnsemble, camera: ShownCamera, *, alone: bool = False
+    networks: CameraNetworks, camera: ShownCamera, *, alone: bool = False
 ) -> Callable[[int], list[float]]:
     """Scores a left-out image as the networks render it; `alone`: from this camera's images only."""
 

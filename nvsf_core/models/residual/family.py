@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
-from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.family import Trained, TrainedPart, TrainingSession, Weights
@@ -30,7 +30,7 @@ class ResidualFields:
 
     lidar: LidarField | None
     """None where the drive has no LiDAR."""
-    camera: CameraEnsemble | None
+    camera: CameraNetworks | None
     """None where the drive has no camera."""
     hits: CellNetwork | None = None
     """The raydrop network; None where the recipe has none."""
@@ -61,7 +61,7 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
         points_m = recording.lidar.evidence.surfels.mean_m
         lidar = LidarField.around(points_m, recipe.lidar_field, torch.Generator().manual_seed(seed))
     if recording.cameras:
-        camera = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(seed + 1))
+        camera = CameraNetworks(recipe.camera, torch.Generator().manual_seed(seed + 1))
     return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
 
 

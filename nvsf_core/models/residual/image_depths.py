@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.camera_networks import DepthNetwork
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.images.depth_splat import without_edges
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
@@ -20,7 +20,7 @@ _MARGIN_M = 0.3
 """Pixels of a moving object are nearer or farther than all its returns by at most so much."""
 
 
-def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
+def image_depths(network: DepthNetwork, camera: ShownCamera) -> DepthMaps:
     """Depth maps of a camera's training images, and of those that are shared with it, in their order.
 
     Unknown are pixels around moving objects, pixels that show nothing, and depth edges where no surface of
@@ -29,7 +29,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
     Of the scan of its instant it knows what its neighbours' maps do.
 
     Args:
-        networks: Whose depth networks compare the images.
+        network: Compares the images.
         camera: Whose images have no depths yet; any of those that share theirs.
     """
     world, images = camera.drive.world, camera.images
@@ -52,7 +52,7 @@ def image_depths(networks: CameraEnsemble, camera: ShownCamera) -> DepthMaps:
             instant=camera.shared.instant, leave_out=camera.for_validation - {number}, own=number,
             moving=moving,
         )  # fmt: skip
-        inverse = image_inverse_depth(networks, view.to(images.full.device), camera.spec).cpu().numpy()
+        inverse = image_inverse_depth(network, view.to(images.full.device), camera.spec).cpu().numpy()
         mover = np.zeros(inverse.shape, np.int16)
         for place, each in enumerate(moving, start=1):
             assert view.label is not None

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from nvsf_core.demo.drive import DemoSize
-from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.models.residual.camera import EXPOSURES, LEARNED, camera_renderer, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.exposures import (
@@ -101,7 +101,7 @@ def test_exposures_between_images_and_as_the_other_images_tell_them() -> None:
 def test_views_have_the_exposure_of_their_time(run: SceneRun, drive: Recording, tmp_path: Path) -> None:
     once = replace(preset("smoke").camera_training, steps=1)
     recipe = replace(preset("smoke"), depth_training=once, camera_training=once)
-    networks = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0))
+    networks = CameraNetworks(recipe.camera, torch.Generator().manual_seed(0))
     task = Task(
         scene=run.scene, store=run.store, config=replace(run.config, recipe=recipe), folder=tmp_path,
         progress=lambda _: None,

@@ -10,7 +10,7 @@ import torch
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.fields.camera_networks import CameraEnsemble, CameraNetworks
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.models.residual.camera import LEARNED
 from nvsf_core.models.residual.camera_examples import LeftOut
 from nvsf_core.models.residual.camera_step import camera_step, depth_step
@@ -43,7 +43,7 @@ CAMERA = "image_00"
 WHOLE = replace(
     RECIPE,
     name="whole",
-    camera=replace(RECIPE.camera, plane_px=24 * 12, members=2, aligned=True),
+    camera=replace(RECIPE.camera, plane_px=24 * 12, aligned=True),
     depth_training=FEW,
     camera_training=FEW,
     lidar_field=FieldSpec(levels=2, log2_table=8),
@@ -57,9 +57,7 @@ def learned(
     recipe: ResidualRecipe, left_out: LeftOut, device: torch.device
 ) -> tuple[list[float], np.ndarray]:
     """Losses of a few steps of both kinds, and the image that is rendered afterwards."""
-    ensemble = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0)).to(device)
-    (networks,) = ensemble
-    assert isinstance(networks, CameraNetworks)
+    networks = CameraNetworks(recipe.camera, torch.Generator().manual_seed(0)).to(device)
     given, losses, spec = [left_out.to(device)], [], replace(STEPS, steps=10)
     for model, step in ((networks.depth, depth_step), (networks, camera_step)):
         state = fresh_state(model, spec, 1)
@@ -68,7 +66,7 @@ def learned(
             lambda *_: None, lambda _: None,
         )  # fmt: skip
         losses += [row["loss"] for row in state.curve]
-    return losses, render_view(ensemble, given[0].view).rgb
+    return losses, render_view(networks, given[0].view).rgb
 
 
 def test_camera_networks_train_and_render_elsewhere_as_on_the_cpu() -> None:

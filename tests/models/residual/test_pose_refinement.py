@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from nvsf_core.demo.drive import DemoSize
-from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
 from nvsf_core.models.residual.camera import ALIGNED, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
@@ -144,7 +144,7 @@ def test_the_seconds_of_training_the_camera_are_all_that_it_took(
     recipe = replace(preset("smoke"), depth_training=once, camera_training=once, camera=camera)
     task = Task(scene=run.scene, store=run.store, config=replace(run.config, recipe=recipe), folder=tmp_path,
                 progress=lambda _: None)  # fmt: skip
-    networks = CameraEnsemble(camera, torch.Generator().manual_seed(0))
+    networks = CameraNetworks(camera, torch.Generator().manual_seed(0))
     started = time.perf_counter()
     trained = train_camera(StageSession(task, tmp_path), networks, recipe, drive)
     took_s = time.perf_counter() - started

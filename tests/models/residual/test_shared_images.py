@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nvsf_core.demo.drive import DemoSize
-from nvsf_core.fields.camera_networks import CameraEnsemble
+from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.se3 import exp_se3
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.camera import ALONE, LEARNED, SHARED, TONES, camera_renderer, train_camera
@@ -108,17 +108,17 @@ def test_each_image_has_the_other_of_its_instant_beside_it_for_its_depth(drive: 
         assert not one.for_validation & set(sources)
 
 
-def trained_once(run: SceneRun, drive: Recording, folder: Path) -> tuple[TrainedPart, CameraEnsemble]:
+def trained_once(run: SceneRun, drive: Recording, folder: Path) -> tuple[TrainedPart, CameraNetworks]:
     once = replace(preset("smoke").camera_training, steps=1)
     recipe = replace(preset("smoke"), depth_training=once, camera_training=once)
-    networks = CameraEnsemble(recipe.camera, torch.Generator().manual_seed(0))
+    networks = CameraNetworks(recipe.camera, torch.Generator().manual_seed(0))
     config = replace(run.config, recipe=recipe)
     task = Task(scene=run.scene, store=run.store, config=config, folder=folder, progress=lambda _: None)
     return train_camera(StageSession(task, folder), networks, recipe, drive), networks
 
 
 def images(
-    networks: CameraEnsemble, trained: TrainedPart, drive: Recording, facts: dict[str, object]
+    networks: CameraNetworks, trained: TrainedPart, drive: Recording, facts: dict[str, object]
 ) -> dict[str, np.ndarray]:
     """A view half-way between two images of each camera, by the networks."""
     weights = StoredWeights(trained.tensors, facts, Path("weights.safetensors"))

@@ -14,7 +14,7 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.models.residual import lidar as residual_training
-from nvsf_core.recipe import CameraSpec, FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
+from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.runner import checkpoints
 from nvsf_core.stores.checkpoints import load_tensors
@@ -31,7 +31,6 @@ RESIDUAL = replace(
     name="often_saved",
     lidar_field=FieldSpec(levels=2, log2_table=8),
     lidar_training=replace(_TRAINING, rays=64),
-    camera=CameraSpec(members=2),
     depth_training=_TRAINING,
     camera_training=_TRAINING,
     hits=HitsSpec(channels=4, layers=1, training=replace(_TRAINING, rays=64)),
@@ -46,8 +45,8 @@ PAPER = replace(
     refinement=replace(PAPER.refinement, steps=STEPS, panos=1, column_step=8),
 )
 PHASES = {
-    "lidar": "lidar.", "hits": "hits.", "pano": "pano.", "depth": "camera.members.1.depth.",
-    "camera": "camera.members.1.blend.",
+    "lidar": "lidar.", "hits": "hits.", "pano": "pano.", "depth": "camera.depth.",
+    "camera": "camera.blend.",
 }  # fmt: skip
 """Of the residual recipes, in their order, and how the names of their weights begin."""
 PAPER_PHASES = {"field": "field.", "refinement": "unet."}
