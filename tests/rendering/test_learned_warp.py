@@ -1,6 +1,5 @@
 """Laws of depth planes and of the learned camera, on photographs of a textured wall."""
 
-
 import numpy as np
 import pytest
 import torch
