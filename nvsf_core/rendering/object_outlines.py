@@ -26,8 +26,8 @@ _REACH_M, _REACH_PX = 0.5, 60.0
 """Pixels are asked about up to this distance from the object, measured at its depth, and in the image."""
 _IN_FRONT = np.float32(1.01)
 """What hides a static surface is nearer than it: its inverse depth is at least so many times as large."""
-_NOWHERE = np.float32(1.0)
-"""Difference of colours where no other image shows the point."""
+_NOWHERE = np.float32(2.0)
+"""Difference of colours where no other image shows the point: more than any two, which are 0..1."""
 _LARGEST, _EXPECTED = np.float32(0.06), np.float32(0.03)
 """The largest difference that counts, and the one that is assumed where no other image shows the point."""
 _OBJECT_COSTS = np.float32(0.01)
