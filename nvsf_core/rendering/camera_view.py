@@ -55,21 +55,16 @@ class ShownImages:
 
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
-        shown = maps.inverse.clamp_min(0.0).to(self.full.device)
-
-        def with_it(images: Tensor) -> Tensor:
-            images = images.clone()
-            images[:, _DEPTH] = functional.avg_pool2d(shown, shown.shape[-1] // images.shape[-1])
-            return images
-
-        full = with_it(self.full)
+        full = self.full.clone()
+        full[:, _DEPTH] = maps.inverse.clamp_min(0.0).to(full.device)
         nothing_static = full[:, _SHOWN] < 0.999
         if self.moving is not None:
             # What maps show of an object reaches beyond its returns.
             full[:, _MOVING] = torch.maximum(full[:, _MOVING], (maps.mover > 0).float().to(full.device))
             nothing_static = nothing_static | (full[:, _MOVING] > 0.5)
         fronts = torch.where(nothing_static, _IN_FRONT, full[:, _DEPTH]).cpu()
-        return ShownImages(full, with_it(self.small), maps, fronts)
+        factor = full.shape[-1] // self.small.shape[-1]
+        return ShownImages(full, functional.avg_pool2d(full, factor), maps, fronts)
 
     @property
     def moving(self) -> Tensor | None:

@@ -202,6 +202,21 @@ def test_what_moved_through_a_source_leaves_no_ghost_in_a_view_without_it() -> N
     assert coarse_colour(one).max() < 0.5
 
 
+def test_what_maps_show_of_an_object_beyond_its_returns_leaves_no_ghost_either() -> None:
+    """A wheel on the road, as far as the road: its depth hides nothing, its object has left."""
+    places = [pose(-0.2), pose(0.0), pose(0.2)]
+    images = np.full((3, 32, 64, 3), 100, np.uint8)
+    images[:, 10:20, 40:50] = 250
+    mover = torch.zeros((3, 32, 64), dtype=torch.int16)
+    mover[:, 8:22, 38:52] = 4
+    maps = DepthMaps(torch.full((3, 32, 64), 1.0 / WALL_M), mover)
+    no_returns = np.zeros((3, 32, 64), np.bool_)
+    shown = shown_images(images, np.ones((32, 64), np.bool_), 1, no_returns).with_depths(maps)
+    nothing = lidar_view(pose(0.1), CAMERA, np.zeros((0, 3), np.float32), ())
+    one = camera_view(pose(0.1), CAMERA, nothing, shown, np.stack(places), SPEC)
+    assert coarse_colour(one).max() < 0.5
+
+
 def test_what_a_moving_object_uncovers_is_static_and_its_own_pixels_are_seen_as_it_moves() -> None:
     """A plate 1 m wide, 5 m ahead, and unknown pixels beside it."""
     places = np.stack([pose(0.0), pose(0.1)])
