@@ -86,7 +86,7 @@ class Surfels:
     def walk_limits(self, near_m: float, far_m: float, most: int) -> WalkLimits:
         """Limits of a walk from near to far, over at most `most` surfaces."""
         missed_share = _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
-        return WalkLimits(float(near_m), float(far_m), most, missed_share, _STOP_TRANSMITTANCE)
+        return WalkLimits(float(near_m), float(far_m), most, missed_share, _STOP_TRANSMITTANCE, faintest=0.0)
 
     @property
     def is_planar(self) -> np.ndarray:

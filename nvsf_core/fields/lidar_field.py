@@ -19,6 +19,10 @@ from nvsf_core.kernels.encodings.hash_grid import HashGrid, grid_layout
 from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
 from nvsf_core.recipe import FieldSpec
 
+_STOP_TRANSMITTANCE, _FAINTEST = 0.02, 0.005
+"""What lies behind nearly all of the light, or stops hardly any of it, a field corrects for nothing: it is a
+sixth of all surfaces (docs/lean.md)."""
+
 
 def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> np.ndarray:
     """Where in the field's cube the corrections of each moving object are stored.
@@ -206,7 +210,7 @@ def surface_batch(
     """The surfaces along rays: static ones, merged by range with those of moving objects.
 
     Args:
-        surfels: The static evidence.
+        surfels: The static evidence; surfaces that hardly count are left out (`_FAINTEST`).
         origin_m: (r, 3) scene-local.
         direction: (r, 3) unit vectors, scene-local.
         most: Surfaces a ray; of more, the farthest are left out.
@@ -216,9 +220,11 @@ def surface_batch(
     """
     met = NO_SURFACES if objects is None else objects
     towards = np.ascontiguousarray(direction, np.float32)
+    limits = surfels.walk_limits(near_m, far_m, most)
+    limits = limits._replace(stop_transmittance=_STOP_TRANSMITTANCE, faintest=_FAINTEST)
     first, range_m, logit, facts, point_m, hit_prior = list_surfaces(
         np.ascontiguousarray(origin_m, np.float32), towards, surfels.index, surfels.surfaces,
-        surfels.walk_limits(near_m, far_m, most), met,
+        limits, met,
     )  # fmt: skip
     count = np.diff(first)
     step = np.arange(max(1, int(count.max(initial=1))))

@@ -54,6 +54,8 @@ class WalkLimits(NamedTuple):
     """Share of its opacity that a surface keeps for a ray that misses it inside its voxel."""
     stop_transmittance: float
     """The walk ends where less of the light than this is left."""
+    faintest: float
+    """Surfaces that stop less of the ray's light than this are left out, as if nothing were there."""
 
 
 @njit(inline="always")
@@ -252,7 +254,7 @@ def walk(  # type: ignore[no-untyped-def]
     """
     grid_origin, voxel_m, bricks, cells = grid
     means, normals, precisions, opacities = surfaces[0], surfaces[1], surfaces[2], surfaces[3]
-    near_m, far_m, most, missed_share, stop_transmittance = limits
+    near_m, far_m, most, missed_share, stop_transmittance, faintest = limits
     range_m, voxels, opacity, cosine = found_surfaces
     ny_bricks, nz_bricks = bricks.shape[1], bricks.shape[2]
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, ny_bricks * BRICK, nz_bricks * BRICK
@@ -299,11 +301,12 @@ def walk(  # type: ignore[no-untyped-def]
                     hit = float((nx * mx + ny * my + nz * mz) / slant) if incidence > 1e-6 else -1.0
                     if not is_shaped and (hit < t or hit > t_out):
                         alpha *= missed_share
-                range_m[found] = min(max(hit, t), t_out)
-                voxels[found] = voxel
-                opacity[found] = alpha
-                cosine[found] = incidence
-                found += 1
+                if alpha * light >= faintest:
+                    range_m[found] = min(max(hit, t), t_out)
+                    voxels[found] = voxel
+                    opacity[found] = alpha
+                    cosine[found] = incidence
+                    found += 1
                 light *= 1.0 - alpha
                 if found == most or light < stop_transmittance:
                     return found

@@ -68,10 +68,10 @@ def apart(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> np.nda
     return np.einsum("vi,vij,vj->v", beside, precision, beside)
 
 
-def walked(surfels: Surfels, stop: float = 0.0) -> tuple[np.ndarray, ...]:
+def walked(surfels: Surfels, stop: float = 0.0, faintest: float = 0.0) -> tuple[np.ndarray, ...]:
     """Of `some_rays`: ranges, voxels, opacities, cosines and counts; what is missed keeps a tenth."""
     return find_candidates(
-        *some_rays(), surfels.index, surfels.surfaces, WalkLimits(NEAR_M, FAR_M, 200, 0.1, stop)
+        *some_rays(), surfels.index, surfels.surfaces, WalkLimits(NEAR_M, FAR_M, 200, 0.1, stop, faintest)
     )
 
 
@@ -115,3 +115,17 @@ def test_the_walk_ends_where_no_light_is_left(sparse) -> None:
     ends = (before >= 0.3).sum(axis=1) + 1
     assert (lit[4] == np.minimum(ends, everything[4])).all()
     assert (lit[4] < everything[4]).any()
+
+
+def test_surfaces_that_stop_hardly_any_light_are_left_out_and_nothing_else_changes(sparse) -> None:
+    everything, bright = walked(sparse), walked(sparse, faintest=0.03)
+    before = np.cumprod(1.0 - everything[2].astype(np.float64), axis=1) / (1.0 - everything[2])
+    stopped = everything[2] * before
+    sure = np.abs(stopped - 0.03) > 1e-5
+    assert sure.mean() > 0.99
+    for ray in np.flatnonzero(sure.all(axis=1)):
+        kept = np.flatnonzero(stopped[ray] >= 0.03)
+        assert bright[4][ray] == len(kept)
+        for of_all, of_bright in zip(everything[:4], bright[:4], strict=True):
+            assert (of_bright[ray, : len(kept)] == of_all[ray, kept]).all()
+    assert 0 < bright[4].sum() < everything[4].sum()
