@@ -83,10 +83,21 @@ class Surfels:
             self.mean_m, self.normal, self.precision, self.opacity, self.intensity, self.hits
         )
 
-    def walk_limits(self, near_m: float, far_m: float, most: int) -> WalkLimits:
-        """Limits of a walk from near to far, over at most `most` surfaces."""
+    def walk_limits(
+        self, near_m: float, far_m: float, most: int, *,
+        stop_transmittance: float = _STOP_TRANSMITTANCE, faintest: float = 0.0,
+    ) -> WalkLimits:  # fmt: skip
+        """Limits of a walk through these surfels.
+
+        Args:
+            near_m: Where it begins.
+            far_m: Where it ends.
+            most: Surfaces after which it ends.
+            stop_transmittance: Share of the light below which it ends.
+            faintest: Share of the light that a surface must stop; others are left out.
+        """
         missed_share = _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
-        return WalkLimits(float(near_m), float(far_m), most, missed_share, _STOP_TRANSMITTANCE, faintest=0.0)
+        return WalkLimits(float(near_m), float(far_m), most, missed_share, stop_transmittance, faintest)
 
     @property
     def is_planar(self) -> np.ndarray:

@@ -20,8 +20,8 @@ from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
 from nvsf_core.recipe import FieldSpec
 
 _STOP_TRANSMITTANCE, _FAINTEST = 0.02, 0.005
-"""What lies behind nearly all of the light, or stops hardly any of it, a field corrects for nothing: it is a
-sixth of all surfaces (docs/lean.md)."""
+"""Limits of a field's rays, see `WalkLimits`. What lies behind nearly all of the light, or stops hardly any,
+is a seventh to a sixth of all surfaces, and correcting it made no error smaller (docs/lean.md)."""
 
 
 def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> np.ndarray:
@@ -220,8 +220,9 @@ def surface_batch(
     """
     met = NO_SURFACES if objects is None else objects
     towards = np.ascontiguousarray(direction, np.float32)
-    limits = surfels.walk_limits(near_m, far_m, most)
-    limits = limits._replace(stop_transmittance=_STOP_TRANSMITTANCE, faintest=_FAINTEST)
+    limits = surfels.walk_limits(
+        near_m, far_m, most, stop_transmittance=_STOP_TRANSMITTANCE, faintest=_FAINTEST
+    )
     first, range_m, logit, facts, point_m, hit_prior = list_surfaces(
         np.ascontiguousarray(origin_m, np.float32), towards, surfels.index, surfels.surfaces,
         limits, met,
