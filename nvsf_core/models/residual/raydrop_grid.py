@@ -104,10 +104,13 @@ def sweep_cells(rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups) -
     share = asked / np.float32(len(near))
     share_nearest = nearest / np.float32(min(len(near), _NEAREST))
     shine = asked[:, SHINE] / np.maximum(asked[:, SAME], 1.0)
+    nearest_prior = scan_grids.prior.hit_prior_of_sweep(
+        rays.laser[::firings], rays.fraction[:firings], near[:_NEAREST]
+    )
     level = np.repeat(np.linspace(-1.0, 1.0, lasers, dtype=np.float32), firings)
     channels = (
         rendered.hit_prior - 0.5,
-        scan_grids.prior.hit_prior(rays.laser, rays.fraction, near[:_NEAREST]) - 0.5,
+        nearest_prior.reshape(-1) - 0.5,
         is_met - 0.5,
         np.log1p(range_m) / 2.0 - 1.0,
         range_m / 40.0,
