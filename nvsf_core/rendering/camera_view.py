@@ -13,7 +13,7 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.image_exposure import recorded_at_exposure
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
 from nvsf_core.rendering.reproject_camera import nearest_sources
-from nvsf_core.rendering.sources import Sources
+from nvsf_core.rendering.sources import Neighbours
 from nvsf_core.rendering.view_depth_maps import (
     DepthMaps,
     NearMaps,
@@ -90,15 +90,12 @@ class CameraView:
     """(H, W) distance to the nearest return in the image."""
     images: ShownImages
     """All images of the camera."""
-    chosen: list[int]
-    """Indices of the k source images, the nearest first; in a view of an image itself that one, then others
-    at growing distances. If there are fewer, the last is repeated."""
-    motion: Tensor
-    """(k, 4, 4), see `Sources`."""
-    nearness: Tensor
-    """(k,), see `Sources`."""
-    moved: Tensor | None = None
-    """(o, k, 4, 4), see `Sources`."""
+    near: Neighbours
+    """The k source images, the nearest first; in a view of an image itself that one, then others at growing
+    distances. If there are fewer, the last is repeated."""
+    others: Neighbours | None = None
+    """The other images whose depth maps are carried into the view: they are asked where no source shows
+    anything. None if there are none."""
     surfaces: ViewDepth | None = None
     """What the images' depth maps show; None where the images have none."""
     log_gain: float = 0.0
@@ -114,9 +111,8 @@ class CameraView:
             gap_px=self.gap_px.to(device),
             surfaces=None if self.surfaces is None else self.surfaces.to(device),
             images=self.images.to(device),
-            motion=self.motion.to(device),
-            nearness=self.nearness.to(device),
-            moved=None if self.moved is None else self.moved.to(device),
+            near=self.near.to(device),
+            others=None if self.others is None else self.others.to(device),
             label=None if self.label is None else self.label.to(device),
         )
 
@@ -129,10 +125,6 @@ class CameraView:
     def small(self) -> Pinhole:
         """Intrinsics of the images on which planes are compared."""
         return shrunk(self.pinhole, self.factor)
-
-    def sources(self, images: Tensor) -> Sources:
-        """The chosen ones of all images (j, c, h, w), of any size, as sources of this view."""
-        return Sources(images, self.chosen, self.motion, self.nearness, self.moved)
 
     def thinned(self, image: Tensor, factor: int) -> Tensor:
         """The middle pixel of each block of factor x factor pixels of an image (..., H, W)."""
@@ -211,7 +203,7 @@ def camera_view(
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
     motions = image_motions(pose, poses, [each.moved for each in moving])
-    surfaces, chosen = None, known[: spec.sources]
+    surfaces, chosen, others = None, known[: spec.sources], list[int]()
     if own is not None:
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
     elif images.depths is not None:
@@ -222,11 +214,7 @@ def camera_view(
             surfaces = surfaces.completed(label, lidar.inverse)
             label = surfaces.label
         chosen = [numbers[place] for place in covering_sources(pinhole, surfaces, near, spec.sources)]
-    distances = camera_distance_m(motions[0, chosen]) + _DISTANCE_FLOOR_M
-    nearness = torch.zeros(spec.sources)
-    nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
-    chosen += [chosen[-1]] * (spec.sources - len(chosen))
-    to_sources = torch.from_numpy(motions[:, chosen].astype(np.float32))
+        others = [number for number in numbers if number not in chosen]
     return CameraView(
         pinhole=pinhole,
         factor=shrinking(pinhole, spec),
@@ -234,12 +222,20 @@ def camera_view(
         gap_px=lidar.gap_px,
         surfaces=surfaces,
         images=images,
-        chosen=chosen,
-        motion=to_sources[0],
-        nearness=nearness,
-        moved=to_sources[1:] if moving else None,
+        near=_neighbours(motions, chosen, spec.sources),
+        others=_neighbours(motions, others, len(others)) if others else None,
         label=label,
     )
+
+
+def _neighbours(motions: np.ndarray, chosen: list[int], most: int) -> Neighbours:
+    """The images `chosen`, at least one, the last repeated up to `most`; motions (m, j, 4, 4) of all."""
+    distances = camera_distance_m(motions[0, chosen]) + _DISTANCE_FLOOR_M
+    nearness = torch.zeros(most)
+    nearness[: len(chosen)] = torch.from_numpy((distances[0] / distances).astype(np.float32))
+    padded = chosen + [chosen[-1]] * (most - len(chosen))
+    to_each = torch.from_numpy(motions[:, padded].astype(np.float32))
+    return Neighbours(padded, to_each[0], nearness, to_each[1:] if len(to_each) > 1 else None)
 
 
 def _near_maps(

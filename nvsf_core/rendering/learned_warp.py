@@ -8,11 +8,11 @@ from torch import Tensor
 from nvsf_core.fields.camera_networks import BlendInput, CameraNetworks
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.image_exposure import at_exposure
-from nvsf_core.rendering.pixel_support import pixel_support, without_holes
+from nvsf_core.rendering.pixel_support import holes, pixel_support, shown_by_others, without_holes
 from nvsf_core.rendering.plane_depth import FULL_TRUST_PX
 from nvsf_core.rendering.plane_volume import agreement
 from nvsf_core.rendering.rendered import RenderedImage
-from nvsf_core.rendering.sources import SeenPoints, look_up
+from nvsf_core.rendering.sources import SeenPoints, Sources, look_up
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
 
@@ -49,8 +49,18 @@ def coarse_colour(view: CameraView) -> Tensor:
     small = view.small
     surface = hypotheses(view, view.factor, WHOLE).inverse[:1]
     points = SeenPoints(plane_rays(small, view.device), surface, view.label_of(view.factor, WHOLE))
-    agreed = agreement(view.sources(view.images.small), points, small)
-    return without_holes(agreed.colour[0], (agreed.share[0] > 0.0).float())
+    agreed = agreement(view.near.of(view.images.small), points, small)
+    colour, known = agreed.colour[0], agreed.share[0] > 0.0
+    missing = ~known
+    colour[:, missing], known[missing] = shown_by_others(
+        _others(view, view.images.small), points, small, missing
+    )
+    return without_holes(colour, known.float())
+
+
+def _others(view: CameraView, images: Tensor) -> Sources | None:
+    """Of all images (j, c, h, w), of any size, those that are not the view's sources."""
+    return None if view.others is None else view.others.of(images)
 
 
 def blend_input(view: CameraView, found: Hypotheses, coarse: Tensor, window: Window = WHOLE) -> BlendInput:
@@ -65,10 +75,13 @@ def blend_input(view: CameraView, found: Hypotheses, coarse: Tensor, window: Win
     around_colour = sample(coarse, places_in_small(view)[window])
     rays = plane_rays(view.pinhole, view.device)[window]
     points = SeenPoints(rays, found.inverse, view.label_of(1, window))
-    colour, seen = look_up(view.sources(view.images.full), points, view.pinhole)
+    colour, seen = look_up(view.near.of(view.images.full), points, view.pinhole)
+    missing = holes(~seen.flatten(0, 1).any(dim=0))
+    beside, known = shown_by_others(_others(view, view.images.full), points, view.pinhole, missing)
+    around_colour[:, missing] = torch.where(known, beside, around_colour[:, missing])
     return BlendInput.of(
         colour.permute(2, 0, 1, 3, 4).flatten(0, 1), seen.transpose(0, 1).flatten(0, 1), found.share,
-        around_colour, view.nearness,
+        around_colour, view.near.nearness,
     )  # fmt: skip
 
 

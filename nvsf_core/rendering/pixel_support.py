@@ -4,8 +4,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.camera_view import CameraView
 from nvsf_core.rendering.rendered import Support
+from nvsf_core.rendering.sources import SeenPoints, Sources, look_up
 from nvsf_core.rendering.warping import plane_rays
 
 _MOST_ANGLE_RAD = 0.1
@@ -32,16 +34,17 @@ def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
     rays = plane_rays(view.pinhole, view.device)
     point = rays / inverse[..., None].clamp_min(1e-4)
     seen = torch.zeros_like(inverse, dtype=torch.bool)
-    for number, motion in enumerate(view.motion):
+    moved = None if view.label is None else view.near.moved
+    for number, motion in enumerate(view.near.motion):
         alike = _looked_at_alike(point, motion)
-        for mover in range(0 if view.moved is None or view.label is None else len(view.moved)):
-            assert view.moved is not None and view.label is not None
-            own = _looked_at_alike(point, view.moved[mover, number])
+        for mover in range(0 if moved is None else len(moved)):
+            assert moved is not None and view.label is not None
+            own = _looked_at_alike(point, moved[mover, number])
             alike = torch.where(view.label == mover + 1, own, alike)
         seen |= shown[number] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
     surfaces = view.surfaces
-    is_hole = _holes((surfaces.support[0] == 0.0) & (surfaces.label == 0) & ~surfaces.glimpsed)
+    is_hole = holes((surfaces.support[0] == 0.0) & (surfaces.label == 0) & ~surfaces.glimpsed)
     return torch.where(is_hole, int(Support.GUESSED), support).to(torch.uint8)
 
 
@@ -54,7 +57,7 @@ def _looked_at_alike(point_m: Tensor, motion: Tensor) -> Tensor:
     return (angle <= _MOST_ANGLE_RAD) & (ratio <= _MOST_RATIO)
 
 
-def _holes(unknown: Tensor) -> Tensor:
+def holes(unknown: Tensor) -> Tensor:
     """(H, W) bool: the part of `unknown` (H, W) that squares of `_HOLE_PX` pixels within it cover."""
     whole = -_grown(-unknown.float())
     return _grown(whole) > 0.5
@@ -63,6 +66,35 @@ def _holes(unknown: Tensor) -> Tensor:
 def _grown(image: Tensor) -> Tensor:
     """Largest value (H, W) of an image in the square around each pixel."""
     return functional.max_pool2d(image[None], _HOLE_PX, 1, _HOLE_PX // 2)[0]
+
+
+@torch.no_grad()
+def shown_by_others(
+    others: Sources | None, points: SeenPoints, pinhole: Pinhole, missing: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean colours of pixels in images that are no sources, nearer ones counting more.
+
+    Few sources are chosen, those that show most of a view; what a moving object hides in all of them,
+    others may show.
+
+    Args:
+        others: Images besides the view's sources; None = there are none.
+        points: Depths of all pixels (h, w), of which the first is looked up.
+        pinhole: Intrinsics of the images.
+        missing: (h, w) bool: the m pixels that are looked up.
+
+    Returns:
+        Colours (3, m), and whether any image shows them (m,) bool; colours of others mean nothing.
+    """
+    count = int(missing.sum())
+    if others is None or count == 0:
+        return torch.zeros(3, count, device=missing.device), torch.zeros_like(missing[missing])
+    label = None if points.label is None else points.label[missing][:, None]
+    front = SeenPoints(points.rays[missing][:, None], points.inverse[:1, missing][..., None], label)
+    colour, shown = look_up(others, front, pinhole)
+    weight = shown[:, 0, :, 0] * others.nearness.square()[:, None]
+    whole = weight.sum(dim=0)
+    return (colour[:, :, 0, :, 0] * weight[:, None]).sum(dim=0) / whole.clamp_min(1e-9), whole > 0.0
 
 
 def without_holes(colour: Tensor, share: Tensor) -> Tensor:

@@ -74,7 +74,7 @@ def compared_planes(view: CameraView, spec: CameraSpec, window: Window = WHOLE) 
     points = SeenPoints(
         plane_rays(small, view.device)[window], inverses[:, None, None], view.label_of(view.factor, window)
     )
-    agreed = agreement(view.sources(view.images.small), points, small, first=1)
+    agreed = agreement(view.near.of(view.images.small), points, small, first=1)
     prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
     return plane_features(agreed, prior, gap_px / view.factor, inverses), agreed.colour
 

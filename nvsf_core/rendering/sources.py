@@ -41,6 +41,29 @@ class Sources:
 
 
 @dataclass(frozen=True, slots=True)
+class Neighbours:
+    """Which recorded images are looked up for a view, and where they stand to it; fields as of `Sources`."""
+
+    chosen: list[int]
+    """(k,)."""
+    motion: Tensor
+    """(k, 4, 4)."""
+    nearness: Tensor
+    """(k,)."""
+    moved: Tensor | None = None
+    """(o, k, 4, 4)."""
+
+    def of(self, images: Tensor) -> Sources:
+        """As sources, of all images (j, c, h, w) of any size."""
+        return Sources(images, self.chosen, self.motion, self.nearness, self.moved)
+
+    def to(self, device: torch.device) -> "Neighbours":
+        """The same with tensors on `device`."""
+        moved = None if self.moved is None else self.moved.to(device)
+        return Neighbours(self.chosen, self.motion.to(device), self.nearness.to(device), moved)
+
+
+@dataclass(frozen=True, slots=True)
 class SeenPoints:
     """Points of a view's pixels: d depths of each, all pixels or those of a window."""
 

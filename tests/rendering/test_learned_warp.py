@@ -67,16 +67,16 @@ def view(points: np.ndarray, *, images: int = 4, depths: DepthMaps | None = None
 
 
 def test_a_left_out_image_is_no_source_and_missing_sources_have_no_weight() -> None:
-    assert view(NOTHING).chosen == [2, 0, 3]
+    assert view(NOTHING).near.chosen == [2, 0, 3]
     alone = view(NOTHING, images=3)
-    assert alone.chosen == [2, 0, 0]
-    assert alone.nearness[2] == 0.0
+    assert alone.near.chosen == [2, 0, 0]
+    assert alone.near.nearness[2] == 0.0
 
 
 def test_sources_agree_best_on_the_plane_of_the_wall() -> None:
     one, inverses = view(NOTHING), plane_inverses(SPEC)
     points = SeenPoints(plane_rays(one.small), inverses[:, None, None])
-    agreed = agreement(one.sources(one.images.small), points, one.small)
+    agreed = agreement(one.near.of(one.images.small), points, one.small)
     size = (one.small.height, one.small.width)
     features = plane_features(agreed, torch.full(size, 1 / 300.0), torch.full(size, torch.inf), inverses)
     assert features.shape == (SPEC.planes, VOLUME_FEATURES, *size)
@@ -187,4 +187,4 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
 
 def test_a_static_view_holds_nothing_dynamic() -> None:
     one = view(wall_points())
-    assert one.label is None and one.moved is None and one.images.full.shape[1] == 5
+    assert one.label is None and one.near.moved is None and one.images.full.shape[1] == 5

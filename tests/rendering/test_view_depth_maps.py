@@ -8,7 +8,7 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
 from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
-from nvsf_core.rendering.pixel_support import pixel_support, without_holes
+from nvsf_core.rendering.pixel_support import pixel_support
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.rendering.sources import SeenPoints, look_up
 from nvsf_core.rendering.view_depth_maps import (
@@ -60,7 +60,7 @@ def view(
 
 def support_at(one: CameraView, inverse: torch.Tensor) -> torch.Tensor:
     points = SeenPoints(plane_rays(CAMERA), inverse[None], one.label)
-    _, shown = look_up(one.sources(one.images.full), points, CAMERA)
+    _, shown = look_up(one.near.of(one.images.full), points, CAMERA)
     return pixel_support(one, inverse, shown[:, 0])
 
 
@@ -252,19 +252,6 @@ def test_ranks_are_dense_at_first_and_reach_far() -> None:
     ranks = spread_ranks(60)
     assert ranks[:5] == [0, 1, 2, 3, 4] and len(ranks) == 12 and ranks[-1] > 14
     assert ranks == sorted(set(ranks))
-
-
-def test_holes_take_the_colour_of_what_is_around_and_known_pixels_keep_theirs() -> None:
-    colour = torch.zeros(3, 24, 40)
-    colour[0, :, :20], colour[1, :, 20:] = 0.8, 0.6
-    share = torch.ones(24, 40)
-    share[4:12, 2:10] = 0.0
-    share[14:20, 28:36] = 0.0
-    filled = without_holes(torch.where(share > 0, colour, 9.0), share)
-    assert torch.equal(filled[:, share > 0], colour[:, share > 0])
-    assert (filled[0, 4:12, 2:10] - 0.8).abs().max() < 0.2
-    assert (filled[1, 14:20, 28:36] - 0.6).abs().max() < 0.2
-    assert (without_holes(colour, torch.zeros(24, 40)) == 0.0).all(), "nothing is known: black"
 
 
 def test_pixels_that_maps_show_as_an_objects_hide_the_street_whatever_returns_say() -> None:

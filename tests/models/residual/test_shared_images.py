@@ -93,8 +93,8 @@ def test_an_image_is_never_rendered_from_another_of_its_instant(drive: Recording
         instant = one.shared.at_instant_of(index)
         views = [one.from_others(index), *(one.left_out_in_block(index, place).view for place in range(3))]
         for view in views:
-            assert not instant & set(view.chosen)
-        own = set(one.from_others(index, alone=True).chosen)
+            assert not instant & set(view.near.chosen)
+        own = set(one.from_others(index, alone=True).near.chosen)
         assert not own & (one.shared.of_others(camera) | instant)
     assert not set(one.training) & set(one.validation)
 
@@ -102,7 +102,7 @@ def test_an_image_is_never_rendered_from_another_of_its_instant(drive: Recording
 def test_each_image_has_the_other_of_its_instant_beside_it_for_its_depth(drive: Recording) -> None:
     one = shown(drive, PAIR[0])
     for index in one.training:
-        sources = one.itself(index).view.chosen
+        sources = one.itself(index).view.near.chosen
         assert sources[0] == one.shared.number(PAIR[0], index)
         assert one.shared.number(PAIR[1], index) in sources
         assert not one.for_validation & set(sources)
