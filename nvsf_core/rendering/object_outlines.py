@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.ndimage import binary_propagation
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
@@ -70,6 +71,8 @@ def outlined(
         if shown.any():
             is_it, depth = _around(inverse, shown, each, compared)
             is_it &= mover == 0
+            # An object is of one piece: dark glass behind a dark wheel may look like it, and is not.
+            is_it &= binary_propagation(shown, mask=shown | is_it)
             inverse[is_it], mover[is_it] = depth[is_it], each.number
     return inverse, mover
 

@@ -96,6 +96,20 @@ def test_a_background_that_only_looks_like_the_object_stays_static() -> None:
     np.testing.assert_array_equal(depths, inverse)
 
 
+def test_what_moves_along_but_is_apart_from_the_object_is_not_part_of_it() -> None:
+    images, patch = photographs(), np.zeros((64, 128), np.bool_)
+    for number in range(COUNT):
+        middle = round(CAMERA.cx + CAMERA.fx * (DISC_X_M[number] - CAMERA_X_M[number]) / DISC_M)
+        images[number, :3, 23:28, middle - 20 : middle - 15] = torch.tensor([0.9, 0.1, 0.1])[:, None, None]
+        if number == OWN:
+            patch[23:28, middle - 20 : middle - 15] = True
+    inverse, mover = upper_half()
+    depths, found = outlined(inverse, mover, [moving()], compared(images, OTHERS))
+    assert (found[patch] == 0).all()
+    np.testing.assert_array_equal(depths[patch], inverse[patch])
+    assert ((found == NUMBER) & (mover == 0)).any(), "what touches it is"
+
+
 def test_what_others_contradict_is_the_objects_where_none_of_them_sees_the_object() -> None:
     # The object's place is known at the image's own instant only.
     inverse, mover = upper_half()
