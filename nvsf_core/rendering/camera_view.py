@@ -208,12 +208,12 @@ def camera_view(
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
     elif images.depths is not None:
         numbers = images_near(motions, known, label, instant)
-        near = _near_maps(images, motions, numbers, moving)
-        surfaces = depth_in_view(pinhole, near, label)
+        maps = _near_maps(images, motions, numbers, moving)
+        surfaces = depth_in_view(pinhole, maps, label)
         if label is not None:
             surfaces = surfaces.completed(label, lidar.inverse)
             label = surfaces.label
-        chosen = [numbers[place] for place in covering_sources(pinhole, surfaces, near, spec.sources)]
+        chosen = [numbers[place] for place in covering_sources(pinhole, surfaces, maps, spec.sources)]
         others = [number for number in numbers if number not in chosen]
     return CameraView(
         pinhole=pinhole,
