@@ -1,6 +1,6 @@
-"""Pixels of an image that show a moving object where no return lies on it: wheels, glass, and its shadow.
+"""Pixels of an image that show a moving object: also wheels, glass and its shadow, but not what is around it.
 
-A pixel beside an object is static or moves with the object. Other images tell which: those that see the
+A pixel near an object's rim is static or moves with the object. Other images tell which: those that see the
 static place at another time, or the object at another place, show the same colour there, or do not.
 """
 
@@ -30,9 +30,13 @@ _IN_FRONT = np.float32(1.01)
 _NOWHERE = np.float32(2.0)
 """Difference of colours where no other image shows the point: more than any two, which are 0..1."""
 _LARGEST, _EXPECTED = np.float32(0.06), np.float32(0.03)
-"""The largest difference that counts, and the one that is assumed where no other image shows the point."""
+"""The largest difference that counts, and the one mostly assumed where no other image shows the point."""
 _OBJECT_COSTS = np.float32(0.01)
 """An object must look more alike by so much."""
+_RIM_PX = 6.0
+"""Returns lie on an object, but pixels that far from them count as its own until others are asked."""
+_BEHIND = np.float32(1.05)
+"""What is seen beside an object is behind it if its inverse depth is at most that of the object over this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ class ComparedImages:
 def outlined(
     inverse: np.ndarray, mover: np.ndarray, moving: Sequence[MovingPoints], compared: ComparedImages
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A recorded image's depths and moving objects, with all of what moves with an object as part of it.
+    """A recorded image's depths and moving objects: what moves with an object, and only that, is part of it.
 
     Args:
         inverse: (H, W) float32 inverse depths of the image, 1/m, positive.
@@ -74,6 +78,8 @@ def outlined(
             # An object is of one piece: dark glass behind a dark wheel may look like it, and is not.
             is_it &= binary_propagation(shown, mask=shown | is_it)
             inverse[is_it], mover[is_it] = depth[is_it], each.number
+            is_static, behind = _inside_rim(inverse, mover == each.number, each, compared)
+            inverse[is_static], mover[is_static] = behind[is_static], 0
     return inverse, mover
 
 
@@ -97,13 +103,39 @@ def _around(
     return (found == layers[1]) & (layers[0] != layers[1]), depth
 
 
-def _difference(inverse: np.ndarray, motions: np.ndarray, compared: ComparedImages) -> np.ndarray:
-    """How much other images differ from an image at its pixels' depths, (H, W) float32, at most `_LARGEST`.
+def _inside_rim(
+    inverse: np.ndarray, shown: np.ndarray, one: MovingPoints, compared: ComparedImages
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (H, W) bool of those `shown` that are static, and inverse depths (H, W), 1/m, for them.
+
+    The depth is that of the nearest pixel outside. Only what others show as static there is taken away.
+    """
+    gap_px, nearest = nearest_known(~shown)
+    behind = inverse[nearest[0], nearest[1]]
+    asked = shown & (gap_px <= _RIM_PX) & (behind * _BEHIND <= inverse)
+    motions = image_motions(compared.poses[compared.own], compared.poses, [one.moved])
+    static = _difference(np.where(asked, behind, np.float32(0.0)), motions[:1], compared, unseen=_NOWHERE)
+    of_it = _difference(np.where(asked, inverse, np.float32(0.0)), motions, compared)
+    colours = np.ascontiguousarray(compared.images[compared.own, :3].permute(1, 2, 0).numpy())
+    layers = np.stack([inverse, np.where(asked, behind, inverse)])
+    is_static = asked & (likeliest_surface(colours, layers, np.stack([of_it, static])) == layers[1])
+    # What is around an object reaches into its pixels from outside.
+    is_static &= binary_propagation(~shown, mask=~shown | is_static)
+    return is_static, behind
+
+
+def _difference(
+    inverse: np.ndarray, motions: np.ndarray, compared: ComparedImages, unseen: np.float32 = _EXPECTED
+) -> np.ndarray:
+    """How much other images differ from an image at its pixels' depths, (H, W) float32.
+
+    At most `_LARGEST`; `unseen` where none of them shows the point.
 
     Args:
         inverse: (H, W) float32, 1/m; 0 = not asked.
         motions: (m, j, 4, 4), see `image_motions`; all pixels move by the last.
         compared: The image and the others.
+        unseen: See above.
     """
     others = np.array(compared.others, np.int64)
     distance_m = camera_distance_m(motions[-1, others])
@@ -116,4 +148,4 @@ def _difference(inverse: np.ndarray, motions: np.ndarray, compared: ComparedImag
     layers = torch.from_numpy(np.stack([np.zeros_like(inverse), inverse]))
     where = kernel_inputs(sources, SeenPoints(plane_rays(compared.pinhole), layers, label), compared.pinhole)
     found = least_differences(where, float(_NOWHERE))[1]
-    return np.where(found < _NOWHERE, np.minimum(found, _LARGEST), _EXPECTED)
+    return np.where(found < _NOWHERE, np.minimum(found, _LARGEST), unseen)
