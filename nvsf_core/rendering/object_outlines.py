@@ -97,10 +97,8 @@ def _around(
     motions = image_motions(compared.poses[compared.own], compared.poses, [one.moved])
     static = _difference(np.where(asked, inverse, np.float32(0.0)), motions[:1], compared)
     of_it = _difference(np.where(asked, depth, np.float32(0.0)), motions, compared)
-    colours = np.ascontiguousarray(compared.images[compared.own, :3].permute(1, 2, 0).numpy())
-    layers = np.stack([inverse, np.where(asked, depth, inverse)])
-    found = likeliest_surface(colours, layers, np.stack([static, of_it + _OBJECT_COSTS]))
-    return (found == layers[1]) & (layers[0] != layers[1]), depth
+    other = np.where(asked, depth, inverse)
+    return _is_rather(inverse, other, (static, of_it + _OBJECT_COSTS), compared), depth
 
 
 def _inside_rim(
@@ -110,18 +108,30 @@ def _inside_rim(
 
     The depth is that of the nearest pixel outside. Only what others show as static there is taken away.
     """
+    if shown.all():
+        return np.zeros_like(shown), inverse
     gap_px, nearest = nearest_known(~shown)
     behind = inverse[nearest[0], nearest[1]]
     asked = shown & (gap_px <= _RIM_PX) & (behind * _BEHIND <= inverse)
     motions = image_motions(compared.poses[compared.own], compared.poses, [one.moved])
     static = _difference(np.where(asked, behind, np.float32(0.0)), motions[:1], compared, unseen=_NOWHERE)
     of_it = _difference(np.where(asked, inverse, np.float32(0.0)), motions, compared)
-    colours = np.ascontiguousarray(compared.images[compared.own, :3].permute(1, 2, 0).numpy())
-    layers = np.stack([inverse, np.where(asked, behind, inverse)])
-    is_static = asked & (likeliest_surface(colours, layers, np.stack([of_it, static])) == layers[1])
+    is_static = _is_rather(inverse, np.where(asked, behind, inverse), (of_it, static), compared)
     # What is around an object reaches into its pixels from outside.
     is_static &= binary_propagation(~shown, mask=~shown | is_static)
     return is_static, behind
+
+
+def _is_rather(
+    inverse: np.ndarray, other: np.ndarray, costs: tuple[np.ndarray, np.ndarray], compared: ComparedImages
+) -> np.ndarray:
+    """Pixels (H, W) bool that show the `other` surface rather than that of `inverse`, both (H, W), 1/m.
+
+    `costs` (H, W) of each: how much other images differ there, see `_difference`.
+    """
+    colours = np.ascontiguousarray(compared.images[compared.own, :3].permute(1, 2, 0).numpy())
+    found = likeliest_surface(colours, np.stack([inverse, other]), np.stack(costs))
+    return (found == other) & (inverse != other)
 
 
 def _difference(

@@ -127,6 +127,13 @@ def test_what_is_around_an_object_stays_with_it_where_no_other_image_shows_it_st
     assert (found[mover == NUMBER] == NUMBER).all()
 
 
+def test_an_object_that_fills_the_image_keeps_all_of_it() -> None:
+    inverse, everywhere = np.full((64, 128), 1.0 / DISC_M, np.float32), np.full((64, 128), NUMBER, np.int16)
+    depths, found = outlined(inverse, everywhere, [moving()], compared(photographs(), OTHERS))
+    np.testing.assert_array_equal(depths, inverse)
+    np.testing.assert_array_equal(found, everywhere)
+
+
 def test_what_moves_along_but_is_apart_from_the_object_is_not_part_of_it() -> None:
     images, patch = photographs(), np.zeros((64, 128), np.bool_)
     for number in range(COUNT):
