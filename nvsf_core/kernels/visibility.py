@@ -19,7 +19,7 @@ _APART_M = 0.35
 """Where neighbouring lasers are farther apart than this, only the one that looks at a place counts."""
 
 
-# Not inlined by numba, which would keep the results of two calls in one variable.
+# Not inlined by numba: inlined, a result that was kept for later was wrong after the second call.
 @njit(cache=True, fastmath=True)
 def _angle(y, x):  # type: ignore[no-untyped-def]
     """Angle atan2(y, x) to 2e-6 rad (Abramowitz and Stegun 4.4.49, rearranged): five times as fast."""
