@@ -13,7 +13,7 @@ from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.image_exposure import recorded_at_exposure
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
 from nvsf_core.rendering.reproject_camera import nearest_sources
-from nvsf_core.rendering.sources import Neighbours
+from nvsf_core.rendering.sources import DEPTH, MOVING, SHOWN, Neighbours
 from nvsf_core.rendering.view_depth_maps import (
     DepthMaps,
     NearMaps,
@@ -23,13 +23,12 @@ from nvsf_core.rendering.view_depth_maps import (
     covering_sources,
     depth_in_view,
     image_motions,
+    images_beyond,
     images_near,
 )
 from nvsf_core.rendering.warping import shrunk
 
 _DISTANCE_FLOOR_M = 0.05
-_SHOWN, _DEPTH, _MOVING = 3, 4, 5
-"""Channels of the images, see `Sources.images`."""
 _IN_FRONT = 1e3
 """Inverse depth, 1/m, of pixels that show nothing static: it hides everything."""
 
@@ -56,20 +55,20 @@ class ShownImages:
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
         full = self.full.clone()
-        full[:, _DEPTH] = maps.inverse.clamp_min(0.0).to(full.device)
-        nothing_static = full[:, _SHOWN] < 0.999
+        full[:, DEPTH] = maps.inverse.clamp_min(0.0).to(full.device)
+        nothing_static = full[:, SHOWN] < 0.999
         if self.moving is not None:
             # What maps show of an object reaches beyond its returns.
-            full[:, _MOVING] = torch.maximum(full[:, _MOVING], (maps.mover > 0).float().to(full.device))
-            nothing_static = nothing_static | (full[:, _MOVING] > 0.5)
-        fronts = torch.where(nothing_static, _IN_FRONT, full[:, _DEPTH]).cpu()
+            full[:, MOVING] = torch.maximum(full[:, MOVING], (maps.mover > 0).float().to(full.device))
+            nothing_static = nothing_static | (full[:, MOVING] > 0.5)
+        fronts = torch.where(nothing_static, _IN_FRONT, full[:, DEPTH]).cpu()
         factor = full.shape[-1] // self.small.shape[-1]
         return ShownImages(full, functional.avg_pool2d(full, factor), maps, fronts)
 
     @property
     def moving(self) -> Tensor | None:
         """(j, H, W) bool: pixels that may show moving objects; None = nothing moves."""
-        return self.full[:, _MOVING] > 0.5 if self.full.shape[1] > _MOVING else None
+        return self.full[:, MOVING] > 0.5 if self.full.shape[1] > MOVING else None
 
     def to(self, device: torch.device) -> "ShownImages":
         """The same images on `device`."""
@@ -199,7 +198,7 @@ def camera_view(
         moving: Moving objects that may be visible, as `lidar` was made with.
     """
     # Where nothing moves now, sources may still show what did: their pixels of it are no static surface.
-    label = lidar.label if images.full.shape[1] > _MOVING else None
+    label = lidar.label if images.full.shape[1] > MOVING else None
     known = [index for index in range(len(poses)) if index not in leave_out]
     known = [known[index] for index in nearest_sources(pose, poses[known], len(known))]
     motions = image_motions(pose, poses, [each.moved for each in moving])
@@ -207,7 +206,9 @@ def camera_view(
     if own is not None:
         chosen = [own, *baseline_sources(poses, own, known, spec.sources - 1)]
     elif images.depths is not None:
-        numbers = images_near(motions, known, label, instant)
+        near = images_near(motions, known, label, instant)
+        beyond = images_beyond(pinhole, motions, near, known, images.depths)
+        numbers = [number for number in known if number in near or number in beyond]
         maps = _near_maps(images, motions, numbers, moving)
         surfaces = depth_in_view(pinhole, maps, label)
         if label is not None:

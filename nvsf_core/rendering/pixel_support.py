@@ -7,13 +7,15 @@ from torch.nn import functional
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.camera_view import CameraView
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.rendering.sources import SeenPoints, Sources, look_up
-from nvsf_core.rendering.warping import plane_rays
+from nvsf_core.rendering.sources import DEPTH, STATIC, Neighbours, SeenPoints, Sources, hides, look_up
+from nvsf_core.rendering.warping import plane_rays, sample, source_pixels
 
 _MOST_ANGLE_RAD = 0.1
 """An image sees a point as the view does if it looks at it from a direction that differs by at most this,"""
 _MOST_RATIO = 1.5
 """and from a distance that differs by at most this factor."""
+_BESIDE_PX = 8.0
+"""Within this distance of a return the LiDAR tells the depth of a pixel that no depth map shows."""
 _HOLE_PX = 5
 """Side of the smallest square that is a hole: at depth edges no map has a surface, but both sides have."""
 
@@ -43,9 +45,54 @@ def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
             alike = torch.where(view.label == mover + 1, own, alike)
         seen |= shown[number] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
-    surfaces = view.surfaces
-    is_hole = holes((surfaces.support[0] == 0.0) & (surfaces.label == 0) & ~surfaces.glimpsed)
+    unknown = (view.surfaces.support[0] == 0.0) & (view.surfaces.label == STATIC)
+    is_hole = holes(unknown & ~_glimpsed(view, unknown))
     return torch.where(is_hole, int(Support.GUESSED), support).to(torch.uint8)
+
+
+def _glimpsed(view: CameraView, unknown: Tensor) -> Tensor:
+    """(H, W) bool: pixels of which some image shows something, though no map has a confirmed surface there.
+
+    Beside a return the depth is known, and the images are asked whether they show just that surface;
+    elsewhere an unconfirmed depth of any image counts.
+
+    Args:
+        view: The view.
+        unknown: (H, W) bool, pixels that are asked about.
+    """
+    assert view.surfaces is not None and view.images.depths is not None
+    measured = unknown & (view.gap_px <= _BESIDE_PX)
+    rays = plane_rays(view.pinhole, view.device)[measured][:, None]
+    points = SeenPoints(rays, view.inverse[measured][None, :, None])
+    is_shown = torch.zeros_like(measured[measured])
+    maps = view.images.depths.inverse.abs().to(view.device)
+    for images in (view.near, view.others):
+        if images is not None and len(is_shown) > 0:
+            is_shown |= _shows_surface(images, maps, points, view.pinhole).any(dim=0)[:, 0]
+    glimpsed = view.surfaces.glimpsed.clone()
+    glimpsed[measured] = is_shown
+    return glimpsed
+
+
+def _shows_surface(
+    images: Neighbours | Sources, maps: Tensor, points: SeenPoints, pinhole: Pinhole
+) -> Tensor:
+    """(k, h, w) bool: images whose own depth maps have a static surface at the first point of each pixel.
+
+    That is more than not to hide the points: what an image's map does not know may be anything.
+
+    Args:
+        images: Which k of all j are asked.
+        maps: (j, H, W) inverse depths, 1/m; 0 = unknown.
+        points: What is asked about.
+        pinhole: Intrinsics of the images.
+    """
+    found = []
+    for number, image in enumerate(images.chosen):
+        grid, inside, there = source_pixels(images.motion[number], points.rays, points.inverse[0], pinhole)
+        own = sample(maps[image][None], grid, "nearest")[0]
+        found.append(inside & (own > 0.0) & ~hides(own, there) & ~hides(there, own))
+    return torch.stack(found)
 
 
 def _looked_at_alike(point_m: Tensor, motion: Tensor) -> Tensor:
@@ -75,7 +122,7 @@ def shown_by_others(
     """Mean colours of pixels in images that are no sources, nearer ones counting more.
 
     Few sources are chosen, those that show most of a view; what a moving object hides in all of them,
-    others may show.
+    others may show. They must have the very surface in their own depth maps.
 
     Args:
         others: Images besides the view's sources; None = there are none.
@@ -92,7 +139,10 @@ def shown_by_others(
     label = None if points.label is None else points.label[missing][:, None]
     front = SeenPoints(points.rays[missing][:, None], points.inverse[:1, missing][..., None], label)
     colour, shown = look_up(others, front, pinhole)
-    weight = shown[:, 0, :, 0] * others.nearness.square()[:, None]
+    is_it = _shows_surface(others, others.images[:, DEPTH], front, pinhole)
+    if label is not None:
+        is_it = is_it | (label != STATIC)
+    weight = (shown[:, 0] & is_it)[..., 0] * others.nearness.square()[:, None]
     whole = weight.sum(dim=0)
     return (colour[:, :, 0, :, 0] * weight[:, None]).sum(dim=0) / whole.clamp_min(1e-9), whole > 0.0
 

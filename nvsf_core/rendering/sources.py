@@ -12,8 +12,8 @@ from nvsf_core.kernels.images.source_lookup import LookUp, look_up_points
 from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.warping import sample, sample_cubic, source_pixels
 
-_SHOWN = 3
-"""Channel of `Sources.images` after the colours."""
+SHOWN, DEPTH, MOVING = 3, 4, 5
+"""Channels of `Sources.images` after the colours."""
 STATIC = 0
 """Label of pixels that show static surfaces."""
 _HIDDEN_SHARE, _HIDDEN_PER_M = 0.1, 0.004
@@ -144,10 +144,10 @@ def _look_up_one(
                 moved, points.rays[where], depths, pinhole
             )
     places = grid.flatten(0, 1)
-    found = sample(image[_SHOWN:], places).reshape(-1, *inside.shape)
+    found = sample(image[SHOWN:], places).reshape(-1, *inside.shape)
     seen = inside & (found[0] > 0.999) & (sources.nearness[number] > 0)
     is_hidden = hides(found[1], there)
     if label is not None and len(found) > 2:
         is_hidden = is_hidden | ((found[2] > 0.5) & (label == STATIC))
-    colour = sample_colour(image[: _SHOWN + 1], places)[:_SHOWN]
-    return colour.reshape(_SHOWN, *inside.shape), seen & ~is_hidden
+    colour = sample_colour(image[: SHOWN + 1], places)[:SHOWN]
+    return colour.reshape(SHOWN, *inside.shape), seen & ~is_hidden

@@ -13,7 +13,7 @@ from nvsf_core.kernels.images.depth_splat import agreed_depths, splat_depth_map
 from nvsf_core.kernels.images.filling import nearest_known
 from nvsf_core.rendering.reproject_camera import FAR_M
 from nvsf_core.rendering.sources import SeenPoints, hides
-from nvsf_core.rendering.warping import plane_rays, sample, source_pixels
+from nvsf_core.rendering.warping import plane_rays, sample, shrunk, source_pixels
 
 _MOST_MAPS = 12
 """Most images whose depth maps are carried into a view."""
@@ -21,6 +21,9 @@ _SPREAD = 1.2
 """Ranks of these images by distance grow by this factor: all of the nearest, fewer and fewer farther ones."""
 _BESIDE = 4
 """Instants, the nearest, of which the images of all cameras are taken; of others the nearest image only."""
+_SHRUNK, _LEAST_NEW, _MOST_BEYOND = 4, 0.001, 6
+"""At so small a size, one pixel of so many in a row, a further image must show this share of a view anew; so
+many are added at most."""
 _LEAST_SHARE = 0.3
 """Share of the maps, by weight, that make a surface."""
 _DISTANCE_FLOOR_M = 0.5
@@ -163,6 +166,48 @@ def images_near(
             nearest = np.argsort(distance_m[mover], kind="stable")[:_MAPS_OF_MOVER]
             ranks.update(nearest[np.isfinite(distance_m[mover, nearest])].tolist())
     return [known[rank] for rank in sorted(ranks)]
+
+
+def images_beyond(
+    pinhole: Pinhole, motions: np.ndarray, chosen: Sequence[int], known: Sequence[int], maps: DepthMaps
+) -> list[int]:
+    """Images that show what no chosen one does, as a view does that is turned away from those around it.
+
+    Of each, the pixels of its map that show something static are carried into a small view.
+
+    Args:
+        pinhole: Intrinsics of the view and of all images.
+        motions: (m, j, 4, 4) of all images, see `image_motions`.
+        chosen: Numbers of images whose maps are carried into the view already.
+        known: Numbers of the images to choose from.
+        maps: Of all images.
+
+    Returns:
+        The numbers of at most 6 others, those that show most first.
+    """
+    small = shrunk(pinhole, _SHRUNK)
+    rows, columns = (slice(_SHRUNK // 2, _SHRUNK * n, _SHRUNK) for n in (small.height, small.width))
+    is_static = maps.mover[:, rows, columns] == 0
+    static = torch.where(is_static, maps.inverse[:, rows, columns], 0.0).numpy()
+    nothing = np.zeros((small.height, small.width), np.uint8)
+
+    def shown(number: int) -> np.ndarray:
+        motion = _inverted(motions[:1, number])
+        view, _ = splat_depth_map(static[number], nothing, motion, (small.fx, small.fy, small.cx, small.cy))
+        return view > 0.0
+
+    missing = ~np.stack([shown(number) for number in chosen]).any(axis=0)
+    least, added = max(1.0, _LEAST_NEW * missing.size), list[int]()
+    others = [number for number in known if number not in chosen] if missing.sum() >= least else []
+    left = {number: shown(number) for number in others}
+    while left and len(added) < _MOST_BEYOND:
+        best = max(left, key=lambda number: int((left[number] & missing).sum()))
+        new = left.pop(best) & missing
+        if new.sum() < least:
+            break
+        added.append(best)
+        missing &= ~new
+    return added
 
 
 def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> ViewDepth:

@@ -16,7 +16,10 @@ def test_an_image_shows_its_own_surfaces_and_none_behind_them_or_outside_of_it()
     looking = demo_camera("image_00", 96, 36).camera_to_pose
     place = world.lidar_to_world(np.zeros(1))[0] @ looking
     one = TrueCamera(world, CAMERA, place[None], np.zeros(1))
-    surface, _ = one.surface(place, 0.0)
+    surface, _, is_sky = one.surface(place, 0.0)
+    # The road before the camera has a surface, what is between the houses has none.
+    assert is_sky.any() and not is_sky[-8:].any()
+    np.testing.assert_allclose(np.linalg.norm(surface[is_sky], axis=1), 300.0, rtol=1e-5)
     own = transform_points(place, surface.reshape(-1, 3)).reshape(surface.shape)
     assert one.shows(own).mean() > 0.98
     near = surface[..., 2] < 50.0

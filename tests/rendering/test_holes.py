@@ -11,7 +11,7 @@ from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_image
 from nvsf_core.rendering.learned_warp import coarse_colour, render_view
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.pixel_support import holes, shown_by_others, without_holes
-from nvsf_core.rendering.sources import SeenPoints, Sources
+from nvsf_core.rendering.sources import DEPTH, SeenPoints, Sources
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import plane_rays
 
@@ -68,6 +68,7 @@ def test_colours_around_holes_are_those_of_other_images() -> None:
 
 def test_of_other_images_nearer_ones_count_more_and_hidden_points_are_left_out() -> None:
     shown = shown_images(np.stack([np.full((32, 64, 3), x, np.uint8) for x in (100, 200)]), VALID, 1).full
+    shown[:, DEPTH] = 1.0 / WALL_M
     points = SeenPoints(plane_rays(CAMERA), torch.full((1, 32, 64), 1.0 / WALL_M))
     missing = torch.zeros(32, 64, dtype=torch.bool)
     missing[10, 20:30] = True
@@ -76,12 +77,27 @@ def test_of_other_images_nearer_ones_count_more_and_hidden_points_are_left_out()
     assert known.all() and colour.shape == (3, 10)
     torch.testing.assert_close(colour * 255.0, torch.full((3, 10), (100 + 200 * 0.25) / 1.25))
     hidden = shown.clone()
-    hidden[0, 4, :, :25] = 1.0
+    hidden[0, DEPTH, :, :25] = 1.0
     colour, known = shown_by_others(
         Sources(hidden, [0, 1], both.motion, both.nearness), points, CAMERA, missing
     )
     assert known.all()
     assert (colour[:, :5] * 255.0 - 200.0).abs().max() < 1e-3
+
+
+@pytest.mark.parametrize("own", [0.0, 0.5 / WALL_M])
+def test_of_other_images_those_count_that_have_the_very_surface_in_their_own_maps(own: float) -> None:
+    shown = shown_images(np.full((2, 32, 64, 3), 100, np.uint8), VALID, 1).full
+    shown[1, :3] = 200.0 / 255.0
+    shown[:, DEPTH] = 1.0 / WALL_M
+    shown[0, DEPTH, :, :25] = own
+    points = SeenPoints(plane_rays(CAMERA), torch.full((1, 32, 64), 1.0 / WALL_M))
+    missing = torch.zeros(32, 64, dtype=torch.bool)
+    missing[10, 20:30] = True
+    both = Sources(shown, [0, 1], torch.eye(4).expand(2, 4, 4), torch.ones(2))
+    colour, known = shown_by_others(both, points, CAMERA, missing)
+    assert known.all()
+    torch.testing.assert_close(colour[0] * 255.0, torch.tensor([200.0] * 5 + [150.0] * 5))
 
 
 def test_without_other_images_or_missing_pixels_nothing_is_known() -> None:

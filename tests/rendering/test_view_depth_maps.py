@@ -1,5 +1,7 @@
 """Laws of a view's depth by the depth maps of recorded images, of its sources and of its support."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -19,6 +21,7 @@ from nvsf_core.rendering.view_depth_maps import (
     camera_distance_m,
     covering_sources,
     image_motions,
+    images_beyond,
     images_near,
     spread_ranks,
 )
@@ -104,6 +107,42 @@ def test_a_place_that_an_image_shows_at_an_unconfirmed_depth_is_no_surface_but_n
     assert (classes[:, end] == Support.EXTRAPOLATED).float().mean() > 0.9
     # What the post hides from the images nobody saw in any way.
     assert (classes[:, np.abs(x_m) < 1.5] == Support.GUESSED).all()
+
+
+def test_beside_a_return_the_images_are_asked_whether_they_show_just_that_surface() -> None:
+    at, places = pose(3.0), [pose(0.0), pose(0.2)]
+    x_m = (np.arange(64) - CAMERA.cx) / CAMERA.fx * WALL_M + 3.0
+    end, hidden = (x_m > 4.0) & (x_m < 9.0), np.abs(x_m) < 1.5
+    doubtful = [depth_map(place) for place in places]
+    for inverse in doubtful:
+        inverse[inverse < 0.5 / POST_M + 0.5 / WALL_M] *= -1.0
+    truth = torch.from_numpy(depth_map(at))
+    one = replace(view(at, places, maps=doubtful), gap_px=torch.zeros(32, 64))
+    classes = support_at(replace(one, inverse=truth), truth)
+    assert (classes[:, end] == Support.EXTRAPOLATED).float().mean() > 0.9
+    assert (classes[:, hidden] == Support.GUESSED).all()
+    # Something stands there that the images, which show the wall behind, cannot have seen.
+    nearer = torch.full((32, 64), 1.0 / 10.0)
+    assert (support_at(replace(one, inverse=nearer), truth)[:, end] == Support.GUESSED).all()
+    far_away = replace(one, inverse=nearer, gap_px=torch.full((32, 64), 9.0))
+    assert (support_at(far_away, truth)[:, end] == Support.EXTRAPOLATED).float().mean() > 0.9
+
+
+def test_a_view_asks_images_beyond_those_around_it_for_what_these_do_not_show() -> None:
+    places = np.stack([pose(x) for x in (0.0, 0.4, -12.0, -13.0)])
+    inverse = torch.full((4, 32, 64), 1.0 / WALL_M)
+    wall = DepthMaps(inverse, torch.zeros(inverse.shape, dtype=torch.int16))
+
+    def beyond(right_m: float, maps: DepthMaps, chosen: tuple[int, ...] = (0,)) -> list[int]:
+        return images_beyond(CAMERA, image_motions(pose(right_m), places, []), chosen, range(4), maps)
+
+    assert beyond(0.0, wall) == []
+    # Both far images show all of the rest; the first is as good as the second, which adds nothing then.
+    assert beyond(-6.0, wall) == [2]
+    assert beyond(-6.0, wall, (0, 1, 2)) == []
+    assert beyond(-6.0, DepthMaps(inverse, wall.mover.index_fill(0, torch.tensor(2), 1))) == [3]
+    unconfirmed = inverse.index_fill(0, torch.tensor([2, 3]), -1.0 / WALL_M)
+    assert beyond(-6.0, DepthMaps(unconfirmed, wall.mover)) == []
 
 
 def near_maps(at: np.ndarray, places: np.ndarray, inverse: np.ndarray, mover: np.ndarray) -> NearMaps:
