@@ -65,7 +65,7 @@ def _glimpsed(view: CameraView, unknown: Tensor) -> Tensor:
     rays = plane_rays(view.pinhole, view.device)[measured][:, None]
     points = SeenPoints(rays, view.inverse[measured][None, :, None])
     is_shown = torch.zeros_like(measured[measured])
-    maps = view.images.depths.inverse.abs().to(view.device)
+    maps = view.images.depths.inverse
     for images in (view.near, view.others):
         if images is not None and len(is_shown) > 0:
             is_shown |= _shows_surface(images, maps, points, view.pinhole).any(dim=0)[:, 0]
@@ -83,14 +83,14 @@ def _shows_surface(
 
     Args:
         images: Which k of all j are asked.
-        maps: (j, H, W) inverse depths, 1/m; 0 = unknown.
+        maps: (j, H, W) inverse depths, 1/m; 0 = unknown, negative = unconfirmed, which counts, too.
         points: What is asked about.
         pinhole: Intrinsics of the images.
     """
     found = []
     for number, image in enumerate(images.chosen):
         grid, inside, there = source_pixels(images.motion[number], points.rays, points.inverse[0], pinhole)
-        own = sample(maps[image][None], grid, "nearest")[0]
+        own = sample(maps[image][None].to(grid.device), grid, "nearest")[0].abs()
         found.append(inside & (own > 0.0) & ~hides(own, there) & ~hides(there, own))
     return torch.stack(found)
 
