@@ -77,9 +77,9 @@ def _glimpsed(view: CameraView, unknown: Tensor) -> Tensor:
 def _shows_surface(
     images: Neighbours | Sources, maps: Tensor, points: SeenPoints, pinhole: Pinhole
 ) -> Tensor:
-    """(k, h, w) bool: images whose own depth maps have a static surface at the first point of each pixel.
+    """(k, h, w) bool: images whose own depth maps have a surface at the first point of each pixel.
 
-    That is more than not to hide the points: what an image's map does not know may be anything.
+    That is more than not to hide a point: where an image's map knows nothing, it may show anything.
 
     Args:
         images: Which k of all j are asked.
