@@ -100,7 +100,7 @@ def render_view(networks: CameraNetworks, view: CameraView) -> RenderedImage:
     given = blend_input(view, found, coarse_colour(view))
     levels = at_exposure(networks.blend(given), view.log_gain)
     image = (levels.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
-    likeliest = found.share.argmax(dim=0, keepdim=True)
+    likeliest = _largest(found.share)[None]
     inverse = found.inverse.gather(0, likeliest)[0]
     by_depth = given.shown[:-1].reshape(len(found.share), -1, *inverse.shape)
     shown = by_depth.gather(0, likeliest.expand(by_depth.shape[1:])[None])[0]
@@ -108,3 +108,8 @@ def render_view(networks: CameraNetworks, view: CameraView) -> RenderedImage:
         image.permute(1, 2, 0).contiguous().cpu().numpy(), ray_length(inverse, view.pinhole).cpu().numpy(),
         pixel_support(view, inverse, shown).cpu().numpy(),
     )  # fmt: skip
+
+
+def _largest(share: Tensor) -> Tensor:
+    """Which of three values (3, h, w) is the largest, (h, w) int64: torch's argmax takes 20 times as long."""
+    return torch.where(share[2] > share[:2].amax(dim=0), 2, (share[1] > share[0]).long())

@@ -1,5 +1,7 @@
 """Pixels of a rendered image: which of them recorded images show, from how far; colours for the others."""
 
+import math
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -34,14 +36,14 @@ def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
     """
     assert view.surfaces is not None
     rays = plane_rays(view.pinhole, view.device)
-    point = rays / inverse[..., None].clamp_min(1e-4)
+    point_m = (rays / inverse[..., None].clamp_min(1e-4)).permute(2, 0, 1).contiguous()
     seen = torch.zeros_like(inverse, dtype=torch.bool)
     moved = None if view.label is None else view.near.moved
     for number, motion in enumerate(view.near.motion):
-        alike = _looked_at_alike(point, motion)
+        alike = _looked_at_alike(point_m, motion)
         for mover in range(0 if moved is None else len(moved)):
             assert moved is not None and view.label is not None
-            own = _looked_at_alike(point, moved[mover, number])
+            own = _looked_at_alike(point_m, moved[mover, number])
             alike = torch.where(view.label == mover + 1, own, alike)
         seen |= shown[number] & alike
     support = torch.where(seen, int(Support.SEEN), int(Support.EXTRAPOLATED))
@@ -96,12 +98,15 @@ def _shows_surface(
 
 
 def _looked_at_alike(point_m: Tensor, motion: Tensor) -> Tensor:
-    """(H, W) bool: points (H, W, 3) of a view at which a source, `motion` (4, 4) away, looks as it does."""
-    from_source = point_m + motion[:3, :3].T @ motion[:3, 3]
-    near_m, far_m = (torch.linalg.vector_norm(x, dim=-1) for x in (point_m, from_source))
-    angle = torch.arccos(((point_m * from_source).sum(dim=-1) / (near_m * far_m)).clamp(-1.0, 1.0))
-    ratio = torch.maximum(near_m / far_m, far_m / near_m)
-    return (angle <= _MOST_ANGLE_RAD) & (ratio <= _MOST_RATIO)
+    """(H, W) bool: points (3, H, W) of a view at which a source, `motion` (4, 4) away, looks as it does."""
+    x, y, z = point_m
+    away = motion[:3, :3].T @ motion[:3, 3]
+    along = x * away[0] + y * away[1] + z * away[2]
+    # Squares of the distances from the view and from the source; and the product of both directions.
+    near = x * x + y * y + z * z
+    far, both = near + 2.0 * along + away.square().sum(), near + along
+    is_alike = both >= math.cos(_MOST_ANGLE_RAD) * (near * far).sqrt()
+    return is_alike & (far <= _MOST_RATIO**2 * near) & (near <= _MOST_RATIO**2 * far)
 
 
 def holes(unknown: Tensor) -> Tensor:
@@ -112,7 +117,9 @@ def holes(unknown: Tensor) -> Tensor:
 
 def _grown(image: Tensor) -> Tensor:
     """Largest value (H, W) of an image in the square around each pixel."""
-    return functional.max_pool2d(image[None], _HOLE_PX, 1, _HOLE_PX // 2)[0]
+    half = _HOLE_PX // 2
+    rows = functional.max_pool2d(image[None], (_HOLE_PX, 1), 1, (half, 0))
+    return functional.max_pool2d(rows, (1, _HOLE_PX), 1, (0, half))[0]
 
 
 @torch.no_grad()

@@ -16,6 +16,10 @@ _ALIKE = np.float32(0.04)
 """and to a half at this difference of colours, which are 0..1."""
 _UNLIKE = np.float32(6.0)
 """Colours that differ by so many times as much count for nothing."""
+_BEYOND = 1e3
+"""Colour of the rim around an image: unlike any."""
+_TOGETHER = 64
+"""Pixels of a row that are averaged together: few, as a row has surfaces to choose between only in places."""
 _NEARER_COSTS = np.float32(0.001)
 """A surface at half the depth must look more alike by so much: beside an edge, an even background looks the
 same at the depth of what stands before it."""
@@ -39,63 +43,85 @@ def likeliest_surface(image: np.ndarray, layers: np.ndarray, difference: np.ndar
     Returns:
         (H, W) float32, 1/m.
     """
-    found = layers[0].copy()
-    _choose(image, layers, difference, found)
+    found, reach = layers[0].copy(), _WINDOW * _STEP_PX
+    rim = ((0, 0), (reach, reach), (reach, reach))
+    colours = np.pad(image[..., :3].transpose(2, 0, 1), rim, constant_values=_BEYOND)
+    _choose(colours, layers, np.pad(difference, rim), found)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _choose(image, layers, difference, found):  # type: ignore[no-untyped-def]
+def _choose(colours, layers, difference, found):  # type: ignore[no-untyped-def]
+    """The same, in place; `colours` (3, H + 2 rim, W + 2 rim) and `difference` have a rim of the window."""
     count, rows, columns = layers.shape
     side = 2 * _WINDOW + 1
     near = np.empty((side, side), np.float32)
     for i in range(side):
         for j in range(side):
             near[i, j] = math.exp(-_STEP_PX * math.hypot(i - _WINDOW, j - _WINDOW) / _REACH_PX)
-    mean = np.empty(count, np.float32)
+    total, weight = np.empty((count + 1, _TOGETHER), np.float32), np.empty(_TOGETHER, np.float32)
+    asked = np.empty(_TOGETHER, np.bool_)
     for r in range(rows):
-        for c in range(columns):
-            differs = False
+        for first in range(0, columns, _TOGETHER):
+            size = min(_TOGETHER, columns - first)
+            asked[:] = False
             for d in range(1, count):
-                differs = differs or layers[d, r, c] != layers[0, r, c]
-            if not differs:
+                for k in range(size):
+                    asked[k] |= layers[d, r, first + k] != layers[0, r, first + k]
+            if not asked.any():
                 continue
-            _average(image, difference, near, r, c, mean)
-            best, least = _ZERO, np.float32(np.inf)
-            for d in range(count):
-                q = layers[d, r, c]
-                if q > _ZERO:
-                    cost = mean[d] + _NEARER_COSTS * np.float32(math.log2(q))
-                    if cost < least:
-                        best, least = q, cost
-            found[r, c] = best
+            total[:] = _ZERO
+            for i in range(side):
+                for j in range(side):
+                    at = (r + i * _STEP_PX, first + j * _STEP_PX)
+                    own = (r + _WINDOW * _STEP_PX, first + _WINDOW * _STEP_PX)
+                    _weigh(colours, own, at, near[i, j], weight[:size])
+                    _add(total, difference, at, weight[:size])
+            for k in range(size):
+                if asked[k]:
+                    found[r, first + k] = _best(layers[:, r, first + k], total[:, k])
+
+
+# The loops over a row's pixels are short and without branches: they are computed many pixels at a time.
+@njit(inline="always")
+def _weigh(colours, own, at, near, weight):  # type: ignore[no-untyped-def]
+    """Write how much the pixels from `at` on count (n,) for those from `own` on, by their colours."""
+    (row, first), (r, c), size = own, at, len(weight)
+    red, other_red = colours[0, row][first : first + size], colours[0, r][c : c + size]
+    green, other_green = colours[1, row][first : first + size], colours[1, r][c : c + size]
+    blue, other_blue = colours[2, row][first : first + size], colours[2, r][c : c + size]
+    for k in range(size):
+        weight[k] = abs(other_red[k] - red[k]) + abs(other_green[k] - green[k]) + abs(other_blue[k] - blue[k])
+    for k in range(size):
+        apart = weight[k] * (_THIRD / _ALIKE)
+        square = apart * apart
+        weight[k] = near / (_ONE + square * square) if apart < _UNLIKE else _ZERO
 
 
 @njit(inline="always")
-def _average(image, difference, near, row, column, mean):  # type: ignore[no-untyped-def]
-    """Write the weighted means (d,) of the differences around a pixel."""
-    count, rows, columns = difference.shape
-    red, green, blue = image[row, column, 0], image[row, column, 1], image[row, column, 2]
-    mean[:] = _ZERO
-    whole = _ZERO
-    for i in range(2 * _WINDOW + 1):
-        r = row + (i - _WINDOW) * _STEP_PX
-        if r < 0 or r >= rows:
-            continue
-        for j in range(2 * _WINDOW + 1):
-            c = column + (j - _WINDOW) * _STEP_PX
-            if c < 0 or c >= columns:
-                continue
-            one = image[r, c]
-            apart = (abs(one[0] - red) + abs(one[1] - green) + abs(one[2] - blue)) * (_THIRD / _ALIKE)
-            if apart < _UNLIKE:
-                square = apart * apart
-                weight = near[i, j] / (_ONE + square * square)
-                whole += weight
-                for d in range(count):
-                    mean[d] += weight * difference[d, r, c]
+def _add(total, difference, at, weight):  # type: ignore[no-untyped-def]
+    """Add the weighted differences (d, n) of the pixels from `at` on, and last their weight, to `total`."""
+    (r, c), size, count = at, len(weight), len(difference)
     for d in range(count):
-        mean[d] /= whole
+        to, one = total[d], difference[d, r][c : c + size]
+        for k in range(size):
+            to[k] += weight[k] * one[k]
+    whole = total[count]
+    for k in range(size):
+        whole[k] += weight[k]
+
+
+@njit(inline="always")
+def _best(layers, total):  # type: ignore[no-untyped-def]
+    """Of a pixel's inverse depths (d,), that with the least mean difference."""
+    best, least = _ZERO, np.float32(np.inf)
+    for d in range(len(layers)):
+        q = layers[d]
+        if q > _ZERO:
+            cost = total[d] / total[len(layers)] + _NEARER_COSTS * np.float32(math.log2(q))
+            if cost < least:
+                best, least = q, cost
+    return best
 
 
 def confirmed(

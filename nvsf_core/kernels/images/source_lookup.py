@@ -9,21 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-_ZERO, _HALF, _ONE, _THREE = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(3.0)
+from nvsf_core.kernels.images.interpolation import (
+    DEPTH,
+    MOVING,
+    SHOWN,
+    between,
+    bicubic,
+    corner,
+    weights_of,
+)
+
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 """With a Python number, or an integer, numba would compute in double precision."""
-_U0 = np.uint64(0)
-"""Indices are unsigned, so that numba need not ask whether they count from the end."""
 _NEAREST_Z = np.float32(1e-3)
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
 _OUTSIDE = np.float32(-1e9)
 """Column of a point that is behind the source."""
-_RIM_PX = np.float32(0.01)
-"""An image shows points that lie outside its outermost pixel centres by no more than rounding may do."""
 _ALMOST = np.float32(0.999)
-_RIM_SHARE = np.float32(1e-3)
-"""Of a pixel that shows nothing, the weight in a bicubic value that makes it bilinear."""
-_GREEN, _BLUE, _SHOWN, _DEPTH, _MOVING = (np.uint64(channel) for channel in range(1, 6))
-"""Channels of the images, see `nvsf_core.rendering.sources.Sources`."""
 
 
 class LookUp(NamedTuple):
@@ -132,41 +134,12 @@ def _project(starts, steps, inverse, place):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _corner(size, u, v):  # type: ignore[no-untyped-def]
-    """Whether an image of a size has column u and row v; the upper left of four pixels, and the rests."""
-    rows, columns, _ = size
-    right_most, lowest = np.float32(columns - 1), np.float32(rows - 1)
-    if not (u >= -_RIM_PX and v >= -_RIM_PX and u <= right_most + _RIM_PX and v <= lowest + _RIM_PX):
-        return False, _U0, _ZERO, _ZERO
-    u, v = min(max(u, _ZERO), right_most), min(max(v, _ZERO), lowest)
-    row, column = min(int(v), rows - 2), min(int(u), columns - 2)
-    return True, np.uint64(row * columns + column), v - np.float32(row), u - np.float32(column)
-
-
-@njit(inline="always")
-def _weights(down, right):  # type: ignore[no-untyped-def]
-    """Of four pixels in a bilinear value: upper left, upper right, lower left, lower right."""
-    upper = _ONE - down
-    return upper * (_ONE - right), upper * right, down * (_ONE - right), down * right
-
-
-@njit(inline="always")
-def _between(image, at, beside, below, channel, weights):  # type: ignore[no-untyped-def]
-    """Bilinear value of a channel between four pixels, `at` that of the upper left one."""
-    here = at + channel
-    return (
-        weights[0] * image[here] + weights[1] * image[here + beside]
-        + weights[2] * image[here + below] + weights[3] * image[here + below + beside]
-    )  # fmt: skip
-
-
-@njit(inline="always")
 def _shows(image, at, beside, below, weights, hiding, asks_moving):  # type: ignore[no-untyped-def]
     """Whether an image (flat) shows a point that only inverse depths above `hiding` hide."""
     return (
-        _between(image, at, beside, below, _SHOWN, weights) > _ALMOST
-        and not _between(image, at, beside, below, _DEPTH, weights) > hiding
-        and not (asks_moving and _between(image, at, beside, below, _MOVING, weights) > _HALF)
+        between(image, at, beside, below, SHOWN, weights) > _ALMOST
+        and not between(image, at, beside, below, DEPTH, weights) > hiding
+        and not (asks_moving and between(image, at, beside, below, MOVING, weights) > _HALF)
     )
 
 
@@ -178,62 +151,24 @@ def _open_pixels(images, size, chosen):  # type: ignore[no-untyped-def]
     not be asked one by one.
     """
     rows, columns, channels = size
-    shown, depth, moving = np.int64(_SHOWN), np.int64(_DEPTH), np.int64(_MOVING)
+    shown, depth, moving = np.int64(SHOWN), np.int64(DEPTH), np.int64(MOVING)
     found = np.zeros((len(chosen), rows * columns), np.bool_)
+    above, here = np.empty(columns, np.bool_), np.empty(columns, np.bool_)
     for k in range(len(chosen)):
         image = images[chosen[k]]
-        for row in range(rows - 1):
-            # From right to left, so that both pixels to the right are known already.
-            right = False
-            for column in range(columns - 1, -1, -1):
-                here = True
-                for below in range(2):
-                    at = ((row + below) * columns + column) * channels
-                    here = here and image[at + shown] > _ALMOST and image[at + depth] == _ZERO
-                    here = here and (channels == moving or image[at + moving] == _ZERO)
-                found[k, row * columns + column] = here and right
-                right = here
+        for row in range(rows):
+            above, here = here, above
+            pixels = image[row * columns * channels : (row + 1) * columns * channels]
+            for c in range(columns):
+                at = c * channels
+                here[c] = (pixels[at + shown] > _ALMOST) & (pixels[at + depth] == _ZERO)
+            for c in range(columns if channels > moving else 0):
+                here[c] &= pixels[c * channels + moving] == _ZERO
+            if row > 0:
+                among = found[k, (row - 1) * columns : row * columns]
+                for c in range(columns - 1):
+                    among[c] = above[c] & above[c + 1] & here[c] & here[c + 1]
     return found
-
-
-@njit(inline="always")
-def _cubic(t):  # type: ignore[no-untyped-def]
-    """Of four pixels in a row, in a value at t in 0..1 from the second to the third."""
-    two, four, five = np.float32(2.0), np.float32(4.0), np.float32(5.0)
-    t2 = t * t
-    t3 = t2 * t
-    return (
-        _HALF * (two * t2 - t3 - t), _HALF * (_THREE * t3 - five * t2 + two),
-        _HALF * (four * t2 - _THREE * t3 + t), _HALF * (t3 - t2),
-    )  # fmt: skip
-
-
-@njit(inline="always")
-def _smooth(image, size, pixel, down, right):  # type: ignore[no-untyped-def]
-    """Bicubic colour of 4 x 4 pixels, `pixel` the first of the inner four; bilinear if one shows nothing.
-
-    Beyond the image's border its outermost pixels are repeated.
-    """
-    rows, columns, channels = size
-    row, column = np.int64(pixel) // columns, np.int64(pixel) % columns
-    along, across = _cubic(down), _cubic(right)
-    red, green, blue, shown = _ZERO, _ZERO, _ZERO, _ZERO
-    for j in range(4):
-        start = min(max(row + j - 1, 0), rows - 1) * columns
-        for i in range(4):
-            here = np.uint64((start + min(max(column + i - 1, 0), columns - 1)) * channels)
-            weight = along[j] * across[i]
-            red += weight * image[here]
-            green += weight * image[here + _GREEN]
-            blue += weight * image[here + _BLUE]
-            shown += weight * image[here + _SHOWN]
-    if abs(shown - _ONE) > _RIM_SHARE:
-        weights, beside, below = _weights(down, right), np.uint64(channels), np.uint64(columns * channels)
-        at = pixel * beside
-        red = _between(image, at, beside, below, _U0, weights)
-        green = _between(image, at, beside, below, _GREEN, weights)
-        blue = _between(image, at, beside, below, _BLUE, weights)
-    return red, green, blue
 
 
 @njit(cache=True, nogil=True)
@@ -242,24 +177,31 @@ def _look_up(  # type: ignore[no-untyped-def]
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    has_moving = size[2] > _MOVING
+    has_moving = size[2] > MOVING
     starts = np.empty((3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
     for k in range(len(chosen)):
         image = images[chosen[k]]
         for r in range(rows):
             _starts(motions, label, rays, r, k, starts, steps)
+            # Where a pixel has no other surface, several of its depths are the first one again.
+            first = _row_of(inverse, 0, r, columns)
             for d in range(len(inverse)):
                 depths = _row_of(inverse, d, r, columns)
                 _project(starts, steps, depths, place)
                 for c in range(columns):
-                    is_seen, pixel, down, right = _corner(size, place[0, c], place[1, c])
+                    if d > 0 and depths[c] == first[c]:
+                        seen[k, d, r, c] = seen[k, 0, r, c]
+                        for i in range(3):
+                            colour[k, i, d, r, c] = colour[k, i, 0, r, c]
+                        continue
+                    is_seen, pixel, down, right = corner(size, place[0, c], place[1, c])
                     if is_seen:
-                        weights = _weights(down, right)
+                        weights = weights_of(down, right)
                         hiding = depths[c] * place[2, c] * (_ONE + share) + per_m
                         asks_moving = has_moving and label[r, c] == 0
                         is_seen = _shows(image, pixel * beside, beside, below, weights, hiding, asks_moving)
-                    found = _smooth(image, size, pixel, down, right) if is_seen else (_ZERO, _ZERO, _ZERO)
+                    found = bicubic(image, size, pixel, down, right) if is_seen else (_ZERO, _ZERO, _ZERO)
                     seen[k, d, r, c] = is_seen
                     colour[k, 0, d, r, c], colour[k, 1, d, r, c], colour[k, 2, d, r, c] = found
 
@@ -276,7 +218,7 @@ def _agree(  # type: ignore[no-untyped-def]
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    count, has_moving, is_open = len(chosen), size[2] > _MOVING, _open_pixels(images, size, chosen)
+    count, has_moving, is_open = len(chosen), size[2] > MOVING, _open_pixels(images, size, chosen)
     starts = np.empty((count, 3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
     found, is_seen = np.zeros((count, 3), np.float32), np.zeros(count, np.bool_)
@@ -291,16 +233,16 @@ def _agree(  # type: ignore[no-untyped-def]
                 asks_moving = has_moving and label[r, c] == 0
                 for k in range(count):
                     image = images[chosen[k]]
-                    is_inside, pixel, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
+                    is_inside, pixel, down, right = corner(size, place[k, 0, c], place[k, 1, c])
                     is_seen[k] = False
                     if is_inside:
-                        at, weights = pixel * beside, _weights(down, right)
+                        at, weights = pixel * beside, weights_of(down, right)
                         hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
                         is_seen[k] = is_open[k, pixel] or _shows(
                             image, at, beside, below, weights, hiding, asks_moving
                         )
                         for i in range(3):
-                            found[k, i] = _between(image, at, beside, below, np.uint64(i), weights)
+                            found[k, i] = between(image, at, beside, below, np.uint64(i), weights)
                 _compare(found, is_seen, unseen, weight, agreed[d, r, c], colour[d, r, c])
 
 
@@ -342,18 +284,21 @@ def _differ(  # type: ignore[no-untyped-def]
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    has_moving, own = size[2] > _MOVING, images[chosen[0]]
+    has_moving, own = size[2] > MOVING, images[chosen[0]]
     count, is_open = len(chosen) - 1, _open_pixels(images, size, chosen)
     starts = np.empty((count, 3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
     apart, asked = np.empty(count, np.float32), np.empty(columns, np.bool_)
     for r in range(rows):
+        asked[:] = False
+        for d in range(1, len(inverse)):
+            for c in range(columns):
+                asked[c] |= inverse[d, r, c] != inverse[0, r, c]
+        if not asked.any():
+            found[:, r] = _ZERO
+            continue
         for k in range(count):
             _starts(motions, label, rays, r, k + 1, starts[k], steps[k])
-        for c in range(columns):
-            asked[c] = False
-            for d in range(1, len(inverse)):
-                asked[c] = asked[c] or inverse[d, r, c] != inverse[0, r, c]
         for d in range(len(inverse)):
             depths = inverse[d, r]
             for k in range(count):
@@ -366,10 +311,10 @@ def _differ(  # type: ignore[no-untyped-def]
                 seen = 0
                 for k in range(count if depths[c] > _ZERO else 0):
                     image = images[chosen[k + 1]]
-                    is_inside, pixel, down, right = _corner(size, place[k, 0, c], place[k, 1, c])
+                    is_inside, pixel, down, right = corner(size, place[k, 0, c], place[k, 1, c])
                     if not is_inside:
                         continue
-                    at, weights = pixel * beside, _weights(down, right)
+                    at, weights = pixel * beside, weights_of(down, right)
                     hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
                     if is_open[k + 1, pixel] or _shows(
                         image, at, beside, below, weights, hiding, has_moving and label[r, c] == 0
@@ -377,7 +322,7 @@ def _differ(  # type: ignore[no-untyped-def]
                         total = _ZERO
                         for i in range(3):
                             channel = np.uint64(i)
-                            there = _between(image, at, beside, below, channel, weights)
+                            there = between(image, at, beside, below, channel, weights)
                             total += abs(there - own[here + channel])
                         _insert(apart, seen, min(total * np.float32(1.0 / 3.0), unseen))
                         seen += 1

@@ -135,14 +135,28 @@ def _nearest(image, nearest):  # type: ignore[no-untyped-def]
 def _cover(nearest, cover, radius_px_m, margin_m, margin_share):  # type: ignore[no-untyped-def]
     """Depth behind which each pixel is hidden, by the squares of the pixels around it."""
     rows, columns = nearest.shape
+    half, limit = np.empty(columns, np.int64), np.empty(columns, np.float32)
+    rim, nothing = _LARGEST_FOOTPRINT_PX, np.float32(np.inf)
+    # Of a row, the pixels with equally large squares; and the least depth behind which these hide.
+    own, hidden = np.empty(columns + 2 * rim, np.float32), np.empty(columns, np.float32)
     for row in range(rows):
-        for column in range(columns):
-            depth = nearest[row, column]
-            if not depth < np.inf:
-                continue
-            half = min(int(radius_px_m / depth), _LARGEST_FOOTPRINT_PX)
-            limit = depth + margin_m + margin_share * depth
-            for r in range(max(row - half, 0), min(row + half + 1, rows)):
-                for c in range(max(column - half, 0), min(column + half + 1, columns)):
-                    if limit < cover[r, c]:
-                        cover[r, c] = limit
+        largest = -1
+        for c in range(columns):
+            depth = nearest[row, c]
+            half[c] = min(int(radius_px_m / depth), rim) if depth < np.inf else -1
+            limit[c] = depth + margin_m + margin_share * depth
+            largest = max(largest, half[c])
+        for size in range(largest + 1):
+            own[:], hidden[:], found = nothing, nothing, False
+            for c in range(columns):
+                if half[c] == size:
+                    own[c + rim], found = limit[c], True
+            # Along the row first, then across: each loop is computed many pixels at a time.
+            for shift in range(rim - size, rim + size + 1 if found else 0):
+                beside = own[shift : shift + columns]
+                for c in range(columns):
+                    hidden[c] = min(hidden[c], beside[c])
+            for r in range(max(row - size, 0), min(row + size + 1, rows) if found else 0):
+                to = cover[r]
+                for c in range(columns):
+                    to[c] = min(to[c], hidden[c])

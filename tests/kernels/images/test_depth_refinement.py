@@ -72,3 +72,16 @@ def test_where_no_other_map_knows_anything_a_depth_stays_and_what_moves_is_not_a
     # 8 px beyond the border no map is asked.
     assert (found[:, 8:20] == -NEAR).all()
     assert (found[:, :8] == NEAR).all()
+
+
+def test_where_in_its_row_a_pixel_lies_makes_no_difference() -> None:
+    # Pixels are averaged many at a time; of a wide image the same part lies elsewhere among them.
+    g = np.random.default_rng(3)
+    image, difference = g.random((20, 300, 3), np.float32), g.random((2, 20, 300), np.float32) * 0.06
+    layers = np.stack([np.full((20, 300), NEAR), np.where(g.random((20, 300)) < 0.3, FAR, NEAR)])
+    difference[1] = np.where(layers[1] == NEAR, difference[0], difference[1])
+    whole = likeliest_surface(image, layers, difference)
+    part = likeliest_surface(image[:, 50:], layers[:, :, 50:], difference[:, :, 50:])
+    assert 0.02 < (whole == FAR).mean() < 0.3
+    # Beyond the border nothing is averaged.
+    np.testing.assert_array_equal(part[:, 6:], whole[:, 56:])

@@ -81,3 +81,19 @@ def test_pixels_that_are_not_near_keep_the_guess() -> None:
     found = on_planes(places, guess, near)
     np.testing.assert_array_equal(found[:, 30:], guess[:, 30:])
     assert (found[:, :30] != guess[:, :30]).any()
+
+
+def test_where_in_its_row_a_pixel_lies_makes_no_difference() -> None:
+    # Pixels are added up many at a time; of a wide image the same part lies elsewhere among them.
+    g = np.random.default_rng(3)
+    places = np.concatenate([g.integers(0, 3, (9, 700, 1)), g.uniform(0.1, 0.12, (9, 700, 3))], axis=2)
+    places[..., 1] += np.arange(700)
+    places[..., 2] += np.arange(9)[:, None]
+    guess, near = g.uniform(0.1, 0.12, (9, 700)).astype(np.float32), g.random((9, 700)) < 0.5
+    places = places.astype(np.float32)
+    whole = on_planes(places, guess, near)
+    moved = places[:, 100:].copy()
+    moved[..., 1] -= 100.0
+    part = on_planes(moved, guess[:, 100:], near[:, 100:])
+    assert (whole != guess).mean() > 0.3
+    np.testing.assert_allclose(part[:, 3:], whole[:, 103:], atol=1e-6)
