@@ -8,11 +8,12 @@ import torch
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images import interpolation
 from nvsf_core.kernels.images.source_lookup import LookUp, look_up_points
 from nvsf_core.numerics import require_finite
 from nvsf_core.rendering.warping import sample, sample_cubic, source_pixels
 
-SHOWN, DEPTH, MOVING = 3, 4, 5
+SHOWN, DEPTH, MOVING = int(interpolation.SHOWN), int(interpolation.DEPTH), int(interpolation.MOVING)
 """Channels of `Sources.images` after the colours."""
 STATIC = 0
 """Label of pixels that show static surfaces."""
