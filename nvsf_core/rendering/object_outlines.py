@@ -4,8 +4,10 @@ A pixel near an object's rim is static or moves with the object. Other images te
 static place at another time, or the object at another place, show the same colour there, or do not.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
@@ -13,9 +15,10 @@ from scipy.ndimage import binary_propagation
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kernels.images.depth_refinement import likeliest_surface
+from nvsf_core.kernels.images.depth_refinement import WINDOW_REACH_PX, likeliest_surface
 from nvsf_core.kernels.images.filling import nearest_known
 from nvsf_core.kernels.images.source_lookup import least_differences
+from nvsf_core.rendering.camera_view import Window
 from nvsf_core.rendering.lidar_view import MovingPoints
 from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs
 from nvsf_core.rendering.view_depth_maps import camera_distance_m, image_motions
@@ -73,38 +76,79 @@ def outlined(
     for each in moving:
         shown = mover == each.number
         if shown.any():
-            is_it, depth = _around(inverse, shown, each, compared)
-            is_it &= mover == 0
-            # An object is of one piece: dark glass behind a dark wheel may look like it, and is not.
-            is_it &= binary_propagation(shown, mask=shown | is_it)
-            inverse[is_it], mover[is_it] = depth[is_it], each.number
-            is_static, behind = _inside_rim(inverse, mover == each.number, each, compared)
-            inverse[is_static], mover[is_static] = behind[is_static], 0
+            around = _around(shown, inverse, compared.pinhole)
+            _outline(inverse[around], mover[around], _OneObject.of(each, compared, around))
     return inverse, mover
 
 
-def _around(
-    inverse: np.ndarray, shown: np.ndarray, one: MovingPoints, compared: ComparedImages
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (H, W) bool around those `shown` that are an object's, and inverse depths (H, W), 1/m, for them.
+def _around(shown: np.ndarray, inverse: np.ndarray, pinhole: Pinhole) -> Window:
+    """The part of the image on which what becomes of an object depends: all that is asked, and around it."""
+    reach_px = min(_REACH_PX, _REACH_M * pinhole.fx * float(inverse[shown].max()))
+    margin = math.ceil(reach_px) + 1 + WINDOW_REACH_PX
+    sides = []
+    for axis, length in enumerate(shown.shape):
+        place = np.flatnonzero(shown.any(axis=1 - axis))
+        sides.append(slice(max(0, int(place[0]) - margin), min(length, int(place[-1]) + margin + 1)))
+    return sides[0], sides[1]
+
+
+@dataclass(frozen=True, slots=True)
+class _OneObject:
+    """A moving object, and the h x w pixels around it in the image that is asked about."""
+
+    number: int
+    """The object's."""
+    motions: np.ndarray
+    """(2, j, 4, 4) of what is static, and of the object, see `image_motions`."""
+    rays: Tensor
+    """(h, w, 3) float32 directions (x, y, 1) of the pixels."""
+    colours: np.ndarray
+    """(h, w, 3) float32 of the pixels, 0..1."""
+    compared: ComparedImages
+    """The image that they are of, and the others."""
+
+    @classmethod
+    def of(cls, moving: MovingPoints, compared: ComparedImages, around: Window) -> Self:
+        """The object and the pixels `around` it."""
+        poses, own = compared.poses, compared.images[compared.own, :3, *around]
+        return cls(
+            number=moving.number,
+            motions=image_motions(poses[compared.own], poses, [moving.moved]),
+            rays=plane_rays(compared.pinhole)[around],
+            colours=np.ascontiguousarray(own.permute(1, 2, 0).numpy()),
+            compared=compared,
+        )
+
+
+def _outline(inverse: np.ndarray, mover: np.ndarray, one: _OneObject) -> None:
+    """Change depths (h, w), 1/m, and numbers of objects (h, w) of the pixels around an object, in place."""
+    shown = mover == one.number
+    is_it, depth = _beside(inverse, shown, one)
+    is_it &= mover == 0
+    # An object is of one piece: dark glass behind a dark wheel may look like it, and is not.
+    is_it &= binary_propagation(shown, mask=shown | is_it)
+    inverse[is_it], mover[is_it] = depth[is_it], one.number
+    is_static, behind = _inside_rim(inverse, mover == one.number, one)
+    inverse[is_static], mover[is_static] = behind[is_static], 0
+
+
+def _beside(inverse: np.ndarray, shown: np.ndarray, one: _OneObject) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (h, w) bool around those `shown` that are an object's, and inverse depths (h, w), 1/m, for them.
 
     The depth is that of the nearest pixel shown; wheels and shadows touch the road, where it is the road's.
     """
     gap_px, nearest = nearest_known(shown)
     beside = inverse[nearest[0], nearest[1]]
-    asked = gap_px <= np.minimum(_REACH_PX, _REACH_M * compared.pinhole.fx * beside)
+    asked = gap_px <= np.minimum(_REACH_PX, _REACH_M * one.compared.pinhole.fx * beside)
     depth = np.where(shown, inverse, np.maximum(beside, inverse * _IN_FRONT))
-    motions = image_motions(compared.poses[compared.own], compared.poses, [one.moved])
-    static = _difference(np.where(asked, inverse, np.float32(0.0)), motions[:1], compared)
-    of_it = _difference(np.where(asked, depth, np.float32(0.0)), motions, compared)
+    static = _difference(np.where(asked, inverse, np.float32(0.0)), one, moves=False)
+    of_it = _difference(np.where(asked, depth, np.float32(0.0)), one, moves=True)
     other = np.where(asked, depth, inverse)
-    return _is_rather(inverse, other, (static, of_it + _OBJECT_COSTS), compared), depth
+    return _is_rather(inverse, other, (static, of_it + _OBJECT_COSTS), one), depth
 
 
-def _inside_rim(
-    inverse: np.ndarray, shown: np.ndarray, one: MovingPoints, compared: ComparedImages
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (H, W) bool of those `shown` that are static, and inverse depths (H, W), 1/m, for them.
+def _inside_rim(inverse: np.ndarray, shown: np.ndarray, one: _OneObject) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (h, w) bool of those `shown` that are static, and inverse depths (h, w), 1/m, for them.
 
     The depth is that of the nearest pixel outside. Only what others show as static there is taken away.
     """
@@ -113,49 +157,48 @@ def _inside_rim(
     gap_px, nearest = nearest_known(~shown)
     behind = inverse[nearest[0], nearest[1]]
     asked = shown & (gap_px <= _RIM_PX) & (behind * _BEHIND <= inverse)
-    motions = image_motions(compared.poses[compared.own], compared.poses, [one.moved])
-    static = _difference(np.where(asked, behind, np.float32(0.0)), motions[:1], compared, unseen=_NOWHERE)
-    of_it = _difference(np.where(asked, inverse, np.float32(0.0)), motions, compared)
-    is_static = _is_rather(inverse, np.where(asked, behind, inverse), (of_it, static), compared)
+    static = _difference(np.where(asked, behind, np.float32(0.0)), one, moves=False, unseen=_NOWHERE)
+    of_it = _difference(np.where(asked, inverse, np.float32(0.0)), one, moves=True)
+    is_static = _is_rather(inverse, np.where(asked, behind, inverse), (of_it, static), one)
     # What is around an object reaches into its pixels from outside.
     is_static &= binary_propagation(~shown, mask=~shown | is_static)
     return is_static, behind
 
 
 def _is_rather(
-    inverse: np.ndarray, other: np.ndarray, costs: tuple[np.ndarray, np.ndarray], compared: ComparedImages
+    inverse: np.ndarray, other: np.ndarray, costs: tuple[np.ndarray, np.ndarray], one: _OneObject
 ) -> np.ndarray:
-    """Pixels (H, W) bool that show the `other` surface rather than that of `inverse`, both (H, W), 1/m.
+    """Pixels (h, w) bool that show the `other` surface rather than that of `inverse`, both (h, w), 1/m.
 
-    `costs` (H, W) of each: how much other images differ there, see `_difference`.
+    `costs` (h, w) of each: how much other images differ there, see `_difference`.
     """
-    colours = np.ascontiguousarray(compared.images[compared.own, :3].permute(1, 2, 0).numpy())
-    found = likeliest_surface(colours, np.stack([inverse, other]), np.stack(costs))
+    found = likeliest_surface(one.colours, np.stack([inverse, other]), np.stack(costs))
     return (found == other) & (inverse != other)
 
 
 def _difference(
-    inverse: np.ndarray, motions: np.ndarray, compared: ComparedImages, unseen: np.float32 = _EXPECTED
+    inverse: np.ndarray, one: _OneObject, *, moves: bool, unseen: np.float32 = _EXPECTED
 ) -> np.ndarray:
-    """How much other images differ from an image at its pixels' depths, (H, W) float32.
+    """How much other images differ from the image at its pixels' depths, (h, w) float32.
 
     At most `_LARGEST`; `unseen` where none of them shows the point.
 
     Args:
-        inverse: (H, W) float32, 1/m; 0 = not asked.
-        motions: (m, j, 4, 4), see `image_motions`; all pixels move by the last.
-        compared: The image and the others.
+        inverse: (h, w) float32, 1/m; 0 = not asked.
+        one: The object and its pixels.
+        moves: Whether the pixels move as the object does, or are static.
         unseen: See above.
     """
-    others = np.array(compared.others, np.int64)
+    motions = one.motions if moves else one.motions[:1]
+    others = np.array(one.compared.others, np.int64)
     distance_m = camera_distance_m(motions[-1, others])
     near = np.argsort(distance_m, kind="stable")[:_COMPARED]
-    chosen = [compared.own, *others[near[np.isfinite(distance_m[near])]].tolist()]
+    chosen = others[near[np.isfinite(distance_m[near])]].tolist()
     to_sources = torch.from_numpy(motions[:, chosen].astype(np.float32))
-    sources = Sources(compared.images, chosen, to_sources[0], torch.ones(len(chosen)), to_sources[1:])
+    sources = Sources(one.compared.images, chosen, to_sources[0], torch.ones(len(chosen)), to_sources[1:])
     label = torch.full(inverse.shape, len(motions) - 1, dtype=torch.uint8)
     # The kernel compares pixels whose depths differ; of a layer without depths it asks nothing.
     layers = torch.from_numpy(np.stack([np.zeros_like(inverse), inverse]))
-    where = kernel_inputs(sources, SeenPoints(plane_rays(compared.pinhole), layers, label), compared.pinhole)
-    found = least_differences(where, float(_NOWHERE))[1]
+    where = kernel_inputs(sources, SeenPoints(one.rays, layers, label), one.compared.pinhole)
+    found = least_differences(where, one.colours, float(_NOWHERE))[1]
     return np.where(found < _NOWHERE, np.minimum(found, _LARGEST), unseen)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
@@ -37,7 +36,9 @@ _UNSEEN_DIFFERENCE = 0.06
 """Difference of colours that is assumed where no other image shows a point, and the largest that counts."""
 
 
-def sharpened(inverse: np.ndarray, lidar: LidarView, sources: Sources, pinhole: Pinhole) -> np.ndarray:
+def sharpened(
+    inverse: np.ndarray, own: np.ndarray, lidar: LidarView, sources: Sources, pinhole: Pinhole
+) -> np.ndarray:
     """A recorded image's depth map, in which each pixel shows the surface that other images confirm.
 
     A pixel chooses between its own depth, those of the nearest and the farthest surface around it, and that
@@ -45,8 +46,9 @@ def sharpened(inverse: np.ndarray, lidar: LidarView, sources: Sources, pinhole: 
 
     Args:
         inverse: (H, W) float32 inverse depths of what is static, 1/m; 0 = unknown.
+        own: (H, W, c) float32: the image, channels as of `Sources.images`.
         lidar: What returns show in the image.
-        sources: The image itself, and then those that it is compared with.
+        sources: The images that it is compared with.
         pinhole: Intrinsics of all images.
 
     Returns:
@@ -54,14 +56,13 @@ def sharpened(inverse: np.ndarray, lidar: LidarView, sources: Sources, pinhole: 
     """
     returns = np.where(lidar.gap_px.numpy() <= _BESIDE_PX, lidar.inverse.numpy(), np.float32(0.0))
     for reach_px in _REACHES_PX:
-        side = 2 * reach_px + 1
-        back = minimum_filter(np.where(inverse > 0.0, inverse, _FRONT), side)
-        around = (maximum_filter(inverse, side), np.where(back < _FRONT, back, np.float32(0.0)), returns)
+        back = _around(np.minimum, np.where(inverse > 0.0, inverse, _FRONT), reach_px)
+        front = _around(np.maximum, inverse, reach_px)
+        around = (front, np.where(back < _FRONT, back, np.float32(0.0)), returns)
         layers = np.stack([inverse, *(_other(inverse, one) for one in around)])
         points = SeenPoints(plane_rays(pinhole), torch.from_numpy(layers))
         where = kernel_inputs(sources, points, pinhole)
-        difference = least_differences(where, _UNSEEN_DIFFERENCE)
-        inverse = likeliest_surface(where.images[sources.chosen[0]], layers, difference)
+        inverse = likeliest_surface(own, layers, least_differences(where, own, _UNSEEN_DIFFERENCE))
     return inverse
 
 
@@ -76,6 +77,25 @@ def static_sources(images: Tensor, chosen: list[int], poses: np.ndarray, own: in
     """
     motion = image_motions(poses[own], poses[chosen], [])[0]
     return Sources(images, chosen, torch.from_numpy(motion.astype(np.float32)), torch.ones(len(chosen)))
+
+
+def _around(extreme: np.ufunc, image: np.ndarray, reach_px: int) -> np.ndarray:
+    """The minimum or maximum (H, W) over the square around each pixel, as scipy's filters in a tenth of time.
+
+    Args:
+        extreme: `np.minimum` or `np.maximum`.
+        image: (H, W).
+        reach_px: Half a side of the square, without its middle.
+    """
+    found = np.pad(image, reach_px, mode="edge")
+    for _ in range(2):
+        joined, side = 1, 2 * reach_px + 1
+        while joined < side:
+            step = min(joined, side - joined)
+            found = extreme(found[:-step], found[step:])
+            joined += step
+        found = found.T
+    return np.ascontiguousarray(found)
 
 
 def _other(inverse: np.ndarray, candidate: np.ndarray) -> np.ndarray:

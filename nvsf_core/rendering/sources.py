@@ -122,7 +122,7 @@ def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> Loo
     shape = points.rays.shape[:2]
     label = np.zeros(shape, np.uint8) if len(motions) == 1 or points.label is None else points.label.numpy()
     return LookUp(
-        np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen),
+        np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen, np.int64),
         motions.numpy(), np.ascontiguousarray(points.rays.numpy()), np.ascontiguousarray(label),
         np.ascontiguousarray(points.inverse.detach().numpy()),
         (np.float32(_HIDDEN_SHARE), np.float32(_HIDDEN_PER_M)),

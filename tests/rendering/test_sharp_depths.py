@@ -47,24 +47,30 @@ def seen(places_m: list[float]) -> tuple[torch.Tensor, np.ndarray, np.ndarray]:
     return images, np.stack(inverse).astype(np.float32), poses
 
 
+def own_of(images: torch.Tensor) -> np.ndarray:
+    """The first image (H, W, c), whose depths are sought."""
+    return np.ascontiguousarray(images[0].permute(1, 2, 0).numpy())
+
+
 def test_a_disc_that_is_too_wide_shrinks_to_its_edge_in_the_image() -> None:
     images, maps, poses = seen([0.0, 0.6, -0.6, 1.2, -1.2])
     truth = maps[0]
     wide = np.where(binary_dilation(truth > 0.1, iterations=3), truth.max(), truth.min()).astype(np.float32)
-    sources = static_sources(images, [0, 1, 2, 3, 4], poses, 0)
-    found = sharpened(wide, NO_LIDAR, sources, CAMERA)
+    sources = static_sources(images, [1, 2, 3, 4], poses, 0)
+    found = sharpened(wide, own_of(images), NO_LIDAR, sources, CAMERA)
     wrong_before, wrong = np.count_nonzero(wide != truth), np.count_nonzero(found != truth)
     assert wrong_before > 250
     assert wrong < 0.25 * wrong_before
     # Right depths stay.
-    np.testing.assert_array_equal(sharpened(truth, NO_LIDAR, sources, CAMERA)[:20], truth[:20])
+    right = sharpened(truth, own_of(images), NO_LIDAR, sources, CAMERA)
+    np.testing.assert_array_equal(right[:20], truth[:20])
 
 
 def test_unknown_pixels_get_a_surface_from_around_or_stay_unknown() -> None:
     images, maps, poses = seen([0.0, 0.6, -0.6])
     holes = maps[0].copy()
     holes[30, 20], holes[:, 100:] = 0.0, 0.0
-    found = sharpened(holes, NO_LIDAR, static_sources(images, [0, 1, 2], poses, 0), CAMERA)
+    found = sharpened(holes, own_of(images), NO_LIDAR, static_sources(images, [1, 2], poses, 0), CAMERA)
     assert found[30, 20] == maps[0][30, 20]
     assert (found[:, 110:] == 0.0).all()
 
@@ -73,7 +79,7 @@ def test_a_return_offers_a_depth_that_the_map_lacks() -> None:
     images, maps, poses = seen([0.0, 0.6, -0.6, 1.2, -1.2])
     flat = np.full_like(maps[0], maps[0].min())
     returns = LidarView(torch.from_numpy(maps[0]), torch.zeros(64, 128), NO_LIDAR.label)
-    found = sharpened(flat, returns, static_sources(images, [0, 1, 2, 3, 4], poses, 0), CAMERA)
+    found = sharpened(flat, own_of(images), returns, static_sources(images, [1, 2, 3, 4], poses, 0), CAMERA)
     on_disc = maps[0] > 0.1
     assert (found == maps[0])[on_disc].mean() > 0.9
 

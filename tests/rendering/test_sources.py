@@ -1,5 +1,6 @@
 """Sources of a view: kernels and torch's operations give the same colours and agreement."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -89,12 +90,12 @@ def test_an_image_shows_of_a_moving_object_what_it_does_not_hide_itself() -> Non
 
 def test_the_half_of_the_sources_that_differ_least_counts() -> None:
     sources, points = scene(6, label=False)
-    # Of an image's own pixels: the first source, at the place itself.
-    sources.motion[0] = torch.eye(4)
+    own = np.ascontiguousarray(sources.images[3].permute(1, 2, 0).numpy())
     inverse = points.inverse.clone()
     inverse[:, :, 40:], inverse[1, 0, :40] = inverse[:1, :, 40:], 0.0
     points = SeenPoints(points.rays, inverse, torch.zeros(32, 48, dtype=torch.uint8))
-    found = torch.from_numpy(least_differences(kernel_inputs(sources, points, CAMERA), 0.2))
+    others = Sources(sources.images, sources.chosen[1:], sources.motion[1:], sources.nearness[1:])
+    found = torch.from_numpy(least_differences(kernel_inputs(others, points, CAMERA), own, 0.2))
     colour, seen = look_up_by_torch(sources, points, CAMERA, sample)
     apart = (colour[1] - sources.images[3, :3, None]).abs().mean(dim=0).clamp_max(0.2)
     # The third source is a placeholder: what is left is the second.

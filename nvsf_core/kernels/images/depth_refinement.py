@@ -10,6 +10,8 @@ from numba import njit
 
 _WINDOW, _STEP_PX = 3, 2
 """Differences are averaged over every second pixel, so many on each side, of similar colour."""
+WINDOW_REACH_PX = _WINDOW * _STEP_PX
+"""What a pixel shows depends on no other farther away than this, along rows and along columns."""
 _REACH_PX = np.float32(4.0)
 """A pixel's weight falls to 1/e at this distance,"""
 _ALIKE = np.float32(0.04)
@@ -43,7 +45,7 @@ def likeliest_surface(image: np.ndarray, layers: np.ndarray, difference: np.ndar
     Returns:
         (H, W) float32, 1/m.
     """
-    found, reach = layers[0].copy(), _WINDOW * _STEP_PX
+    found, reach = layers[0].copy(), WINDOW_REACH_PX
     rim = ((0, 0), (reach, reach), (reach, reach))
     colours = np.pad(image[..., :3].transpose(2, 0, 1), rim, constant_values=_BEYOND)
     _choose(colours, layers, np.pad(difference, rim), found)

@@ -26,6 +26,8 @@ _NEAREST_Z = np.float32(1e-3)
 _OUTSIDE = np.float32(-1e9)
 """Column of a point that is behind the source."""
 _ALMOST = np.float32(0.999)
+_FEW = 3
+"""Of an image's pixels, less than one of so many."""
 
 
 class LookUp(NamedTuple):
@@ -84,22 +86,22 @@ def agreement(where: LookUp, unseen_difference: float, weight: np.ndarray) -> tu
     return agreed, colour
 
 
-def least_differences(where: LookUp, unseen_difference: float) -> np.ndarray:
-    """How little images differ from an image's own colours at d depths of each of its pixels.
+def least_differences(where: LookUp, own: np.ndarray, unseen_difference: float) -> np.ndarray:
+    """How little k images differ from pixels of another one at d depths of each.
 
     Any surface is hidden in some images: the mean is of the half of the images that differ least.
 
     Args:
-        where: Images and points; the first image is the one whose pixels they are, the others are compared
-            with it.
-        unseen_difference: The largest difference of two colours, and that at unknown depths or where no other
-            image shows the point.
+        where: The k images, and the points of the pixels: of a whole image or of a part of it.
+        own: (h, w, c) float32, the pixels; their first three channels are compared.
+        unseen_difference: The largest difference of two colours, and that at unknown depths or where none of
+            the images shows the point.
 
     Returns:
         (d, h, w) float32, 0..1; 0 for pixels whose depths are all equal: nothing is to be compared.
     """
     found = np.empty(where.shape, np.float32)
-    _differ(*_flat(where), np.float32(unseen_difference), found)
+    _differ(*_flat(where), own, np.float32(unseen_difference), found)
     return found
 
 
@@ -280,56 +282,66 @@ def _compare(found, is_seen, unseen, weight, agreed, colour):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def _differ(  # type: ignore[no-untyped-def]
-    images, size, chosen, motions, rays, label, inverse, share, per_m, unseen, found
+    images, size, chosen, motions, rays, label, inverse, share, per_m, own, unseen, found
 ):
     rows, columns, _ = rays.shape
     beside, below = np.uint64(size[2]), np.uint64(size[1] * size[2])
-    has_moving, own = size[2] > MOVING, images[chosen[0]]
-    count, is_open = len(chosen) - 1, _open_pixels(images, size, chosen)
+    count, has_moving = len(chosen), size[2] > MOVING
+    asked = _asked_pixels(inverse)
+    # To find the open pixels of whole images takes longer than to ask for few.
+    has_open = asked.sum() * _FEW > size[0] * size[1]
+    is_open = _open_pixels(images, size, chosen if has_open else chosen[:0])
     starts = np.empty((count, 3, columns), np.float32)
     steps, place = np.empty_like(starts), np.empty_like(starts)
-    apart, asked = np.empty(count, np.float32), np.empty(columns, np.bool_)
+    apart = np.empty(count, np.float32)
     for r in range(rows):
-        asked[:] = False
-        for d in range(1, len(inverse)):
-            for c in range(columns):
-                asked[c] |= inverse[d, r, c] != inverse[0, r, c]
-        if not asked.any():
+        if not asked[r].any():
             found[:, r] = _ZERO
             continue
         for k in range(count):
-            _starts(motions, label, rays, r, k + 1, starts[k], steps[k])
+            _starts(motions, label, rays, r, k, starts[k], steps[k])
         for d in range(len(inverse)):
             depths = inverse[d, r]
             for k in range(count):
                 _project(starts[k], steps[k], depths, place[k])
             for c in range(columns):
-                if not asked[c] or (d > 0 and depths[c] == inverse[0, r, c]):
-                    found[d, r, c] = found[0, r, c] if asked[c] else _ZERO
+                if not asked[r, c] or (d > 0 and depths[c] == inverse[0, r, c]):
+                    found[d, r, c] = found[0, r, c] if asked[r, c] else _ZERO
                     continue
-                here = np.uint64((r * columns + c) * size[2])
                 seen = 0
                 for k in range(count if depths[c] > _ZERO else 0):
-                    image = images[chosen[k + 1]]
+                    image = images[chosen[k]]
                     is_inside, pixel, down, right = corner(size, place[k, 0, c], place[k, 1, c])
                     if not is_inside:
                         continue
                     at, weights = pixel * beside, weights_of(down, right)
                     hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
-                    if is_open[k + 1, pixel] or _shows(
+                    if (has_open and is_open[k, pixel]) or _shows(
                         image, at, beside, below, weights, hiding, has_moving and label[r, c] == 0
                     ):
                         total = _ZERO
                         for i in range(3):
-                            channel = np.uint64(i)
-                            there = between(image, at, beside, below, channel, weights)
-                            total += abs(there - own[here + channel])
+                            there = between(image, at, beside, below, np.uint64(i), weights)
+                            total += abs(there - own[r, c, i])
                         _insert(apart, seen, min(total * np.float32(1.0 / 3.0), unseen))
                         seen += 1
                 half, total = (seen + 1) // 2, _ZERO
                 for k in range(half):
                     total += apart[k]
                 found[d, r, c] = total / np.float32(half) if half > 0 else unseen
+
+
+@njit(inline="always")
+def _asked_pixels(inverse):  # type: ignore[no-untyped-def]
+    """(h, w) bool: pixels whose depths (d, h, w) are not all equal."""
+    asked = np.zeros(inverse.shape[1:], np.bool_)
+    for r in range(len(asked)):
+        here, first = asked[r], inverse[0, r]
+        for d in range(1, len(inverse)):
+            other = inverse[d, r]
+            for c in range(len(here)):
+                here[c] |= other[c] != first[c]
+    return asked
 
 
 @njit(inline="always")
