@@ -10,6 +10,7 @@ from nvsf_core.geometry.voxels import VoxelIndex, index_points, voxel_moments
 from nvsf_core.kernels.voxel_march import (
     VoxelSurfaces,
     WalkLimits,
+    count_both_passes,
     count_passes,
     find_candidates,
 )
@@ -18,6 +19,8 @@ MIN_PLANE_RETURNS = 5
 PLANE_EIGENVALUE_RATIO = 4.0
 _MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
 _STOP_TRANSMITTANCE = 0.005
+_VOXEL_MARGIN, _SHAPE_MARGIN = 1.0, 0.5
+"""Voxels before its return up to which a ray passes through voxels, and through shapes."""
 _NOISE_M = 0.005
 """Smallest standard deviation of returns from one surface."""
 _DOUBT = 0.3
@@ -154,34 +157,96 @@ def build_surfels(
             rays then only pass through voxels. None = all are.
         shaped: Whether surfels get shapes (`Surfels.precision`).
     """
+    returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
+    precision = returns.precision() if shaped else _NO_SHAPES
+    passes = count_passes(
+        *returns.rays, returns.stops_m(_SHAPE_MARGIN if shaped else _VOXEL_MARGIN), returns.index,
+        returns.mean_m, precision,
+    )  # fmt: skip
+    return returns.surfels(precision, passes)
+
+
+def build_both(
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    intensity: np.ndarray,
+    *,
+    voxel_m: float,
+    is_surface: np.ndarray | None = None,
+) -> tuple[Surfels, Surfels]:
+    """The same surfels without shapes and with them, faster than one after the other; see `build_surfels`.
+
+    Args:
+        origin_m: (n, 3) scene-local, metres.
+        direction: (n, 3) unit, scene-local axes.
+        range_m: (n,) metres to the return.
+        intensity: (n,) of the return, 0..1.
+        voxel_m: Edge of a voxel.
+        is_surface: (n,) bool: the return is part of a surface. None = all are.
+    """
+    returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
+    precision = returns.precision()
+    passes, crossed = count_both_passes(
+        *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.mean_m, precision,
+        returns.stops_m(_VOXEL_MARGIN),
+    )  # fmt: skip
+    return returns.surfels(_NO_SHAPES, crossed), returns.surfels(precision, passes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Returns:
+    """Rays, and what their returns tell of each of v voxels; fields as of `Surfels`."""
+
+    rays: tuple[np.ndarray, np.ndarray]
+    """Origins and directions (n, 3) float32."""
+    range_m: np.ndarray
+    index: VoxelIndex
+    mean_m: np.ndarray
+    covariance: np.ndarray
+    """(v, 3, 3) float64, m^2."""
+    hits: np.ndarray
+    intensity: np.ndarray
+
+    def stops_m(self, margin: float) -> np.ndarray:
+        """(n,) float32: up to where each ray passes through voxels, `margin` voxels before its return."""
+        found: np.ndarray = np.maximum(self.range_m - margin * self.index.voxel_m, 0).astype(np.float32)
+        return found
+
+    def precision(self) -> np.ndarray:
+        """The surfels' shapes (v, 6)."""
+        return _precision(self.covariance, self.hits, self.index.voxel_m)
+
+    def surfels(self, precision: np.ndarray, passes: np.ndarray) -> Surfels:
+        """With shapes (v, 6), or (0, 6) without, and passes (v,)."""
+        normal, thickness = _planes(self.covariance, self.hits)
+        return Surfels(
+            index=self.index, mean_m=self.mean_m, normal=normal, precision=precision, thickness_m=thickness,
+            intensity=self.intensity, hits=self.hits.astype(np.int32), passes=passes,
+        )  # fmt: skip
+
+
+def _returns(
+    origin_m: np.ndarray,
+    direction: np.ndarray,
+    range_m: np.ndarray,
+    intensity: np.ndarray,
+    *,
+    voxel_m: float,
+    is_surface: np.ndarray | None,
+) -> _Returns:
+    """Arguments as of `build_surfels`."""
     kept = slice(None) if is_surface is None else is_surface
     points = origin_m[kept] + direction[kept] * range_m[kept, None]
     index, voxel = index_points(points, voxel_m)
-    count = index.voxel_count
-    hits = np.bincount(voxel, minlength=count)
+    hits = np.bincount(voxel, minlength=index.voxel_count)
     mean, covariance = voxel_moments(points, voxel, hits)
-    normal, thickness = _planes(covariance, hits)
-    mean_m = mean.astype(np.float32)
-    precision = _precision(covariance, hits, voxel_m) if shaped else np.zeros((0, 6), np.float32)
-    stops_m = np.maximum(range_m - (0.5 if shaped else 1.0) * voxel_m, 0)
-    passes = count_passes(
-        np.ascontiguousarray(origin_m, np.float32),
-        np.ascontiguousarray(direction, np.float32),
-        stops_m.astype(np.float32),
-        index,
-        mean_m,
-        precision,
-    )
-    return Surfels(
-        index=index,
-        mean_m=mean_m,
-        normal=normal,
-        precision=precision,
-        thickness_m=thickness,
-        intensity=(np.bincount(voxel, weights=intensity[kept], minlength=count) / hits).astype(np.float32),
-        hits=hits.astype(np.int32),
-        passes=passes,
-    )
+    shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
+    return _Returns(
+        rays=(np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32)),
+        range_m=range_m, index=index, mean_m=mean.astype(np.float32), covariance=covariance, hits=hits,
+        intensity=(shine / hits).astype(np.float32),
+    )  # fmt: skip
 
 
 def candidates_of(

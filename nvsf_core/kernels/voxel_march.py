@@ -22,6 +22,7 @@ _REACH = 6.25
 _FALL = 0.2
 """At `apart` squared standard deviations off, returns that are no plane stop exp(-_FALL * apart) of what they
 stop in their middle. Planes stop as much out to their ends: walls must not leak between voxels."""
+_NO_STOPS = np.zeros(0, np.float32)
 RAYS_A_TASK = 256
 """Rays that one thread renders before it takes more."""
 
@@ -160,32 +161,62 @@ def count_passes(
         left the voxel before their end.
     """
     counted: np.ndarray = _count_passes(
-        origins, directions, stops_m, grid, means, precisions, get_num_threads()
-    )
+        origins, directions, stops_m, grid, means, precisions, _NO_STOPS, get_num_threads()
+    )[0]
     return counted
+
+
+# Wide: of the rays and of the voxels three arrays each.
+def count_both_passes(
+    origins: np.ndarray, directions: np.ndarray, stops_m: np.ndarray, grid: Any, means: np.ndarray,
+    precisions: np.ndarray, crossed_stops_m: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """What `count_passes` counts with shapes, and what it counts without, in one walk along each ray.
+
+    Args:
+        origins: (n, 3) float32, scene-local.
+        directions: (n, 3) float32, of unit length.
+        stops_m: (n,) float32 where each ray ends.
+        grid: A `VoxelIndex`: which voxels have returns.
+        means: (v, 3) float32, mean of each voxel's returns.
+        precisions: (v, 6) float32.
+        crossed_stops_m: (n,) float32 where each ray ends without shapes, at most `stops_m`.
+
+    Returns:
+        (v,) int32 with shapes, and (v,) int32 without.
+    """
+    both: np.ndarray = _count_passes(
+        origins, directions, stops_m, grid, means, precisions, crossed_stops_m, get_num_threads()
+    )
+    return both[0], both[1]
 
 
 @njit(parallel=True, cache=True, nogil=True)
 def _count_passes(  # type: ignore[no-untyped-def]
-    origins, directions, stops_m, grid, means, precisions, n_threads
+    origins, directions, stops_m, grid, means, precisions, crossed_stops_m, n_threads
 ):  # fmt: skip
     # Whole numbers: their sum is the same in any order.
-    partial = np.zeros((n_threads, means.shape[0]), np.int32)
+    partial = np.zeros((n_threads, 2 if len(crossed_stops_m) else 1, means.shape[0]), np.int32)
     n = origins.shape[0]
     for thread in prange(n_threads):
         for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
+            crossed_m = float(crossed_stops_m[ray]) if len(crossed_stops_m) else -1.0
             _count_ray(
-                origins[ray], directions[ray], float(stops_m[ray]), grid, means, precisions, partial[thread]
-            )
+                origins[ray], directions[ray], (float(stops_m[ray]), crossed_m), grid, means, precisions,
+                partial[thread],
+            )  # fmt: skip
     return partial.sum(axis=0)
 
 
 @njit(cache=True)
 def _count_ray(  # type: ignore[no-untyped-def]
-    origin, direction, stop_m, grid, means, precisions, passes
+    origin, direction, stops_m, grid, means, precisions, passes
 ):  # fmt: skip
-    """Add one to `passes` of each voxel whose returns a ray meets and that it has left before `stop_m`."""
-    grid_origin, voxel_m, bricks, cells = grid
+    """Add one to `passes` (1, v) of each voxel whose returns a ray meets and that it has left before its end.
+
+    Of (2, v) the second row counts all voxels that it crosses before its second, earlier end.
+    """
+    (stop_m, crossed_m), (grid_origin, voxel_m, bricks, cells) = stops_m, grid
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -194,6 +225,7 @@ def _count_ray(  # type: ignore[no-untyped-def]
     t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
     if t >= t_far:
         return
+    t_crossed = min(t_far, crossed_m) if t < crossed_m else -1.0
     x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
     y, y_step, y_next, y_length = _first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
     z, z_step, z_next, z_length = _first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
@@ -218,7 +250,9 @@ def _count_ray(  # type: ignore[no-untyped-def]
                         dx, dy, dz,
                     )  # fmt: skip
                 if apart <= _REACH:
-                    passes[voxel] += 1
+                    passes[0, voxel] += 1
+                if nearest <= t_crossed:
+                    passes[1, voxel] += 1
         if x_next <= y_next and x_next <= z_next:
             x += x_step
             x_next += x_length

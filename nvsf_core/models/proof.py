@@ -23,7 +23,7 @@ from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
-from nvsf_core.evidence.surfels import Surfels, build_surfels, unobserved_beside
+from nvsf_core.evidence.surfels import Surfels, build_both, build_surfels, unobserved_beside
 from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
@@ -72,12 +72,26 @@ class ScanRays:
     is_static: np.ndarray
     """(n,) bool: not of a moving object."""
 
-    def surfels(self, voxel_m: float, chosen: slice | np.ndarray = slice(None), *, shaped: bool) -> Surfels:
-        """Static surfels of the chosen returns; `shaped` as in `build_surfels`."""
+    def surfels(self, voxel_m: float, *, shaped: bool) -> Surfels:
+        """Static surfels; `shaped` as in `build_surfels`."""
         return build_surfels(
-            self.origin_m[chosen], self.direction[chosen], self.range_m[chosen], self.intensity[chosen],
-            voxel_m=voxel_m, is_surface=self.is_static[chosen], shaped=shaped,
+            self.origin_m, self.direction, self.range_m, self.intensity,
+            voxel_m=voxel_m, is_surface=self.is_static, shaped=shaped,
         )  # fmt: skip
+
+    def both_surfels(self, shaped_voxel_m: float) -> tuple[Surfels, Surfels]:
+        """Static surfels for a field, without shapes, and for `reproject`, with them."""
+        if shaped_voxel_m != FIELD_VOXEL_M:
+            plain = self.surfels(FIELD_VOXEL_M, shaped=False)
+            return plain, self.surfels(shaped_voxel_m, shaped=True)
+        return build_both(
+            self.origin_m, self.direction, self.range_m, self.intensity,
+            voxel_m=FIELD_VOXEL_M, is_surface=self.is_static,
+        )  # fmt: skip
+
+    def of(self, chosen: np.ndarray) -> "ScanRays":
+        """The chosen (n,) returns."""
+        return ScanRays(**{name: getattr(self, name)[chosen] for name in self.__slots__})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,12 +143,14 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         far_m=float(sweeps.table.max_range_m),
     )
     best_m = FIELD_VOXEL_M if choice is None else choice.best_m
-    surfels = build_surfels(
-        rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M
-    )
-    dynamic = None if moving.is_static else _prove_motion(sweeps, returns, moving, of_training, rays)
-    static = surfels if dynamic is None else dynamic.static
-    rendered = rays.surfels(best_m, shaped=True)
+    static, rendered = rays.both_surfels(best_m)
+    surfels, dynamic = static, None
+    if not moving.is_static:
+        surfels = build_surfels(
+            rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M
+        )
+        objects = _prove_motion(sweeps, returns, moving, of_training)
+        dynamic = DynamicEvidence(static=static, objects=objects)
     evidence = SceneEvidence(
         surfels=surfels,
         prior=prior,
@@ -202,26 +218,22 @@ def _stationary_scans(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior)
 
 
 def _prove_motion(
-    sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects, of_training: np.ndarray, rays: ScanRays
-) -> DynamicEvidence:
-    """The moving objects, and the static surfaces without their returns.
+    sweeps: Sweeps, returns: TimedReturns, moving: MovingObjects, of_training: np.ndarray
+) -> tuple[ObjectEvidence, ...]:
+    """The moving objects, with a flow where it helps.
 
     Args:
         sweeps: All scans.
         returns: Of the training scans.
         moving: The moving object of each of these returns.
         of_training: (N,) bool, returns of training scans.
-        rays: Returns that the static surfaces are built of.
     """
     a = sweeps.arrays
     objects = prove_objects(
         moving, a["origin_m"][of_training], a["direction"][of_training], a["range_m"][of_training],
         sweeps.even_intensity(of_training), returns.time_s, returns.offsets,
     )  # fmt: skip
-    return DynamicEvidence(
-        static=rays.surfels(FIELD_VOXEL_M, shaped=False),
-        objects=choose_flow(objects),
-    )
+    return choose_flow(objects)
 
 
 def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) -> VoxelChoice | None:
@@ -248,16 +260,17 @@ def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) ->
     most = _VALIDATION_SCANS * _RAYS_A_SCAN
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, most).astype(np.int64))]
     errors_m: dict[float, float] = {}
-    rendered: dict[float, Surfels] = {}
+    others, rendered = rays.of(~is_validation), dict[float, Surfels]()
+    static, rendered[FIELD_VOXEL_M] = others.both_surfels(FIELD_VOXEL_M)
     for voxel_m in CANDIDATES_M:
-        rendered[voxel_m] = rays.surfels(voxel_m, ~is_validation, shaped=True)
+        if voxel_m not in rendered:
+            rendered[voxel_m] = others.surfels(voxel_m, shaped=True)
         errors_m[voxel_m] = mean_range_error_m(
             rendered[voxel_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
             far_m=far_m, worst_m=_WORST_M,
         )  # fmt: skip
         if errors_m[voxel_m] > min(errors_m.values()):
             break
-    static = rays.surfels(FIELD_VOXEL_M, ~is_validation, shaped=False)
     return VoxelChoice(errors_m=errors_m, validation=validation, static=static, rendered=rendered)
 
 

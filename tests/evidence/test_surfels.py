@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.surfels import build_surfels, candidates_of, weighted_median_index
+from nvsf_core.evidence.surfels import build_both, build_surfels, candidates_of, weighted_median_index
 from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.voxel_march import count_passes
 from nvsf_core.rendering.reproject import reproject_rays
@@ -112,6 +112,20 @@ def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross() -
     # At 3 to 12 degrees a ray crosses up to several voxels of the road above it, before the one it ends in.
     assert crossed.sum() > 60_000
     assert road.passes.sum() < 0.5 * crossed.sum()
+
+
+def test_surfels_with_and_without_shapes_are_the_same_together_and_alone() -> None:
+    rng = np.random.default_rng(6)
+    ray = rng.normal(size=(5_000, 3))
+    ray = (ray / np.linalg.norm(ray, axis=1, keepdims=True)).astype(np.float32)
+    rays = (np.zeros_like(ray), ray, rng.uniform(0.05, 6.0, 5_000).astype(np.float32), rng.uniform(size=5_000))
+    is_surface = rng.uniform(size=5_000) < 0.9
+    together = build_both(*rays, voxel_m=0.3, is_surface=is_surface)
+    for found, shaped in zip(together, (False, True), strict=True):
+        alone = build_surfels(*rays, voxel_m=0.3, is_surface=is_surface, shaped=shaped)
+        for name, expected in alone.to_arrays().items():
+            np.testing.assert_array_equal(found.to_arrays()[name], expected, err_msg=name)
+    assert not np.array_equal(together[0].passes, together[1].passes)
 
 
 def test_a_ray_that_passes_a_pole_by_meets_what_is_behind_it() -> None:
