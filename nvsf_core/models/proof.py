@@ -24,6 +24,7 @@ from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
 from nvsf_core.evidence.surfels import Surfels, build_both, build_surfels, unobserved_beside
+from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
@@ -279,7 +280,12 @@ def choose_flow(objects: tuple[ObjectEvidence, ...]) -> tuple[ObjectEvidence, ..
 
     The flow of a rigid object is noise and makes it worse, so it gets none.
     """
-    return tuple(one.with_flow() if _bends(one) else one for one in objects)
+
+    def chosen(number: int) -> ObjectEvidence:
+        one = objects[number]
+        return one.with_flow() if _bends(one) else one
+
+    return tuple(in_parts(chosen, len(objects)))
 
 
 def _bends(one: ObjectEvidence) -> bool:

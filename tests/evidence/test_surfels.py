@@ -118,7 +118,12 @@ def test_surfels_with_and_without_shapes_are_the_same_together_and_alone() -> No
     rng = np.random.default_rng(6)
     ray = rng.normal(size=(5_000, 3))
     ray = (ray / np.linalg.norm(ray, axis=1, keepdims=True)).astype(np.float32)
-    rays = (np.zeros_like(ray), ray, rng.uniform(0.05, 6.0, 5_000).astype(np.float32), rng.uniform(size=5_000))
+    rays = (
+        np.zeros_like(ray),
+        ray,
+        rng.uniform(0.05, 6.0, 5_000).astype(np.float32),
+        rng.uniform(size=5_000),
+    )
     is_surface = rng.uniform(size=5_000) < 0.9
     together = build_both(*rays, voxel_m=0.3, is_surface=is_surface)
     for found, shaped in zip(together, (False, True), strict=True):

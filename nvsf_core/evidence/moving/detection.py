@@ -20,6 +20,7 @@ from nvsf_core.evidence.moving.visibility import (
     build_ground,
     classify_returns,
 )
+from nvsf_core.kernels.threads import in_parts
 
 ABOVE_GROUND_M = 0.25
 """Lower returns are taken as ground and cannot move."""
@@ -272,10 +273,13 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
         cluster_scan(scan, returns, above_ground, range_m, spacing_rad) for scan in range(returns.scan_count)
     ]
     paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
-    for path in paths:
-        solve_path(path, returns)
-        if carry_on(path, returns, above_ground):
-            solve_path(path, returns)
+
+    def follow(number: int) -> None:
+        solve_path(paths[number], returns)
+        if carry_on(paths[number], returns, above_ground):
+            solve_path(paths[number], returns)
+
+    in_parts(follow, len(paths))
     return _whole_objects(paths, returns, above_ground, density) if paths else nothing
 
 
