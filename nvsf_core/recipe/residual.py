@@ -157,7 +157,7 @@ class ResidualRecipe(Recipe):
     lidar_field: FieldSpec = FieldSpec()
     camera: CameraSpec = CameraSpec()
     lidar_training: TrainingSpec = TrainingSpec(
-        steps=1000, rays=4096, table_rate=2e-2, final_share=1.0, averaged_share=0.4
+        steps=850, rays=4096, table_rate=2e-2, final_share=1.0, averaged_share=0.4
     )
     depth_training: TrainingSpec = TrainingSpec(steps=20, rays=8064, network_rate=5e-3)
     camera_training: TrainingSpec = TrainingSpec(steps=40, rays=3200, network_rate=2e-3)

@@ -130,12 +130,7 @@ def side_by_side(
     def part(seed: int) -> Part:
         return lambda: [loss(torch.Generator().manual_seed(seed)).scaled(1.0 / parts)]
 
-    return [part(seed) for seed in seeds_of_parts(parts, generator)]
-
-
-def seeds_of_parts(parts: int, generator: torch.Generator) -> list[int]:
-    """Seeds of the generators of a step's parts, drawn from the step's generator."""
-    return [int(seed) for seed in torch.randint(_SEEDS, (parts,), generator=generator).tolist()]
+    return [part(int(seed)) for seed in torch.randint(_SEEDS, (parts,), generator=generator).tolist()]
 
 
 def fresh_state(model: nn.Module, spec: TrainingSpec, seed: int) -> TrainingState:

@@ -1,7 +1,7 @@
 """The LiDAR field of the residual family: its rays, its training, and its comparison with `reproject`."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 
@@ -33,7 +33,8 @@ from nvsf_core.rendering.reproject import NEAR_M
 from nvsf_core.sensors.beam_table import corrected_rays
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.training.ahead import Ahead
-from nvsf_core.training.loop import Step, fresh_state, side_by_side
+from nvsf_core.training.epochs import Epochs
+from nvsf_core.training.loop import Part, Step, fresh_state
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
@@ -196,25 +197,19 @@ class LidarBatch:
         return LidarBatch(self.surfaces.to(device), **tensors, meets_object=meets)
 
 
-def sampled_batch(
-    surfels: Surfels,
-    rays: LidarRays,
-    recipe: ResidualRecipe,
-    far_m: float,
-    generators: Sequence[torch.Generator],
+def batch_of(
+    surfels: Surfels, rays: LidarRays, recipe: ResidualRecipe, far_m: float, chosen: Tensor
 ) -> LidarBatch:
-    """A part of a step's rays for each generator, one after the other, with the surfaces along them.
+    """Some of the training rays, with the surfaces along them.
 
     Args:
         surfels: Of the static scene; moving objects come with the rays.
         rays: Of all training scans.
-        recipe: Rays and parts a step, surfaces a ray.
+        recipe: Surfaces a ray.
         far_m: How far a ray is followed.
-        generators: Sample the rays.
+        chosen: (n,) int64 numbers of the rays.
     """
-    spec, most = recipe.lidar_training, recipe.evidence.lidar_candidates
-    parts = [torch.randint(len(rays), (spec.rays // spec.parts,), generator=own) for own in generators]
-    sampled = torch.cat(parts).numpy()
+    most, sampled = recipe.evidence.lidar_candidates, chosen.numpy()
     surfaces = surface_batch(
         surfels, rays.origin_m[sampled], rays.direction[sampled], most=most, near_m=NEAR_M, far_m=far_m,
         objects=None if rays.objects is None else rays.objects.of(sampled),
@@ -278,7 +273,8 @@ def train_lidar(
     rays = training_rays(lidar, recipe, field)
     state = fresh_state(field.to(training_device()), spec, session.seed * 2)
     preparation = time.perf_counter() - started
-    with _steps(field, rays, recipe, lidar) as step:
+    order = Epochs(len(rays), session.seed)
+    with _steps(field, rays, order, recipe, lidar) as step:
         fit(session, "lidar", state, spec, step)
     field.to("cpu")
     validating = time.perf_counter()
@@ -293,7 +289,7 @@ def train_lidar(
 
 @contextmanager
 def _steps(
-    field: LidarField, rays: LidarRays, recipe: ResidualRecipe, lidar: LidarRecording
+    field: LidarField, rays: LidarRays, order: Epochs, recipe: ResidualRecipe, lidar: LidarRecording
 ) -> Iterator[Step]:
     """The steps of a training: on the CPU in parts that threads compute, on a GPU as one batch of all parts.
 
@@ -302,16 +298,18 @@ def _steps(
     """
     spec, device = recipe.lidar_training, next(field.parameters()).device
 
-    def sampled(own: Sequence[torch.Generator]) -> LidarBatch:
-        return sampled_batch(lidar.evidence.static, rays, recipe, lidar.far_m, own)
+    def batch(chosen: Tensor) -> LidarBatch:
+        return batch_of(lidar.evidence.static, rays, recipe, lidar.far_m, chosen)
+
+    def part(number: int) -> Part:
+        chosen = order.part(number, spec.rays // spec.parts)
+        return lambda: [lidar_step(field, batch(chosen), recipe).scaled(1.0 / spec.parts)]
 
     if device.type == "cpu":
-        yield lambda _, generator: side_by_side(
-            spec.parts, generator, lambda own: lidar_step(field, sampled([own]), recipe)
-        )
+        yield lambda step, _: [part(step * spec.parts + place) for place in range(spec.parts)]
         return
-    with Ahead(spec.parts, sampled) as ahead:
-        yield lambda _, generator: [lambda: [lidar_step(field, ahead.take(generator).to(device), recipe)]]
+    with Ahead(lambda step: batch(order.part(step, spec.rays))) as ahead:
+        yield lambda step, _: [lambda: [lidar_step(field, ahead.take(step).to(device), recipe)]]
 
 
 def choose(
