@@ -205,6 +205,8 @@ class _Returns:
     mean_m: np.ndarray
     covariance: np.ndarray
     """(v, 3, 3) float64, m^2."""
+    normal: np.ndarray
+    thickness_m: np.ndarray
     hits: np.ndarray
     intensity: np.ndarray
 
@@ -219,10 +221,10 @@ class _Returns:
 
     def surfels(self, precision: np.ndarray, passes: np.ndarray) -> Surfels:
         """With shapes (v, 6), or (0, 6) without, and passes (v,)."""
-        normal, thickness = _planes(self.covariance, self.hits)
         return Surfels(
-            index=self.index, mean_m=self.mean_m, normal=normal, precision=precision, thickness_m=thickness,
-            intensity=self.intensity, hits=self.hits.astype(np.int32), passes=passes,
+            index=self.index, mean_m=self.mean_m, normal=self.normal, precision=precision,
+            thickness_m=self.thickness_m, intensity=self.intensity, hits=self.hits.astype(np.int32),
+            passes=passes,
         )  # fmt: skip
 
 
@@ -241,11 +243,12 @@ def _returns(
     index, voxel = index_points(points, voxel_m)
     hits = np.bincount(voxel, minlength=index.voxel_count)
     mean, covariance = voxel_moments(points, voxel, hits)
+    normal, thickness_m = _planes(covariance, hits)
     shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
     return _Returns(
         rays=(np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32)),
-        range_m=range_m, index=index, mean_m=mean.astype(np.float32), covariance=covariance, hits=hits,
-        intensity=(shine / hits).astype(np.float32),
+        range_m=range_m, index=index, mean_m=mean.astype(np.float32), covariance=covariance, normal=normal,
+        thickness_m=thickness_m, hits=hits, intensity=(shine / hits).astype(np.float32),
     )  # fmt: skip
 
 

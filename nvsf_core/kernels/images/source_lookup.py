@@ -331,7 +331,7 @@ def _differ(  # type: ignore[no-untyped-def]
                 found[d, r, c] = total / np.float32(half) if half > 0 else unseen
 
 
-@njit(inline="always")
+@njit(cache=True, nogil=True)
 def _asked_pixels(inverse):  # type: ignore[no-untyped-def]
     """(h, w) bool: pixels whose depths (d, h, w) are not all equal."""
     asked = np.zeros(inverse.shape[1:], np.bool_)
