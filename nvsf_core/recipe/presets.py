@@ -23,7 +23,7 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
-# As quick, but with five times the LiDAR's steps; more make its hits worse (docs/lean.md). More steps
+# As quick, but with nearly five times the LiDAR's steps; more make its hits worse (docs/lean.md). More steps
 # of the camera networks, or more networks, give nothing (decision 0041); aligned images do.
 _LEAN = replace(
     _QUICK,

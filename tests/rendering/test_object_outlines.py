@@ -5,6 +5,7 @@ import torch
 from scipy.ndimage import distance_transform_edt
 
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.rendering import object_outlines
 from nvsf_core.rendering.lidar_view import MovingPoints
 from nvsf_core.rendering.object_outlines import ComparedImages, outlined
 
@@ -179,3 +180,14 @@ def test_the_input_arrays_are_left_as_they_were() -> None:
     again = upper_half()
     np.testing.assert_array_equal(inverse, again[0])
     np.testing.assert_array_equal(mover, again[1])
+
+
+def test_the_part_around_an_object_shows_what_the_whole_image_does(monkeypatch) -> None:
+    inverse, mover, _ = with_halo()
+    given = (inverse, mover, [moving()], compared(photographs(), OTHERS))
+    part = object_outlines._around(mover == NUMBER, inverse, CAMERA)
+    assert mover[part].size < 0.75 * mover.size
+    found = outlined(*given)
+    monkeypatch.setattr(object_outlines, "_around", lambda *_: (slice(0, 64), slice(0, 128)))
+    for one, expected in zip(found, outlined(*given), strict=True):
+        np.testing.assert_array_equal(one, expected)

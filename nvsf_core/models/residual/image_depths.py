@@ -64,10 +64,8 @@ def image_depths(network: DepthNetwork, camera: ShownCamera) -> DepthMaps:
         found, is_static = without_edges(inverse), shown.valid & (mover == 0)
         if around_movers is not None:
             is_static &= ~around_movers[number].cpu().numpy()
-        own, sources = (
-            np.ascontiguousarray(recorded[number].permute(1, 2, 0).numpy()),
-            static_sources(recorded, neighbours(number, COMPARED), poses, number),
-        )
+        own = np.ascontiguousarray(recorded[number].permute(1, 2, 0).numpy())
+        sources = static_sources(recorded, neighbours(number, COMPARED), poses, number)
         sharp = sharpened(np.where(is_static, found, _UNKNOWN), own, lidar, sources, shown.pinhole)
         return np.where(is_static, sharp, np.where(mover > 0, found, _UNKNOWN)), mover
 
