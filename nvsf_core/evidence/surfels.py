@@ -6,11 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.geometry.voxels import VoxelIndex, index_points, voxel_moments
+from nvsf_core.geometry.voxels import VoxelIndex, index_points, occupied_bits, voxel_moments
 from nvsf_core.kernels.voxel_march import (
     VoxelSurfaces,
     WalkLimits,
-    count_both_passes,
     count_passes,
     find_candidates,
 )
@@ -69,7 +68,9 @@ class Surfels:
         """Read back what `to_arrays` gave; other names are ignored."""
         a = arrays
         return Surfels(
-            index=VoxelIndex(a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"]),
+            index=VoxelIndex(
+                a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"], occupied_bits(a["cells"])
+            ),
             mean_m=a["mean_m"], normal=a["normal"], precision=a["precision"], thickness_m=a["thickness_m"],
             intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
         )  # fmt: skip
@@ -159,7 +160,7 @@ def build_surfels(
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision() if shaped else _NO_SHAPES
-    passes = count_passes(
+    (passes,) = count_passes(
         *returns.rays, returns.stops_m(_SHAPE_MARGIN if shaped else _VOXEL_MARGIN), returns.index,
         returns.mean_m, precision,
     )  # fmt: skip
@@ -187,7 +188,7 @@ def build_both(
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision()
-    passes, crossed = count_both_passes(
+    passes, crossed = count_passes(
         *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.mean_m, precision,
         returns.stops_m(_VOXEL_MARGIN),
     )  # fmt: skip
@@ -328,7 +329,7 @@ def unobserved_beside(
     if len(beside) == 0:
         return None
     index, voxel = index_points(middle_m, voxel_m)
-    passes = count_passes(
+    (passes,) = count_passes(
         np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
         range_m.astype(np.float32), index, np.zeros((index.voxel_count, 3), np.float32), _NO_SHAPES,
     )  # fmt: skip

@@ -87,7 +87,7 @@ def test_see_throughs_equal_a_walk_in_small_steps(wall) -> None:
             off = o + d * (points[cell == crossed] @ d - o @ d).mean() - wall.mean_m[crossed]
             near = off + d * np.arange(-1.0, 1.0, 0.001)[:, None]
             counted[crossed] += np.einsum("ni,ij,nj->n", near, precision[crossed], near).min() <= 6.25
-    walked = count_passes(
+    (walked,) = count_passes(
         origin, direction, range_m + 1.0, index,
         wall.mean_m, wall.precision,
     )  # fmt: skip
@@ -105,7 +105,7 @@ def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross() -
     noisy_m = (range_m + rng.normal(0.0, 0.01, 60_000)).astype(np.float32)
     road = build_surfels(*rays, noisy_m, np.zeros(60_000), voxel_m=0.2, shaped=True)
     index = road.index
-    crossed = count_passes(
+    (crossed,) = count_passes(
         *rays, noisy_m, index, road.mean_m,
         np.zeros((0, 6), np.float32),
     )  # fmt: skip
