@@ -151,7 +151,6 @@ def _cross_brick(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-# Wide: of the rays and of the voxels three arrays each, and what is asked besides.
 def count_passes(
     origins: np.ndarray, directions: np.ndarray, stops_m: np.ndarray, grid: Any, means: np.ndarray,
     precisions: np.ndarray, crossed_stops_m: np.ndarray = _NO_STOPS,
