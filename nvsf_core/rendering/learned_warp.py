@@ -2,17 +2,20 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from nvsf_core.fields.camera_networks import BlendInput, CameraNetworks
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images.source_shifts import Surface, brought_together
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.rendering.pixel_support import holes, pixel_support, shown_by_others, without_holes
 from nvsf_core.rendering.plane_depth import FULL_TRUST_PX
 from nvsf_core.rendering.plane_volume import agreement
 from nvsf_core.rendering.rendered import RenderedImage
-from nvsf_core.rendering.sources import SeenPoints, Sources, look_up
+from nvsf_core.rendering.sources import SeenPoints, Sources, look_up, pixel_motions
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
 
@@ -75,14 +78,45 @@ def blend_input(view: CameraView, found: Hypotheses, coarse: Tensor, window: Win
     around_colour = sample(coarse, places_in_small(view)[window])
     rays = plane_rays(view.pinhole, view.device)[window]
     points = SeenPoints(rays, found.inverse, view.label_of(1, window))
-    colour, seen = look_up(view.near.of(view.images.full), points, view.pinhole)
+    sources = view.near.of(view.images.full)
+    colour, seen = look_up(sources, points, view.pinhole)
     missing = holes(~seen.flatten(0, 1).any(dim=0))
     beside, known = shown_by_others(_others(view, view.images.full), points, view.pinhole, missing)
     around_colour[:, missing] = torch.where(known, beside, around_colour[:, missing])
+    likeliest = _largest(found.share)
+    colour = _together(sources, points, view.pinhole, likeliest, colour, seen, around_colour)
     return BlendInput.of(
         colour.permute(2, 0, 1, 3, 4).flatten(0, 1), seen.transpose(0, 1).flatten(0, 1), found.share,
         around_colour, view.near.nearness,
     )  # fmt: skip
+
+
+def _together(
+    sources: Sources, points: SeenPoints, pinhole: Pinhole, likeliest: Tensor, colour: Tensor, seen: Tensor,
+    around: Tensor,
+) -> Tensor:  # fmt: skip
+    """The sources' colours (k, 3, d, h, w), each moved to where all together have what a pixel shows.
+
+    See `brought_together`, which runs on the CPU wherever the networks do: it is many small sums.
+
+    Args:
+        sources: Source images of the view.
+        points: Of the pixels.
+        pinhole: Intrinsics of view and sources.
+        likeliest: (h, w) which of the depths is.
+        colour: As of `look_up`.
+        seen: As of `look_up`.
+        around: (3, h, w) colours where no source shows anything.
+    """
+    motions, label = pixel_motions(sources, points, pinhole)
+    surface = Surface(motions, _array(points.rays), label, _array(points.inverse), _array(likeliest))
+    weight = sources.nearness.square()
+    moved = brought_together(surface, _array(colour), _array(seen), _array(around), _array(weight))
+    return torch.from_numpy(moved).to(colour.device)
+
+
+def _array(x: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(x.cpu().numpy())
 
 
 def blend_sources(

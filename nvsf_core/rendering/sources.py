@@ -113,20 +113,29 @@ def look_up_by_torch(
 
 def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> LookUp:
     """Sources and points, on the CPU, as the kernels take them."""
+    motions, label = pixel_motions(sources, points, pinhole)
+    return LookUp(
+        np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen, np.int64),
+        motions, np.ascontiguousarray(points.rays.numpy()), label,
+        np.ascontiguousarray(points.inverse.detach().numpy()),
+        (np.float32(_HIDDEN_SHARE), np.float32(_HIDDEN_PER_M)),
+    )  # fmt: skip
+
+
+def pixel_motions(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """Motions (m, k, 3, 4) float32 to the sources' pixels, and which of them each pixel has, (h, w) uint8.
+
+    They are those of `LookUp`.
+    """
     motions = sources.motion[None]
     if points.label is not None and sources.moved is not None:
         motions = torch.cat([motions, sources.moved])
     matrix = torch.tensor([[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]])
     # A placeholder shows nothing: with zeros every point is behind it.
-    motions = (matrix @ motions[..., :3, :]) * (sources.nearness > 0.0)[:, None, None]
-    shape = points.rays.shape[:2]
-    label = np.zeros(shape, np.uint8) if len(motions) == 1 or points.label is None else points.label.numpy()
-    return LookUp(
-        np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen, np.int64),
-        motions.numpy(), np.ascontiguousarray(points.rays.numpy()), np.ascontiguousarray(label),
-        np.ascontiguousarray(points.inverse.detach().numpy()),
-        (np.float32(_HIDDEN_SHARE), np.float32(_HIDDEN_PER_M)),
-    )  # fmt: skip
+    motions = (matrix @ motions[..., :3, :].cpu()) * (sources.nearness.cpu() > 0.0)[:, None, None]
+    if len(motions) == 1 or points.label is None:
+        return motions.numpy(), np.zeros(points.rays.shape[:2], np.uint8)
+    return motions.numpy(), np.ascontiguousarray(points.label.cpu().numpy())
 
 
 def _look_up_one(

@@ -1,0 +1,269 @@
+"""By how much what a source image shows lies beside where a view's depth and the poses put it, in numba.
+
+An inverse depth q that is wrong by e moves what source k shows by about e b_k, with b_k the derivative of
+its place by q: images before and after a view move apart. Errors of poses move each image alone. What the
+images show is therefore first brought to one picture, by local least squares (Lucas and Kanade 1981), and
+this picture to where q + e has it, with e fitted to all images' shifts (ridge regression).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from nvsf_core.kernels.images.interpolation import SHOWN, bicubic
+
+_REACH = 5
+"""A pixel's shift is that of the window of so many pixels on each side."""
+_ROUNDS = 2
+"""So often shifts are found anew, from colours that are shifted already."""
+_STIFFNESS = np.float32(5e-5)
+"""Squared gradient, by pixel, of a window that shifts half as far as differences ask for."""
+_UNLIKE = np.float32(0.1)
+"""A pixel of this difference has half of the weight: it shows something else."""
+_MOST_PX = np.float32(2.0)
+"""No shift is longer: depths and poses are nearly right."""
+_RIDGE = np.float32(0.1)
+"""By what share of the fit's weight an error of the depth is drawn to 0: few images, or all on one side of
+the view, tell little about it."""
+_NEAREST_Z = np.float32(1e-3)
+"""Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
+_AROUND = np.float32(0.05)
+"""Weight of the colour around a hole in the first blend, in which the nearest source has 1."""
+_LUMA = (np.float32(0.299), np.float32(0.587), np.float32(0.114))
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+"""With a Python number, or an integer, numba would compute in double precision."""
+
+
+class Surface(NamedTuple):
+    """The pixels of a view or of a window of it, and where k sources show them."""
+
+    motions: np.ndarray
+    """(m, k, 3, 4) float32, as of `nvsf_core.kernels.images.source_lookup.LookUp`."""
+    rays: np.ndarray
+    """(h, w, 3) float32 directions (x, y, 1) of the pixels."""
+    label: np.ndarray
+    """(h, w) uint8, which of the m motions a pixel has."""
+    inverse: np.ndarray
+    """(d, h, w) float32 inverse depths, 1/m."""
+    likeliest: np.ndarray
+    """(h, w) int64, which of the d depths is the likeliest."""
+
+
+def brought_together(
+    surface: Surface, colour: np.ndarray, seen: np.ndarray, around: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Colours of source images, each moved to where all of them together have what a pixel shows.
+
+    Shifts are found from the colours at each pixel's likeliest depth, and move those at all its depths.
+
+    Args:
+        surface: The pixels, and which of d depths is their likeliest.
+        colour: (k, 3, d, h, w) float32 that the sources show there, 0..1.
+        seen: (k, d, h, w) bool, whether they do.
+        around: (3, h, w) float32 colours where no source shows anything.
+        weight: (k,) float32 of the sources; 1 = of the nearest.
+
+    Returns:
+        (k, 3, d, h, w) float32, bicubic, about 0..1; 0 where the source does not show the point.
+    """
+    shown = np.empty((len(colour), 3, *around.shape[1:]), np.float32)
+    is_shown = np.empty((len(colour), *around.shape[1:]), np.bool_)
+    _take(colour, seen, surface.likeliest, shown, is_shown)
+    blend = _blend(shown, is_shown, around, weight)
+    target, shift = _luma(blend), np.zeros((*is_shown.shape, 2), np.float32)
+    for k in range(len(shown)):
+        _align(target, np.where(is_shown[k], _luma(shown[k]), target), is_shown[k], shift[k])
+    _fit_depth(*surface, is_shown, weight, shift)
+    moved, filled = np.empty_like(colour), np.empty((*around.shape[1:], 4), np.float32)
+    for k in range(len(colour)):
+        for d in range(colour.shape[2]):
+            _fill(colour[k, :, d], seen[k, d], around, filled)
+            _move(filled.reshape(-1), filled.shape, seen[k, d], shift[k], moved[k, :, d])
+    return moved
+
+
+def _blend(shown: np.ndarray, is_shown: np.ndarray, around: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(3, h, w) mean of what sources show (k, 3, h, w), by their weights."""
+    share = weight[:, None, None] * is_shown
+    # What is not shown may have any colour.
+    known = np.where(is_shown[:, None], shown, _ZERO)
+    colour: np.ndarray = _AROUND * around + (share[:, None] * known).sum(axis=0)
+    return colour / (_AROUND + share.sum(axis=0))
+
+
+def _luma(colour: np.ndarray) -> np.ndarray:
+    red, green, blue = _LUMA
+    return red * colour[0] + green * colour[1] + blue * colour[2]
+
+
+@njit(cache=True, nogil=True)
+def _take(colour, seen, likeliest, shown, is_shown):  # type: ignore[no-untyped-def]
+    """Write the colours (k, 3, h, w) at the likeliest depths, and whether sources show them (k, h, w)."""
+    count, rows, columns = is_shown.shape
+    for k in range(count):
+        for r in range(rows):
+            for c in range(columns):
+                d = likeliest[r, c]
+                is_shown[k, r, c] = seen[k, d, r, c]
+                for i in range(3):
+                    shown[k, i, r, c] = colour[k, i, d, r, c]
+
+
+@njit(cache=True, nogil=True)
+def _align(target, shown, seen, shift):  # type: ignore[no-untyped-def]
+    """Write the shifts (h, w, 2) by which `shown` (h, w) resembles `target` (h, w) most."""
+    rows, columns = target.shape
+    moved, mean = np.empty_like(target), np.empty_like(target)
+    sums = np.empty((5, rows, columns), np.float32)
+    for _ in range(_ROUNDS):
+        for r in range(rows):
+            for c in range(columns):
+                moved[r, c] = _at(shown, np.float32(c) + shift[r, c, 0], np.float32(r) + shift[r, c, 1])
+                mean[r, c] = _HALF * (moved[r, c] + target[r, c])
+        for r in range(rows):
+            above, below = mean[max(r - 1, 0)], mean[min(r + 1, rows - 1)]
+            for c in range(columns):
+                difference = moved[r, c] - target[r, c]
+                unlike = difference / _UNLIKE
+                trust = _ONE / (_ONE + unlike * unlike) if seen[r, c] else _ZERO
+                x = _HALF * (mean[r, min(c + 1, columns - 1)] - mean[r, max(c - 1, 0)])
+                y = _HALF * (below[c] - above[c])
+                sums[0, r, c], sums[1, r, c], sums[2, r, c] = trust * x * x, trust * x * y, trust * y * y
+                sums[3, r, c], sums[4, r, c] = trust * x * difference, trust * y * difference
+        for i in range(5):
+            _average(sums[i])
+        for r in range(rows):
+            for c in range(columns):
+                xx, xy, yy = sums[0, r, c] + _STIFFNESS, sums[1, r, c], sums[2, r, c] + _STIFFNESS
+                whole = xx * yy - xy * xy
+                right = shift[r, c, 0] - (yy * sums[3, r, c] - xy * sums[4, r, c]) / whole
+                down = shift[r, c, 1] - (xx * sums[4, r, c] - xy * sums[3, r, c]) / whole
+                shift[r, c, 0], shift[r, c, 1] = _shortened(right, down)
+
+
+@njit(inline="always")
+def _shortened(right, down):  # type: ignore[no-untyped-def]
+    """A shift of the same direction that is not too long."""
+    length = np.sqrt(right * right + down * down)
+    share = min(_ONE, _MOST_PX / max(length, _MOST_PX))
+    return right * share, down * share
+
+
+@njit(inline="always")
+def _at(image, u, v):  # type: ignore[no-untyped-def]
+    """Bilinear value of an image (h, w) at a column and a row; beyond its border that of the border."""
+    rows, columns = image.shape
+    u, v = min(max(u, _ZERO), np.float32(columns - 1)), min(max(v, _ZERO), np.float32(rows - 1))
+    column, row = int(u), int(v)
+    right, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
+    across, along = u - np.float32(column), v - np.float32(row)
+    upper = image[row, column] + across * (image[row, right] - image[row, column])
+    lower = image[below, column] + across * (image[below, right] - image[below, column])
+    return upper + along * (lower - upper)
+
+
+@njit(cache=True, nogil=True)
+def _average(plane):  # type: ignore[no-untyped-def]
+    """Replace each value of (h, w) by the sum over its window, divided by the window's number of pixels."""
+    rows, columns = plane.shape
+    # Sums that run along an image lose digits in single precision.
+    running, line = np.zeros(columns), np.empty(max(rows, columns))
+    share = 1.0 / (2 * _REACH + 1) ** 2
+    for r in range(rows):
+        line[:columns] = plane[r]
+        total = line[: min(_REACH, columns)].sum()
+        for c in range(columns):
+            total += line[c + _REACH] if c + _REACH < columns else 0.0
+            plane[r, c] = total
+            total -= line[c - _REACH] if c >= _REACH else 0.0
+    before = np.zeros((_REACH + 1, columns), np.float32)
+    for r in range(min(_REACH, rows)):
+        running += plane[r]
+    for r in range(rows):
+        # The row is replaced now, and leaves the sums later.
+        own = before[r % (_REACH + 1)]
+        leaving = r > _REACH
+        entering = r + _REACH < rows
+        for c in range(columns):
+            if leaving:
+                running[c] -= own[c]
+            if entering:
+                running[c] += plane[r + _REACH, c]
+            own[c] = plane[r, c]
+            plane[r, c] = running[c] * share
+
+
+@njit(cache=True, nogil=True)
+def _fit_depth(motions, rays, label, inverse, likeliest, seen, weight, shift):  # type: ignore[no-untyped-def]
+    """Replace shifts (k, h, w, 2) to the first blend by those to where a pixel's fitted depth has it."""
+    count, rows, columns = seen.shape
+    moves = np.empty((count, 2), np.float32)
+    for r in range(rows):
+        for c in range(columns):
+            q = inverse[likeliest[r, c], r, c]
+            whole, slope, energy = _ZERO, _ZERO, _ZERO
+            right, down, moves_right, moves_down = _ZERO, _ZERO, _ZERO, _ZERO
+            for k in range(count):
+                w = weight[k] if seen[k, r, c] else _ZERO
+                moves[k] = _ZERO
+                if w > _ZERO:
+                    moves[k, 0], moves[k, 1] = _moves(motions[label[r, c], k], rays[r, c], q)
+                whole += w
+                right, down = right + w * shift[k, r, c, 0], down + w * shift[k, r, c, 1]
+                moves_right, moves_down = moves_right + w * moves[k, 0], moves_down + w * moves[k, 1]
+            if whole <= _ZERO:
+                continue
+            right, down = right / whole, down / whole
+            moves_right, moves_down = moves_right / whole, moves_down / whole
+            for k in range(count):
+                w = weight[k] if seen[k, r, c] else _ZERO
+                x, y = moves[k, 0] - moves_right, moves[k, 1] - moves_down
+                slope += w * (x * (shift[k, r, c, 0] - right) + y * (shift[k, r, c, 1] - down))
+                energy += w * (x * x + y * y + _RIDGE * (moves[k, 0] ** 2 + moves[k, 1] ** 2))
+            error = slope / energy if energy > _ZERO else _ZERO
+            right, down = _shortened(right - error * moves_right, down - error * moves_down)
+            for k in range(count):
+                shift[k, r, c, 0] -= right
+                shift[k, r, c, 1] -= down
+
+
+@njit(inline="always")
+def _moves(motion, ray, inverse):  # type: ignore[no-untyped-def]
+    """How fast a source's place of a pixel moves with its inverse depth, in the view's pixels."""
+    x = motion[0, 0] * ray[0] + motion[0, 1] * ray[1] + motion[0, 2] + inverse * motion[0, 3]
+    y = motion[1, 0] * ray[0] + motion[1, 1] * ray[1] + motion[1, 2] + inverse * motion[1, 3]
+    z = motion[2, 0] * ray[0] + motion[2, 1] * ray[1] + motion[2, 2] + inverse * motion[2, 3]
+    z = max(z, _NEAREST_Z)
+    # By how much larger the source shows things than the view cancels the division by z.
+    return motion[0, 3] - motion[2, 3] * x / z, motion[1, 3] - motion[2, 3] * y / z
+
+
+@njit(cache=True, nogil=True)
+def _fill(colour, seen, around, filled):  # type: ignore[no-untyped-def]
+    """Write (h, w, 4): a source's colours (3, h, w), or those around, and whether it shows the point."""
+    for r in range(seen.shape[0]):
+        for c in range(seen.shape[1]):
+            is_seen = seen[r, c]
+            for i in range(3):
+                filled[r, c, i] = colour[i, r, c] if is_seen else around[i, r, c]
+            filled[r, c, SHOWN] = _ONE if is_seen else _ZERO
+
+
+@njit(cache=True, nogil=True)
+def _move(filled, size, seen, shift, moved):  # type: ignore[no-untyped-def]
+    """Write the colours (3, h, w) beside all pixels that a source shows; 0 for others."""
+    rows, columns = seen.shape
+    right_most, lowest = np.float32(columns - 1), np.float32(rows - 1)
+    for r in range(rows):
+        for c in range(columns):
+            if not seen[r, c]:
+                moved[0, r, c], moved[1, r, c], moved[2, r, c] = _ZERO, _ZERO, _ZERO
+                continue
+            u = min(max(np.float32(c) + shift[r, c, 0], _ZERO), right_most)
+            v = min(max(np.float32(r) + shift[r, c, 1], _ZERO), lowest)
+            column, row = min(int(u), max(columns - 2, 0)), min(int(v), max(rows - 2, 0))
+            found = bicubic(
+                filled, size, np.uint64(row * columns + column), v - np.float32(row), u - np.float32(column)
+            )
+            moved[0, r, c], moved[1, r, c], moved[2, r, c] = found
