@@ -23,7 +23,9 @@ def surface(*moved_m: float) -> Surface:
         [(column - COLUMNS / 2) / FOCAL_PX, (row - ROWS / 2) / FOCAL_PX, np.ones((ROWS, COLUMNS))], axis=-1
     )
     matrix = np.array([[FOCAL_PX, 0, COLUMNS / 2], [0, FOCAL_PX, ROWS / 2], [0, 0, 1]])
-    motions = np.stack([matrix @ np.hstack([np.eye(3), [[-each], [0], [0]]]) for each in moved_m])[None]
+    motions = np.zeros((1, len(moved_m), 3, 4))
+    motions[0, :, :, :3] = matrix
+    motions[0, :, 0, 3] = [-FOCAL_PX * each for each in moved_m]
     inverse = np.full((1, ROWS, COLUMNS), 1.0 / DEPTH_M, np.float32)
     label = np.zeros((ROWS, COLUMNS), np.uint8)
     return Surface(
