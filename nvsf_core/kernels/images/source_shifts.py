@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from nvsf_core.kernels.images.interpolation import SHOWN, bicubic
+from nvsf_core.kernels.images.interpolation import SHOWN, between, bicubic, corner, weights_of
 
 _REACH = 5
 """A pixel's shift is that of the window of so many pixels on each side."""
@@ -30,6 +30,7 @@ _NEAREST_Z = np.float32(1e-3)
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
 _AROUND = np.float32(0.05)
 """Weight of the colour around a hole in the first blend, in which the nearest source has 1."""
+_U0 = np.uint64(0)
 _LUMA = (np.float32(0.299), np.float32(0.587), np.float32(0.114))
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 """With a Python number, or an integer, numba would compute in double precision."""
@@ -114,21 +115,24 @@ def _take(colour, seen, likeliest, shown, is_shown):  # type: ignore[no-untyped-
 def _align(target, shown, seen, shift):  # type: ignore[no-untyped-def]
     """Write the shifts (h, w, 2) by which `shown` (h, w) resembles `target` (h, w) most."""
     rows, columns = target.shape
+    size, flat, beside, below = (rows, columns, 1), shown.reshape(-1), np.uint64(1), np.uint64(columns)
     moved, mean = np.empty_like(target), np.empty_like(target)
     sums = np.empty((5, rows, columns), np.float32)
     for _ in range(_ROUNDS):
         for r in range(rows):
             for c in range(columns):
-                moved[r, c] = _at(shown, np.float32(c) + shift[r, c, 0], np.float32(r) + shift[r, c, 1])
+                u, v = np.float32(c) + shift[r, c, 0], np.float32(r) + shift[r, c, 1]
+                pixel, along, across = _inside(size, u, v)
+                moved[r, c] = between(flat, pixel, beside, below, _U0, weights_of(along, across))
                 mean[r, c] = _HALF * (moved[r, c] + target[r, c])
         for r in range(rows):
-            above, below = mean[max(r - 1, 0)], mean[min(r + 1, rows - 1)]
+            upper, lower = mean[max(r - 1, 0)], mean[min(r + 1, rows - 1)]
             for c in range(columns):
                 difference = moved[r, c] - target[r, c]
                 unlike = difference / _UNLIKE
                 trust = _ONE / (_ONE + unlike * unlike) if seen[r, c] else _ZERO
                 x = _HALF * (mean[r, min(c + 1, columns - 1)] - mean[r, max(c - 1, 0)])
-                y = _HALF * (below[c] - above[c])
+                y = _HALF * (lower[c] - upper[c])
                 sums[0, r, c], sums[1, r, c], sums[2, r, c] = trust * x * x, trust * x * y, trust * y * y
                 sums[3, r, c], sums[4, r, c] = trust * x * difference, trust * y * difference
         for i in range(5):
@@ -151,16 +155,12 @@ def _shortened(right, down):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _at(image, u, v):  # type: ignore[no-untyped-def]
-    """Bilinear value of an image (h, w) at a column and a row; beyond its border that of the border."""
-    rows, columns = image.shape
+def _inside(size, u, v):  # type: ignore[no-untyped-def]
+    """The upper left of the four pixels around a place, and the rests; beyond the border, of the border."""
+    rows, columns, _ = size
     u, v = min(max(u, _ZERO), np.float32(columns - 1)), min(max(v, _ZERO), np.float32(rows - 1))
-    column, row = int(u), int(v)
-    right, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
-    across, along = u - np.float32(column), v - np.float32(row)
-    upper = image[row, column] + across * (image[row, right] - image[row, column])
-    lower = image[below, column] + across * (image[below, right] - image[below, column])
-    return upper + along * (lower - upper)
+    _, pixel, down, right = corner(size, u, v)
+    return pixel, down, right
 
 
 @njit(cache=True, nogil=True)
@@ -254,16 +254,11 @@ def _fill(colour, seen, around, filled):  # type: ignore[no-untyped-def]
 def _move(filled, size, seen, shift, moved):  # type: ignore[no-untyped-def]
     """Write the colours (3, h, w) beside all pixels that a source shows; 0 for others."""
     rows, columns = seen.shape
-    right_most, lowest = np.float32(columns - 1), np.float32(rows - 1)
     for r in range(rows):
         for c in range(columns):
             if not seen[r, c]:
                 moved[0, r, c], moved[1, r, c], moved[2, r, c] = _ZERO, _ZERO, _ZERO
                 continue
-            u = min(max(np.float32(c) + shift[r, c, 0], _ZERO), right_most)
-            v = min(max(np.float32(r) + shift[r, c, 1], _ZERO), lowest)
-            column, row = min(int(u), max(columns - 2, 0)), min(int(v), max(rows - 2, 0))
-            found = bicubic(
-                filled, size, np.uint64(row * columns + column), v - np.float32(row), u - np.float32(column)
-            )
+            pixel, down, right = _inside(size, np.float32(c) + shift[r, c, 0], np.float32(r) + shift[r, c, 1])
+            found = bicubic(filled, size, pixel, down, right)
             moved[0, r, c], moved[1, r, c], moved[2, r, c] = found
