@@ -8,6 +8,7 @@ from torch import Tensor
 
 from nvsf_core.fields.camera_networks import BlendInput, CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images.source_agreement import source_trust
 from nvsf_core.kernels.images.source_shifts import Surface, brought_together
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.image_exposure import at_exposure
@@ -84,20 +85,21 @@ def blend_input(view: CameraView, found: Hypotheses, coarse: Tensor, window: Win
     beside, known = shown_by_others(_others(view, view.images.full), points, view.pinhole, missing)
     around_colour[:, missing] = torch.where(known, beside, around_colour[:, missing])
     likeliest = _largest(found.share)
-    colour = _together(sources, points, view.pinhole, likeliest, colour, seen, around_colour)
+    colour, trust = _together(sources, points, view.pinhole, likeliest, colour, seen, around_colour)
     return BlendInput.of(
         colour.permute(2, 0, 1, 3, 4).flatten(0, 1), seen.transpose(0, 1).flatten(0, 1), found.share,
-        around_colour, view.near.nearness,
+        around_colour, view.near.nearness, trust,
     )  # fmt: skip
 
 
 def _together(
     sources: Sources, points: SeenPoints, pinhole: Pinhole, likeliest: Tensor, colour: Tensor, seen: Tensor,
     around: Tensor,
-) -> Tensor:  # fmt: skip
-    """The sources' colours (k, 3, d, h, w), each moved to where all together have what a pixel shows.
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """The sources' colours (k, 3, d, h, w), moved to where all together have what a pixel shows, and trust.
 
-    See `brought_together`, which runs on the CPU wherever the networks do: it is many small sums.
+    See `brought_together` and `source_trust`, which run on the CPU wherever the networks do: they are many
+    small sums.
 
     Args:
         sources: Source images of the view.
@@ -110,9 +112,10 @@ def _together(
     """
     motions, label = pixel_motions(sources, points, pinhole)
     surface = Surface(motions, _array(points.rays), label, _array(points.inverse), _array(likeliest))
-    weight = sources.nearness.square()
-    moved = brought_together(surface, _array(colour), _array(seen), _array(around), _array(weight))
-    return torch.from_numpy(moved).to(colour.device)
+    is_seen, around_colour, weight = _array(seen), _array(around), _array(sources.nearness.square())
+    moved = brought_together(surface, _array(colour), is_seen, around_colour, weight)
+    trust = source_trust(moved, is_seen, surface.likeliest, around_colour, weight)
+    return torch.from_numpy(moved).to(colour.device), torch.from_numpy(trust).to(colour.device)
 
 
 def _array(x: Tensor) -> np.ndarray:

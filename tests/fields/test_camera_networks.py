@@ -29,6 +29,7 @@ def inputs() -> dict[str, torch.Tensor]:
         "share": torch.rand(HYPOTHESES, *SHAPE, generator=seeded(2)),
         "coarse": torch.rand(3, *SHAPE, generator=seeded(3)),
         "nearness": torch.tensor([1.0, 0.5]),
+        "trust": torch.ones(looked_up + 1, *SHAPE),
     }
 
 
@@ -79,6 +80,14 @@ def test_a_source_that_does_not_show_a_pixel_has_no_say() -> None:
     first = network(BlendInput.of(**given))
     given["colour"][1] = 1.0 - given["colour"][1]
     torch.testing.assert_close(network(BlendInput.of(**given)), first, atol=1e-5, rtol=0.0)
+
+
+def test_without_trust_a_source_has_hardly_a_say_before_training() -> None:
+    network, given = BlendNetwork(SPEC, seeded()), inputs()
+    given["trust"][1::2] = 0.0
+    first = network(BlendInput.of(**given))
+    given["colour"][1::2] = 1.0 - given["colour"][1::2]
+    torch.testing.assert_close(network(BlendInput.of(**given)), first, atol=1e-3, rtol=0.0)
 
 
 def test_where_nothing_is_seen_the_coarse_colour_stays() -> None:

@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from nvsf_core.kernels.images.first_blend import first_blend, luma
 from nvsf_core.kernels.images.interpolation import SHOWN, between, bicubic, corner, weights_of
+from nvsf_core.kernels.images.window_mean import window_mean
 
 _REACH = 5
 """A pixel's shift is that of the window of so many pixels on each side."""
@@ -28,10 +30,7 @@ _RIDGE = np.float32(0.1)
 the view, tell little about it."""
 _NEAREST_Z = np.float32(1e-3)
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
-_AROUND = np.float32(0.05)
-"""Weight of the colour around a hole in the first blend, in which the nearest source has 1."""
 _U0 = np.uint64(0)
-_LUMA = (np.float32(0.299), np.float32(0.587), np.float32(0.114))
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 """With a Python number, or an integer, numba would compute in double precision."""
 
@@ -68,13 +67,10 @@ def brought_together(
     Returns:
         (k, 3, d, h, w) float32, bicubic, about 0..1; 0 where the source does not show the point.
     """
-    shown = np.empty((len(colour), 3, *around.shape[1:]), np.float32)
-    is_shown = np.empty((len(colour), *around.shape[1:]), np.bool_)
-    _take(colour, seen, surface.likeliest, shown, is_shown)
-    blend = _blend(shown, is_shown, around, weight)
-    target, shift = _luma(blend), np.zeros((*is_shown.shape, 2), np.float32)
+    blend, shown, is_shown = first_blend(colour, seen, surface.likeliest, around, weight)
+    target, shift = luma(blend), np.zeros((*is_shown.shape, 2), np.float32)
     for k in range(len(shown)):
-        _align(target, np.where(is_shown[k], _luma(shown[k]), target), is_shown[k], shift[k])
+        _align(target, np.where(is_shown[k], luma(shown[k]), target), is_shown[k], shift[k])
     _fit_depth(*surface, is_shown, weight, shift)
     moved, filled = np.empty_like(colour), np.empty((*around.shape[1:], 4), np.float32)
     for k in range(len(colour)):
@@ -82,33 +78,6 @@ def brought_together(
             _fill(colour[k, :, d], seen[k, d], around, filled)
             _move(filled.reshape(-1), filled.shape, seen[k, d], shift[k], moved[k, :, d])
     return moved
-
-
-def _blend(shown: np.ndarray, is_shown: np.ndarray, around: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(3, h, w) mean of what sources show (k, 3, h, w), by their weights."""
-    share = weight[:, None, None] * is_shown
-    # What is not shown may have any colour.
-    known = np.where(is_shown[:, None], shown, _ZERO)
-    colour: np.ndarray = _AROUND * around + (share[:, None] * known).sum(axis=0)
-    return colour / (_AROUND + share.sum(axis=0))
-
-
-def _luma(colour: np.ndarray) -> np.ndarray:
-    red, green, blue = _LUMA
-    return red * colour[0] + green * colour[1] + blue * colour[2]
-
-
-@njit(cache=True, nogil=True)
-def _take(colour, seen, likeliest, shown, is_shown):  # type: ignore[no-untyped-def]
-    """Write the colours (k, 3, h, w) at the likeliest depths, and whether sources show them (k, h, w)."""
-    count, rows, columns = is_shown.shape
-    for k in range(count):
-        for r in range(rows):
-            for c in range(columns):
-                d = likeliest[r, c]
-                is_shown[k, r, c] = seen[k, d, r, c]
-                for i in range(3):
-                    shown[k, i, r, c] = colour[k, i, d, r, c]
 
 
 @njit(cache=True, nogil=True)
@@ -136,7 +105,7 @@ def _align(target, shown, seen, shift):  # type: ignore[no-untyped-def]
                 sums[0, r, c], sums[1, r, c], sums[2, r, c] = trust * x * x, trust * x * y, trust * y * y
                 sums[3, r, c], sums[4, r, c] = trust * x * difference, trust * y * difference
         for i in range(5):
-            _average(sums[i])
+            window_mean(sums[i], _REACH)
         for r in range(rows):
             for c in range(columns):
                 xx, xy, yy = sums[0, r, c] + _STIFFNESS, sums[1, r, c], sums[2, r, c] + _STIFFNESS
@@ -161,37 +130,6 @@ def _inside(size, u, v):  # type: ignore[no-untyped-def]
     u, v = min(max(u, _ZERO), np.float32(columns - 1)), min(max(v, _ZERO), np.float32(rows - 1))
     _, pixel, down, right = corner(size, u, v)
     return pixel, down, right
-
-
-@njit(cache=True, nogil=True)
-def _average(plane):  # type: ignore[no-untyped-def]
-    """Replace each value of (h, w) by the sum over its window, divided by the window's number of pixels."""
-    rows, columns = plane.shape
-    # Sums that run along an image lose digits in single precision.
-    running, line = np.zeros(columns), np.empty(max(rows, columns))
-    share = 1.0 / (2 * _REACH + 1) ** 2
-    for r in range(rows):
-        line[:columns] = plane[r]
-        total = line[: min(_REACH, columns)].sum()
-        for c in range(columns):
-            total += line[c + _REACH] if c + _REACH < columns else 0.0
-            plane[r, c] = total
-            total -= line[c - _REACH] if c >= _REACH else 0.0
-    before = np.zeros((_REACH + 1, columns), np.float32)
-    for r in range(min(_REACH, rows)):
-        running += plane[r]
-    for r in range(rows):
-        # The row is replaced now, and leaves the sums later.
-        own = before[r % (_REACH + 1)]
-        leaving = r > _REACH
-        entering = r + _REACH < rows
-        for c in range(columns):
-            if leaving:
-                running[c] -= own[c]
-            if entering:
-                running[c] += plane[r + _REACH, c]
-            own[c] = plane[r, c]
-            plane[r, c] = running[c] * share
 
 
 @njit(cache=True, nogil=True)
