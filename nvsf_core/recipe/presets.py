@@ -24,7 +24,8 @@ from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, Traini
 
 _QUICK = ResidualRecipe(name="quick")
 # As quick, but with nearly five times the LiDAR's steps; more make its hits worse (docs/lean.md). More steps
-# of the camera networks give little (decision 0049), more networks nothing (decision 0041).
+# of the camera networks give little (decision 0049), more networks nothing (decision 0041); aligned images
+# give most.
 _LEAN = replace(
     _QUICK,
     name="lean",
