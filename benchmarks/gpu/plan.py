@@ -55,7 +55,7 @@ def smoke_plan(folder: Path) -> Plan:
     paper = _paper("paper_smoke")
     smoke, few = preset("smoke"), TrainingSpec(steps=2, rays=64)
     assert isinstance(smoke, ResidualRecipe)
-    smoke = replace(smoke, lidar_training=few, depth_training=few, camera_training=few)
+    smoke = replace(smoke, lidar_training=few, depth_training=few)
     return Plan(
         home=folder / "home", tests=("tests/encodings/test_directions.py",),
         layouts={"tiny": GridLayout(2, 4, 8, 16, 64)}, points=64, repeats=1,

@@ -29,11 +29,11 @@ from nvsf_core.thread_count import VARIABLE
 from nvsf_core.training import loop
 from nvsf_core.training.loop import TrainingState
 
-_STEPS = {"lidar": 60, "hits": 30, "pano": 30, "depth": 8, "camera": 8}
+_STEPS = {"lidar": 60, "hits": 30, "pano": 30, "depth": 8}
 _WARM_UP = 3
 _NAMES = {
     "lidar": "LiDAR field", "hits": "network of hits", "pano": "network of the pano",
-    "depth": "depth networks", "camera": "all camera networks",
+    "depth": "depth network",
 }  # fmt: skip
 
 
@@ -112,7 +112,6 @@ def _few_steps(recipe: ResidualRecipe) -> ResidualRecipe:
         recipe,
         lidar_training=few(recipe.lidar_training, "lidar"),
         depth_training=few(recipe.depth_training, "depth"),
-        camera_training=few(recipe.camera_training, "camera"),
         hits=recipe.hits and replace(recipe.hits, training=few(recipe.hits.training, "hits")),
         pano=replace(pano, training=few(pano.training, "pano")) if pano and pano.training else pano,
     )
@@ -152,7 +151,7 @@ def _page(scene: str, recipe: ResidualRecipe, threads: Sequence[int], found: Seq
 Torch has one thread: divided by the number of threads, its sums and even its sigmoids have other bits. Work
 is divided into parts that do not depend on that number, and sleeping threads take one part after the other.
 So what limits beyond these columns is known: a step has {recipe.lidar_training.parts} parts, of the
-camera's networks so many for each member, and more threads than parts gain nothing in it; then comes what
+depth network {recipe.depth_training.parts}, and more threads than parts gain nothing in it; then comes what
 runs outside of parts (drawing, adding gradients, Adam). Up to eight views are rendered at once.
 """
 

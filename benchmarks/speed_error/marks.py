@@ -13,8 +13,8 @@ from nvsf_core.stores.checkpoints import save_tensors
 from nvsf_core.training.loop import TrainingState
 
 LIDAR, CAMERA, BOTH = "lidar", "camera", "both"
-_PARTS = {"lidar": (LIDAR, "lidar."), "depth": (CAMERA, None), "camera": (CAMERA, "camera."),
-          "pano": ("pano", None), "field": (BOTH, "field.")}  # fmt: skip
+_PARTS = {"lidar": (LIDAR, "lidar."), "depth": (CAMERA, None), "pano": ("pano", None),
+          "field": (BOTH, "field.")}  # fmt: skip
 """Part of a training to the clock that it runs by, and what stands before its weights' names in the published
 model; None = what it trains shows nothing by itself yet. Other parts go on by the clock that runs."""
 

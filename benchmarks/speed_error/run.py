@@ -25,7 +25,6 @@ from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.family import Trained, family_of
-from nvsf_core.models.residual.camera import LEARNED
 from nvsf_core.models.residual.lidar import SHOWS_FIELD
 from nvsf_core.recipe import PaperRecipe, Recipe, preset
 from nvsf_core.recording.drive import Recording
@@ -181,7 +180,7 @@ def _run_recipe(
         say(f"[{setting.split.entry.name}] {recipe.name}: trained in {trained.seconds:.0f} s, scoring")
         points = []
         for marked in marks.found:
-            model = _of_clock(_model(recipe, recording, _as_of(marked, trained, recording)), marked.clock)
+            model = _of_clock(_model(recipe, recording, _as_of(marked, trained)), marked.clock)
             errors = judge.errors(model, thin_images=is_paper)
             points += _points(errors, marked.mark_s, marked.seconds)
         model = _model(recipe, recording, trained)
@@ -238,16 +237,14 @@ def _scene_run(setting: Setting, recipe: Recipe, seed: int) -> SceneRun:
     )  # fmt: skip
 
 
-def _as_of(marked: Marked, trained: Trained, recording: Recording) -> Trained:
+def _as_of(marked: Marked, trained: Trained) -> Trained:
     """The model as it would have been published at a mark: the other parts as they ended."""
     found, _ = load_tensors(marked.path)
     # A paper's field is shown by itself until its U-Net is trained.
     kept = {name: value for name, value in trained.tensors.items() if not name.startswith("unet.")}
     facts = dict(trained.facts)
-    if LEARNED in facts:
-        # Whether learning beat `reproject` is asked at the end only: until then, show what is learned.
-        facts[LEARNED] = [name for name in recording.cameras if f"{name}_judged_psnr_db" in trained.metadata]
     if SHOWS_FIELD in facts:
+        # Whether learning beat `reproject` is asked at the end only: until then, show what is learned.
         facts[SHOWS_FIELD] = True
     return replace(trained, tensors=kept | found, facts=facts)
 
@@ -262,7 +259,7 @@ def _of_clock(model: SceneModel, clock: str) -> SceneModel:
     if clock == LIDAR:
         # What corrects a turn's hits is trained after the field: no mark but the end has it.
         return replace(model, camera=None, correct=None)
-    return replace(model, lidar=None) if clock == CAMERA else model
+    return model
 
 
 def _points(errors: Mapping[str, float], mark_s: float | None, seconds: float) -> list[Point]:

@@ -23,9 +23,8 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
-# As quick, but with nearly five times the LiDAR's steps; more make its hits worse (docs/lean.md). More steps
-# of the camera networks give little (decision 0049), more networks nothing (decision 0041); aligned images
-# give most.
+# As quick, but with nearly five times the LiDAR's steps; more make its hits worse (docs/lean.md). Of the
+# images, aligned poses give most; more steps of their depth network nothing (decision 0050).
 _LEAN = replace(
     _QUICK,
     name="lean",
@@ -33,7 +32,6 @@ _LEAN = replace(
     hits=HitsSpec(training=TrainingSpec(steps=600, rays=17_000)),
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, aligned=True),
-    camera_training=replace(_QUICK.camera_training, steps=80),
 )
 # The demo's: on its few scans what is learned wins after so many steps.
 _SHORT = replace(_QUICK, name="short", lidar_training=replace(_QUICK.lidar_training, steps=560))
@@ -43,7 +41,6 @@ _SMOKE = replace(
     lidar_training=replace(_QUICK.lidar_training, steps=20, rays=256, checkpoint_s=1.0),
     hits=HitsSpec(frames=2, training=TrainingSpec(steps=5, rays=512, checkpoint_s=1.0)),
     depth_training=TrainingSpec(steps=10, rays=512, checkpoint_s=1.0),
-    camera_training=TrainingSpec(steps=10, rays=512, checkpoint_s=1.0),
 )
 
 _PAPER = PaperRecipe(name="paper")

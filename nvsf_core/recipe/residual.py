@@ -42,7 +42,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSpec:
-    """Networks that find the depth of images and blend them into a view; the same for all cameras."""
+    """How the depth of images is found, and views are blended from them; the same for all cameras."""
 
     sources: int = 4
     """Number of training images that a view is blended from, and that an image's depth is found with."""
@@ -55,14 +55,12 @@ class CameraSpec:
     plane_px: int = 33_000
     """Planes are compared on images shrunk, by a whole factor, to about this many pixels."""
     depth_channels: tuple[int, int] = (12, 16)
-    """Channels of the network over planes, at its two resolutions."""
-    blend_channels: tuple[int, int] = (24, 32)
-    """Channels of the blending network, at half resolution and below."""
+    """Channels of the depth network, at its two resolutions."""
     aligned: bool = False
-    """Correct camera poses so that LiDAR returns have similar colours in neighbouring images. Networks are
-    trained with uncorrected poses, because a requested view's pose has the same kind of error."""
+    """Correct camera poses so that LiDAR returns have similar colours in neighbouring images. Depths are
+    found with recorded poses."""
     judge_every: int = 9
-    """One of so many training images is for validation: they choose between networks and `reproject`."""
+    """One of so many training images is for validation: they choose what is shown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +70,7 @@ class TrainingSpec:
     steps: int
     """Number of optimiser steps."""
     rays: int
-    """Rays per step, sampled from all training frames. For camera networks: pixels per step, of one crop of
+    """Rays per step, sampled from all training frames. For the depth network: pixels per step, of crops of
     the shrunk images."""
     table_rate: float = 1e-2
     """Adam's step size for the hash tables."""
@@ -100,10 +98,6 @@ class LossWeights:
     """Of the hit probability's cross-entropy, nats."""
     intensity: float = 5.0
     """Of the squared intensity error."""
-    colour: float = 10.0
-    """Of the squared colour error."""
-    colour_distance: float = 0.3
-    """Of the absolute colour error, which keeps edges sharper than the squared one."""
     coarse: float = 3.0
     """Of the squared colour error of the mean over all depth planes of an image."""
     plane: float = 0.15
@@ -160,7 +154,6 @@ class ResidualRecipe(Recipe):
         steps=850, rays=4096, table_rate=2e-2, final_share=1.0, averaged_share=0.4
     )
     depth_training: TrainingSpec = TrainingSpec(steps=20, rays=8064, network_rate=5e-3)
-    camera_training: TrainingSpec = TrainingSpec(steps=40, rays=3200, network_rate=2e-3)
     losses: LossWeights = LossWeights()
     pano: PanoSpec | None = None
     """None = the pano is projected from the simulated scan."""

@@ -1,4 +1,4 @@
-"""Inputs of the camera networks for one view: source images, LiDAR depth, and moving objects."""
+"""What a view is made from, of the images around it: source images, depths, and moving objects."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -55,13 +55,13 @@ class ShownImages:
     def with_depths(self, maps: DepthMaps) -> "ShownImages":
         """The same images with their depth maps."""
         full = self.full.clone()
-        full[:, DEPTH] = maps.inverse.clamp_min(0.0).to(full.device)
+        full[:, DEPTH] = maps.inverse.clamp_min(0.0)
         nothing_static = full[:, SHOWN] < 0.999
         if self.moving is not None:
             # What maps show of an object reaches beyond its returns.
-            full[:, MOVING] = torch.maximum(full[:, MOVING], (maps.mover > 0).float().to(full.device))
+            full[:, MOVING] = torch.maximum(full[:, MOVING], (maps.mover > 0).float())
             nothing_static = nothing_static | (full[:, MOVING] > 0.5)
-        fronts = torch.where(nothing_static, _IN_FRONT, full[:, DEPTH]).cpu()
+        fronts = torch.where(nothing_static, _IN_FRONT, full[:, DEPTH])
         factor = full.shape[-1] // self.small.shape[-1]
         return ShownImages(full, functional.avg_pool2d(full, factor), maps, fronts)
 
@@ -71,13 +71,13 @@ class ShownImages:
         return self.full[:, MOVING] > 0.5 if self.full.shape[1] > MOVING else None
 
     def to(self, device: torch.device) -> "ShownImages":
-        """The same images on `device`."""
-        return ShownImages(self.full.to(device), self.small.to(device), self.depths, self.fronts)
+        """The same images, without depths, on `device`."""
+        return ShownImages(self.full.to(device), self.small.to(device))
 
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """Inputs of the camera networks for one view."""
+    """What a view is made from: or, of a recorded image itself, what its depth is found by."""
 
     pinhole: Pinhole
     """Intrinsics of the view and of all images."""
@@ -103,15 +103,13 @@ class CameraView:
     """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 
     def to(self, device: torch.device) -> "CameraView":
-        """The same view with all tensors on `device`."""
+        """The same view of a recorded image itself, whose depth is found on `device`."""
         return replace(
             self,
             inverse=self.inverse.to(device),
             gap_px=self.gap_px.to(device),
-            surfaces=None if self.surfaces is None else self.surfaces.to(device),
             images=self.images.to(device),
             near=self.near.to(device),
-            others=None if self.others is None else self.others.to(device),
             label=None if self.label is None else self.label.to(device),
         )
 
@@ -131,7 +129,7 @@ class CameraView:
         rows, columns = self.pinhole.height // factor, self.pinhole.width // factor
         return image[..., half::factor, half::factor][..., :rows, :columns]
 
-    def label_of(self, factor: int, window: Window) -> Tensor | None:
+    def label_of(self, factor: int, window: Window = WHOLE) -> Tensor | None:
         """Labels (h, w) in a window of the view shrunk by `factor`; None = nothing moves."""
         return None if self.label is None else self.thinned(self.label, factor)[window]
 
@@ -190,7 +188,7 @@ def camera_view(
         lidar: What returns show in the view.
         images: All j images of the camera, shrunk by `shrinking`.
         poses: (j, 4, 4) camera to scene-local frame of each image.
-        spec: Recipe of the camera networks.
+        spec: Recipe of the cameras.
         instant: As in `images_near`.
         leave_out: Numbers of images that must not be sources, such as the one that the view is compared with.
         own: Number of the image that the view is of, whose depth is wanted: it is the first source; others

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nvsf_core.fields.camera_networks import DepthNetwork
+from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.kernels.images.plane_features import describe_planes
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
@@ -47,7 +47,7 @@ def planes_of(
     Args:
         network: Gives the probabilities.
         view: Of the image.
-        spec: Recipe of the camera networks.
+        spec: Recipe of the cameras.
         window: Part of the shrunk image.
     """
     features, colour = compared_planes(view, spec, window)
@@ -67,7 +67,7 @@ def compared_planes(view: CameraView, spec: CameraSpec, window: Window = WHOLE) 
 
     Args:
         view: Of the image.
-        spec: Recipe of the camera networks.
+        spec: Recipe of the cameras.
         window: Part of the shrunk image.
     """
     inverses, small = plane_inverses(spec, view.device), view.small
@@ -148,7 +148,7 @@ def image_inverse_depth(network: DepthNetwork, view: CameraView, spec: CameraSpe
     Args:
         network: Compares its depth planes.
         view: Of the image, which is its first source.
-        spec: Recipe of the camera networks.
+        spec: Recipe of the cameras.
     """
     trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_in_small(view)

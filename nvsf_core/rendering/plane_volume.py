@@ -8,7 +8,6 @@ from torch import Tensor
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.images.source_lookup import agreement as cpu_agreement
 from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look_up_by_torch
-from nvsf_core.rendering.warping import sample
 
 _UNSEEN_DIFFERENCE = 0.25
 """Colour difference that is assumed where fewer than two sources show a point."""
@@ -47,7 +46,7 @@ def agreement(sources: Sources, points: SeenPoints, pinhole: Pinhole, first: int
     weight[: first + _NEAREST] = 1.0
     weight[:first] = 0.0
     if sources.images.device.type != "cpu":
-        return _agreement(*look_up_by_torch(sources, points, pinhole, sample), weight)
+        return _agreement(*look_up_by_torch(sources, points, pinhole), weight)
     agreed, colour = cpu_agreement(
         kernel_inputs(sources, points, pinhole), _UNSEEN_DIFFERENCE, weight.numpy()
     )

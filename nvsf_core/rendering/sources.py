@@ -1,6 +1,5 @@
 """Source images of a view, and their colours at its pixels for given depths, moving objects included."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.images import interpolation
 from nvsf_core.kernels.images.source_lookup import LookUp, look_up_points
 from nvsf_core.numerics import require_finite
-from nvsf_core.rendering.warping import sample, sample_cubic, source_pixels
+from nvsf_core.rendering.warping import sample, source_pixels
 
 SHOWN, DEPTH, MOVING = int(interpolation.SHOWN), int(interpolation.DEPTH), int(interpolation.MOVING)
 """Channels of `Sources.images` after the colours."""
@@ -96,18 +95,14 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
     Raises:
         DivergedError: An inverse depth is not finite.
     """
-    if sources.images.device.type != "cpu":
-        return look_up_by_torch(sources, points, pinhole, sample_cubic)
     require_finite("inverse depths", points.inverse)
     colour, seen = look_up_points(kernel_inputs(sources, points, pinhole))
     return torch.from_numpy(colour), torch.from_numpy(seen)
 
 
-def look_up_by_torch(
-    sources: Sources, points: SeenPoints, pinhole: Pinhole, sample_colour: Callable[[Tensor, Tensor], Tensor]
-) -> tuple[Tensor, Tensor]:
-    """The same on any device; `sample_colour`: `sample` or `sample_cubic`, how colours are interpolated."""
-    each = [_look_up_one(sources, k, points, pinhole, sample_colour) for k in range(len(sources.chosen))]
+def look_up_by_torch(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Tensor, Tensor]:
+    """The same on any device, but with bilinear colours."""
+    each = [_look_up_one(sources, k, points, pinhole) for k in range(len(sources.chosen))]
     return torch.stack([colour for colour, _ in each]), torch.stack([seen for _, seen in each])
 
 
@@ -139,9 +134,8 @@ def pixel_motions(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tup
 
 
 def _look_up_one(
-    sources: Sources, number: int, points: SeenPoints, pinhole: Pinhole,
-    sample_colour: Callable[[Tensor, Tensor], Tensor],
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    sources: Sources, number: int, points: SeenPoints, pinhole: Pinhole
+) -> tuple[Tensor, Tensor]:
     """Colour (3, d, h, w) of a source, and whether it shows the points (d, h, w) bool."""
     image, label, inverse = sources.images[sources.chosen[number]], points.label, points.inverse
     grid, inside, there = source_pixels(sources.motion[number], points.rays, inverse, pinhole)
@@ -154,10 +148,9 @@ def _look_up_one(
                 moved, points.rays[where], depths, pinhole
             )
     places = grid.flatten(0, 1)
-    found = sample(image[SHOWN:], places).reshape(-1, *inside.shape)
-    seen = inside & (found[0] > 0.999) & (sources.nearness[number] > 0)
-    is_hidden = hides(found[1], there)
-    if label is not None and len(found) > 2:
-        is_hidden = is_hidden | ((found[2] > 0.5) & (label == STATIC))
-    colour = sample_colour(image[: SHOWN + 1], places)[:SHOWN]
-    return colour.reshape(SHOWN, *inside.shape), seen & ~is_hidden
+    found = sample(image, places).reshape(-1, *inside.shape)
+    seen = inside & (found[SHOWN] > 0.999) & (sources.nearness[number] > 0)
+    is_hidden = hides(found[DEPTH], there)
+    if label is not None and len(found) > MOVING:
+        is_hidden = is_hidden | ((found[MOVING] > 0.5) & (label == STATIC))
+    return found[:SHOWN], seen & ~is_hidden

@@ -83,12 +83,6 @@ class ViewDepth:
     glimpsed: Tensor
     """(H, W) bool: some image shows something about here, at a depth that no other confirms."""
 
-    def to(self, device: torch.device) -> "ViewDepth":
-        """The same depth on `device`."""
-        return ViewDepth(
-            self.inverse.to(device), self.support.to(device), self.label.to(device), self.glimpsed.to(device)
-        )
-
     def completed(self, label: Tensor, inverse: Tensor) -> "ViewDepth":
         """The same depth; where no image shows a surface but a LiDAR return a moving object, the return's.
 

@@ -18,9 +18,6 @@ _NEAREST_Z = 1e-3
 _RIM_PX = 0.01
 """An image shows points that lie outside its outermost pixel centres by no more than rounding may do."""
 
-_RIM_SHARE = 1e-3
-"""Of a pixel that shows nothing, the weight in a bicubic value that makes it bilinear."""
-
 
 def source_pixels(
     motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole
@@ -71,40 +68,6 @@ def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "
     return functional.grid_sample(
         image[None], grid[None], mode=mode, padding_mode="border", align_corners=False
     )[0]
-
-
-def sample_cubic(image: Tensor, grid: Tensor) -> Tensor:
-    """Bicubic values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2), as those of `sample`.
-
-    By the spline of Catmull and Rom (Keys 1981, a = -1/2), which is exact for any paraboloid; beyond the
-    border the outermost pixels are repeated. Channel 3 is 1 where a pixel shows anything: a value
-    is bilinear where not all of its 16 pixels do.
-
-    Raises:
-        DivergedError: A coordinate of `grid` is not finite.
-    """
-    height, width = image.shape[-2:]
-    four = torch.arange(-1, 3, device=image.device).view(4, 1, 1)
-    sides = []
-    for axis, side in ((1, height), (0, width)):
-        place = (((grid[..., axis] + 1.0) * side - 1.0) / 2.0).clamp(0.0, side - 1.0)
-        first = place.floor().clamp(max=side - 2.0)
-        sides.append(((first.long() + four).clamp(0, side - 1), _cubic_weights(place - first)))
-    (row, down), (column, right) = sides
-    flat, found = image.flatten(1), torch.zeros(len(image), *grid.shape[:2], device=image.device)
-    # The four pixels of a row at once: on a GPU the number of operations counts, not their size.
-    for j in range(4):
-        in_row = (flat[:, row[j] * width + column] * right).sum(dim=1)
-        found = torch.addcmul(found, down[j], in_row)
-    return torch.where((found[3] - 1.0).abs() > _RIM_SHARE, sample(image, grid), found)
-
-
-def _cubic_weights(t: Tensor) -> Tensor:
-    """Weights (4, ...) of four pixels in a row, in a value at `t` (...), 0..1, from second to third."""
-    t2, t3 = t.square(), t.pow(3)
-    return 0.5 * torch.stack(
-        (2.0 * t2 - t3 - t, 3.0 * t3 - 5.0 * t2 + 2.0, 4.0 * t2 - 3.0 * t3 + t, t3 - t2)
-    )  # fmt: skip
 
 
 @functools.lru_cache(maxsize=16)

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
-from nvsf_core.rendering.learned_warp import coarse_colour, render_view
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.pixel_support import holes, shown_by_others, without_holes
+from nvsf_core.rendering.source_blend import coarse_colour, render_view
 from nvsf_core.rendering.sources import DEPTH, SeenPoints, Sources
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import plane_rays
@@ -18,7 +17,6 @@ from nvsf_core.rendering.warping import plane_rays
 CAMERA = Pinhole(fx=40.0, fy=40.0, cx=31.5, cy=15.5, width=64, height=32)
 WALL_M, POST_M = 20.0, 4.0
 VALID = np.ones((32, 64), np.bool_)
-NETWORKS = CameraNetworks(CameraSpec(sources=1), torch.Generator().manual_seed(0))
 
 
 def pose(right_m: float) -> np.ndarray:
@@ -55,8 +53,8 @@ HIDDEN = (slice(8, 24), slice(31, 34))
 def test_what_the_sources_do_not_show_other_images_do(factor: int) -> None:
     alone, helped = view((0.0,), factor), view((0.0, 3.0), factor)
     assert alone.others is None and helped.others is not None and helped.others.chosen == [1]
-    assert (render_view(NETWORKS, alone).rgb[HIDDEN] < 60).all()
-    image = render_view(NETWORKS, helped).rgb
+    assert (render_view(alone).rgb[HIDDEN] < 60).all()
+    image = render_view(helped).rgb
     assert np.abs(image[HIDDEN].astype(int) - 200).max() <= 2
     assert (image[:, :20] == 40).all(), "what the source shows stays"
 

@@ -1,10 +1,10 @@
-"""Laws of depth planes and of the learned camera, on photographs of a textured wall."""
+"""Laws of depth planes and of blended views, on photographs of a textured wall."""
 
 import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.camera_networks import VOLUME_FEATURES, CameraNetworks
+from nvsf_core.fields.depth_network import VOLUME_FEATURES
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering import plane_depth
@@ -13,11 +13,11 @@ from nvsf_core.rendering.camera_view import (
     camera_view,
     shown_images,
 )
-from nvsf_core.rendering.learned_warp import blend_sources, coarse_colour, render_view
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view, moving_pixels
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_features, plane_inverses, resized
 from nvsf_core.rendering.plane_volume import Agreement, agreement
 from nvsf_core.rendering.rendered import Support
+from nvsf_core.rendering.source_blend import render_view
 from nvsf_core.rendering.sources import SeenPoints
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import plane_rays
@@ -109,25 +109,13 @@ def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surfa
 
 
 @pytest.mark.parametrize("points", [NOTHING, wall_points()])
-def test_untrained_networks_show_the_wall_where_the_depths_of_images_are_known(points: np.ndarray) -> None:
-    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
-    shown = render_view(networks, view(points, depths=wall_maps()))
+def test_a_view_shows_the_wall_where_the_depths_of_images_are_known(points: np.ndarray) -> None:
+    shown = render_view(view(points, depths=wall_maps()))
     assert shown.support is not None and (shown.support == Support.SEEN)[8:-8, 16:-16].all()
     error = np.abs(shown.rgb.astype(float) - PHOTOGRAPHS[1])[8:-8, 16:-16]
     assert np.median(error) < 12.0
     length_m = WALL_M / CAMERA.rays(CAMERA.pixels())[..., 2]
     assert np.median(np.abs(shown.range_m / length_m - 1.0)[8:-8, 16:-16]) < 0.01
-
-
-@torch.no_grad()
-def test_a_window_shows_what_the_whole_view_shows_there() -> None:
-    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
-    one = view(wall_points(), depths=wall_maps())
-    window = (slice(8, 40), slice(16, 80))
-    coarse = coarse_colour(one)
-    part = blend_sources(networks, one, coarse, window)
-    whole = blend_sources(networks, one, coarse)
-    torch.testing.assert_close(part, whole[:, *window])
 
 
 def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:
@@ -177,8 +165,7 @@ def test_what_moves_is_shown_once_and_where_it_is() -> None:
     lidar = lidar_view(pose(0.0), CAMERA, wall_points(), moving)
     one = camera_view(pose(0.0), CAMERA, lidar, shown, PLACES, SPEC, leave_out=(1,), moving=moving)
     assert one.label is not None and (one.label.numpy() > 0)[28:36, 60:68].all()
-    networks = CameraNetworks(SPEC, torch.Generator().manual_seed(0))
-    error = np.abs(render_view(networks, one).rgb.astype(float) - images[1]).max(axis=-1)
+    error = np.abs(render_view(one).rgb.astype(float) - images[1]).max(axis=-1)
     middle = (slice(28, 36), slice(60, 68))
     assert error[middle].max() < 30.0
     # The plate stands at another place of every source: none may leave a ghost on the wall.

@@ -8,10 +8,10 @@ import torch
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
-from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.pixel_support import pixel_support
 from nvsf_core.rendering.rendered import Support
+from nvsf_core.rendering.source_blend import coarse_colour
 from nvsf_core.rendering.sources import SeenPoints, look_up
 from nvsf_core.rendering.view_depth_maps import (
     DepthMaps,

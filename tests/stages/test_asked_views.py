@@ -56,7 +56,6 @@ SMOKE = replace(
     lidar_field=_GRID,
     lidar_training=TrainingSpec(steps=20, rays=128),
     depth_training=TrainingSpec(steps=5, rays=512),
-    camera_training=TrainingSpec(steps=5, rays=512),
 )
 STAGES = (
     "frames", "sweeps", "pano", "undistorted", "evidence", "mesh", "field", "novel_views", "scene_metrics",

@@ -30,7 +30,6 @@ SMOKE = replace(
     lidar_field=_GRID,
     lidar_training=TrainingSpec(steps=20, rays=128),
     depth_training=TrainingSpec(steps=5, rays=512),
-    camera_training=TrainingSpec(steps=5, rays=512),
 )
 SIZE = replace(DemoSize.tiny(), lasers=tuple(range(0, 64, 2)), firings=256)
 """Dense enough that an unbroken drive passes the checks that broken ones are told by."""

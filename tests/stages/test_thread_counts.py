@@ -21,7 +21,7 @@ def residual() -> ResidualRecipe:
     smoke = preset("smoke")
     assert isinstance(smoke, ResidualRecipe) and smoke.hits is not None
     return replace(
-        smoke, name="all_parts", lidar_training=few, depth_training=few, camera_training=few,
+        smoke, name="all_parts", lidar_training=few, depth_training=few,
         hits=replace(smoke.hits, training=few),
         pano=PanoSpec(phases=1, parts=2, channels=8, layers=2, frames=3, judge_every=2, training=few),
         camera=CameraSpec(aligned=True),

@@ -49,7 +49,6 @@ _RECIPE = replace(
     lidar_field=_FIELD,
     lidar_training=_TRAINING,
     depth_training=replace(_QUICK.depth_training, steps=20),
-    camera_training=replace(_QUICK.camera_training, steps=40),
 )
 _METRICS = (("raw", "chamfer_m2"), ("raw", "f_score"), ("lidar4d", "range_psnr_db"))
 """Of the sensor's own rays, and of the papers' range image."""

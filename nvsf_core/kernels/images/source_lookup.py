@@ -56,7 +56,7 @@ class LookUp(NamedTuple):
 
 
 def look_up_points(where: LookUp) -> tuple[np.ndarray, np.ndarray]:
-    """Colours of k images at d depths of each pixel, bicubic as `nvsf_core.rendering.warping.sample_cubic`.
+    """Colours of k images at d depths of each pixel, bicubic (Catmull and Rom).
 
     Returns:
         colour (k, 3, d, h, w) float32, about 0..1, 0 where the image does not show the point; and whether it

@@ -1,6 +1,5 @@
-"""The camera networks of the residual family: training, comparison with `reproject`, rendering."""
+"""The cameras of the residual family: depths of their images, comparison with `reproject`, rendering."""
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -12,15 +11,15 @@ import torch
 from torch import Tensor
 
 from nvsf_core._types import Scalar
-from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
 from nvsf_core.models.family import TrainedPart, TrainingSession, Weights, fit, training_device
 from nvsf_core.models.holdout import compare
-from nvsf_core.models.residual.camera_examples import LeftOut, ShownCamera
-from nvsf_core.models.residual.camera_step import camera_step, depth_step
+from nvsf_core.models.residual.camera_examples import RecordedView, ShownCamera
+from nvsf_core.models.residual.depth_step import depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.exposures import (
     Exposures,
@@ -41,10 +40,10 @@ from nvsf_core.models.residual.tones import ToneCurve, tones_of, with_tones
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
-from nvsf_core.rendering.learned_warp import render_view
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
+from nvsf_core.rendering.source_blend import render_view
 from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.simulation.scene_model import ImageRenderer
 from nvsf_core.training.loop import fresh_state, side_by_side
@@ -52,13 +51,13 @@ from nvsf_core.training.loop import fresh_state, side_by_side
 _DB = "psnr_db"
 _METRICS = {_DB: True}
 LEARNED = "learned_cameras"
-"""Name of the fact: cameras whose networks beat `reproject` on validation images."""
+"""Name of the fact: cameras whose views by learned depths beat `reproject` on validation images."""
 ALIGNED = "camera_corrections"
 """Name of the fact: corrections of the images' poses, see `facts_of`."""
 _FEWEST_IMAGES = 3
 """With fewer, an image that is left out has no two others to be rendered from."""
-_WINDOWS_A_VIEW = 8
-"""At least so many windows are drawn of each view that is prepared to learn from."""
+_WINDOWS_AN_IMAGE = 8
+"""At least so many windows are sampled of each image that is prepared to learn from."""
 SHARED = "shared_images"
 """Name of the fact: lists of the cameras that share their images; of older models each camera is alone."""
 TONES = "tones"
@@ -71,70 +70,42 @@ _MAPS = "depth_maps"
 """First part of the names of the stored depth maps."""
 
 
-def train_camera(
-    session: TrainingSession, networks: CameraNetworks, recipe: ResidualRecipe, recording: Recording
-) -> TrainedPart:
-    """Train all networks on the training images, then decide on the validation images whether to use them."""
+def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Recording) -> TrainedPart:
+    """Learn the depths of the training images, then decide on the validation images whether to use them."""
     started = time.perf_counter()
-    device = training_device()
-    networks.to(device)
     usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
     shared = shared_images(recording, usable)
     tones = tones_of(recording, shared)
-    recording = with_tones(recording, tones)
-    given = aligned_by(MovingWorld(recording), {})
+    given = aligned_by(MovingWorld(with_tones(recording, tones)), {})
     exposures = exposures_of(given.world, usable)
-    images = {one.name: _shown(given.world, one, recipe.camera, exposures).to(device) for one in shared}
-    cameras = {
-        name: ShownCamera(given, name, one, images[one.name], recipe.camera, exposures.get(name))
-        for one in shared
-        for name in one.cameras
-    }
-    wanted = [(name, index) for name in usable for index in cameras[name].training]
-    compared = _spread(wanted, _most_views(recipe.depth_training))
-    examples = _each(compared, lambda _, name, index: cameras[name].itself(index))
-    if not examples:
+    cameras = _by_name(given, shared, recipe.camera, exposures)
+    if not cameras:
         few: dict[str, Scalar] = {"camera_shows": "reproject: too few images to learn from"}
         return TrainedPart(
             states={}, preparation_seconds=time.perf_counter() - started, metadata=few,
             facts={LEARNED: [], ALIGNED: {}, SHARED: [], TONES: {}, ALONE: [], EXPOSURES: {}},
         )  # fmt: skip
-    session.say("camera", f"{len(wanted)} images to learn from")
-    depth = fresh_state(networks.depth, recipe.depth_training, session.seed * 3 + 1)
+    session.say("camera", f"{sum(len(one.training) for one in cameras.values())} images to learn from")
+    device, spec = training_device(), recipe.depth_training
+    compared = {name: one.with_images(one.images.to(device)) for name, one in cameras.items()}
+    examples = _examples(compared, spec)
+    network = DepthNetwork(recipe.camera, torch.Generator().manual_seed(session.seed + 1)).to(device)
+    state = fresh_state(network, spec, session.seed * 3 + 1)
     preparation = time.perf_counter() - started
-    # First the depth of each image, compared with those around it; by these depths views are then drawn.
     fit(
-        session, "depth", depth, recipe.depth_training,
+        session, "depth", state, spec,
         lambda _, generator: side_by_side(
-            recipe.depth_training.parts, generator, partial(depth_step, networks.depth, examples, recipe)
+            spec.parts, generator, partial(depth_step, network, examples, recipe)
         ),
     )  # fmt: skip
-    # They hold all images without depths.
-    examples.clear()
     placing = time.perf_counter()
-    maps = {one.name: image_depths(networks.depth, cameras[one.name]) for one in shared}
-    images = {name: images[name].with_depths(one) for name, one in maps.items()}
-    cameras = {name: replace(one, images=images[one.shared.name]) for name, one in cameras.items()}
-    # As many without one image as without a block, and of other images where not all are drawn.
-    each = math.ceil(_most_views(recipe.camera_training) / 2)
-    one_out, block_out = _spread(wanted, each), _spread(wanted, each, 0.5)
-    views = _each(one_out, lambda _, name, index: cameras[name].left_out(index)) + _each(
-        block_out, lambda place, name, index: cameras[name].left_out_in_block(index, place)
-    )
-    preparation += time.perf_counter() - placing
-    both = fresh_state(networks, recipe.camera_training, session.seed * 3 + 2)
-    fit(
-        session, "camera", both, recipe.camera_training,
-        lambda _, generator: side_by_side(
-            recipe.camera_training.parts, generator, partial(camera_step, networks, views, recipe)
-        ),
-    )  # fmt: skip
-    validating = time.perf_counter()
-    verdict, facts = _verdict(networks, given, cameras, recipe.camera, exposures)
-    preparation += time.perf_counter() - validating
+    maps = {one.name: image_depths(network, compared[one.name]) for one in shared}
+    shown = {name: cameras[name].images.with_depths(one) for name, one in maps.items()}
+    cameras = {name: one.with_images(shown[one.shared.name]) for name, one in cameras.items()}
+    verdict, facts = _verdict(given, cameras, recipe.camera, exposures)
     return TrainedPart(
-        states={"depth": depth, "camera": both}, preparation_seconds=preparation,
-        metadata={"left_out_images": len(wanted)} | verdict,
+        states={"depth": state}, preparation_seconds=preparation + time.perf_counter() - placing,
+        metadata=verdict,
         facts=facts | {
             SHARED: [list(one.cameras) for one in shared],
             TONES: {name: (one.gain, one.exponent) for name, one in tones.items()},
@@ -144,31 +115,43 @@ def train_camera(
     )  # fmt: skip
 
 
-def _each(wanted: Sequence[tuple[str, int]], example: Callable[[int, str, int], LeftOut]) -> list[LeftOut]:
-    """An example of each image, given by its place among them, its camera and its number."""
-    return in_parts(lambda place: example(place, *wanted[place]), len(wanted))
+def _by_name(
+    given: AlignedDrive,
+    shared: Sequence[SharedImages],
+    spec: CameraSpec,
+    exposures: Mapping[str, Exposures],
+) -> dict[str, ShownCamera]:
+    """All cameras that can be learned from, with their images, which have no depths yet."""
+    return {
+        name: ShownCamera(given, name, one, images, spec, exposures.get(name))
+        for one in shared
+        for images in [_shown(given.world, one, spec, exposures)]
+        for name in one.cameras
+    }
 
 
-def _spread(wanted: Sequence[tuple[str, int]], most: int, phase: float = 0.0) -> Sequence[tuple[str, int]]:
-    """At most so many of them, evenly spread; another phase in 0..1 takes others."""
-    if most >= len(wanted):
-        return wanted
-    return [wanted[int((place + phase) * len(wanted) / most)] for place in range(most)]
+def _examples(cameras: Mapping[str, ShownCamera], spec: TrainingSpec) -> list[RecordedView]:
+    """Training images to learn from, evenly spread.
 
+    One of which few windows are sampled costs more than it teaches.
+    """
+    images = [(one, index) for one in cameras.values() for index in one.training]
+    count = min(len(images), max(1, spec.steps * spec.parts // _WINDOWS_AN_IMAGE))
 
-def _most_views(training: TrainingSpec) -> int:
-    """Views that a training prepares; one that few windows are drawn of costs more than it teaches."""
-    return max(1, training.steps * training.parts // _WINDOWS_A_VIEW)
+    def example(place: int) -> RecordedView:
+        camera, index = images[place * len(images) // count]
+        return camera.itself(index)
+
+    return in_parts(example, count)
 
 
 def _verdict(
-    networks: CameraNetworks,
     given: AlignedDrive,
     cameras: Mapping[str, ShownCamera],
     spec: CameraSpec,
     exposures: Mapping[str, Exposures],
 ) -> tuple[dict[str, Scalar], dict[str, Any]]:
-    """Scores on the validation images, and as facts the cameras that use the networks, and how.
+    """Scores on the validation images, and as facts the cameras that use depths, and how.
 
     A camera does without the images that are shared with it if its validation images are better without.
     Images are aligned only if that raises the PSNR on the validation images of all cameras that share them.
@@ -179,7 +162,7 @@ def _verdict(
     aligning = list(cameras) if spec.aligned else []
     aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out, exposures))
     scores = {
-        name: compare(_METRICS, one.validation, _candidates(networks, given, aligned, one))
+        name: compare(_METRICS, one.validation, _candidates(given, aligned, one))
         for name, one in cameras.items()
     }
     metadata: dict[str, Scalar] = {}
@@ -207,24 +190,21 @@ def _verdict(
 
 
 def _candidates(
-    networks: CameraNetworks, given: AlignedDrive, aligned: AlignedDrive, camera: ShownCamera
+    given: AlignedDrive, aligned: AlignedDrive, camera: ShownCamera
 ) -> dict[str, Callable[[int], list[float]]]:
     """What a camera's validation images may be rendered by, each as a function that scores one of them."""
-    found = {"learned": _by_networks(networks, camera), "reproject": _by_warping(given.given, camera.name)}
+    found = {"learned": _by_depths(camera), "reproject": _by_warping(given.given, camera.name)}
     if camera.name in aligned.corrections:
-        found["aligned"] = _by_networks(networks, replace(camera, drive=aligned, returns={}))
+        found["aligned"] = _by_depths(replace(camera, drive=aligned, returns={}))
     if len(camera.shared.cameras) > 1:
-        found["alone"] = _by_networks(networks, camera, alone=True)
+        found["alone"] = _by_depths(camera, alone=True)
     return found
 
 
-def camera_renderer(
-    networks: CameraNetworks, recording: Recording, spec: CameraSpec, weights: Weights
-) -> ImageRenderer:
-    """Renders images by the networks for the cameras that use them, by `reproject` for the others.
+def camera_renderer(recording: Recording, spec: CameraSpec, weights: Weights) -> ImageRenderer:
+    """Renders images by learned depths for the cameras that use them, by `reproject` for the others.
 
     Args:
-        networks: Trained.
         recording: The drive.
         spec: Of the recipe.
         weights: The facts and depth maps of the trained part.
@@ -232,9 +212,7 @@ def camera_renderer(
     Raises:
         StoreError: A depth map is absent.
     """
-    warp, device = warping_renderer(recording), training_device()
-    networks.to(device)
-    facts = weights.facts
+    warp, facts = warping_renderer(recording), weights.facts
     tones = {name: ToneCurve(*map(tuple, one)) for name, one in facts.get(TONES, {}).items()}
     corrections = corrections_from(facts.get(ALIGNED, {}))
     exposures = exposures_from(facts.get(EXPOSURES, {}))
@@ -247,7 +225,7 @@ def camera_renderer(
         if name in learned
     }
     shown = {
-        one.name: _shown(world, one, spec, exposures).with_depths(_maps_from(weights, one.name)).to(device)
+        one.name: _shown(world, one, spec, exposures).with_depths(_maps_from(weights, one.name))
         for one in set(shared.values())
     }
 
@@ -268,7 +246,7 @@ def camera_renderer(
         )  # fmt: skip
         if camera in exposures:
             view = replace(view, log_gain=exposures[camera].at(place_s))
-        found = render_view(networks, view.to(device))
+        found = render_view(view)
         return replace(found, rgb=tones[camera].inverse().of(found.rgb)) if camera in tones else found
 
     return render
@@ -287,13 +265,11 @@ def _maps_from(weights: Weights, camera: str) -> DepthMaps:
     return DepthMaps(inverse, weights.tensor(mover) if has_movers else torch.zeros(inverse.shape).short())
 
 
-def _by_networks(
-    networks: CameraNetworks, camera: ShownCamera, *, alone: bool = False
-) -> Callable[[int], list[float]]:
-    """Scores a left-out image as the networks render it; `alone`: from this camera's images only."""
+def _by_depths(camera: ShownCamera, *, alone: bool = False) -> Callable[[int], list[float]]:
+    """Scores a left-out image as the others show it; `alone`: from this camera's images only."""
 
     def score(index: int) -> list[float]:
-        shown = render_view(networks, camera.from_others(index, alone=alone))
+        shown = render_view(camera.from_others(index, alone=alone))
         return _scores(camera.drive.given, camera.name, index, shown)
 
     return score

@@ -3,8 +3,6 @@
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-import torch
 from torch import Tensor
 from torch.nn import functional
 
@@ -15,32 +13,17 @@ from nvsf_core.models.residual.shared_images import SharedImages
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
 from nvsf_core.rendering.image_exposure import recorded_at_exposure
-from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
-
-_BLOCKS_M = (1.0, 2.0, 4.0)
-"""An image is also rendered without those within one of these distances: networks learn to look from afar."""
-_FEWEST_SOURCES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A training image, and the view of it that is compared with, or rendered from, the other images."""
+class RecordedView:
+    """A training image, and the view of it that is compared with the images around it."""
 
     view: CameraView
-    """The inputs of the view, without the scan of its instant, and to draw it without the image itself."""
+    """Without the scan of its instant."""
     truth: Tensor
-    """(3, H, W) uint8."""
-    small_truth: Tensor
     """(3, h, w) float32 in 0..1, at the size at which depth planes are compared, and the common exposure."""
-    coarse: Tensor | None = None
-    """(3, h, w) of `coarse_colour`; None while images have no depths."""
-
-    def to(self, device: torch.device) -> "LeftOut":
-        """The same example on `device`."""
-        truth, small = self.truth.to(device), self.small_truth.to(device)
-        coarse = None if self.coarse is None else self.coarse.to(device)
-        return LeftOut(self.view.to(device), truth, small, coarse)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +45,10 @@ class ShownCamera:
     returns: dict[int, tuple[list[MovingPoints], LidarView]] = field(default_factory=dict)
     """What is known already of `_returns`, for all views of an image by this drive's poses."""
 
+    def with_images(self, images: ShownImages) -> "ShownCamera":
+        """The same camera with its images on another device, or with depths."""
+        return replace(self, images=images)
+
     @property
     def validation(self) -> range:
         """Which of its own training images are for validation; at least one, never all."""
@@ -77,22 +64,18 @@ class ShownCamera:
         """Numbers of all shared images that are for validation."""
         return {number for index in self.validation for number in self.shared.at_instant_of(index)}
 
-    def itself(self, index: int) -> LeftOut:
+    def itself(self, index: int) -> RecordedView:
         """One of its images among its own sources, by which its depth is found.
 
         Images for validation are no sources.
         """
         number = self.shared.number(self.name, index)
-        return self._with_truth(self._view(index, self.for_validation - {number}, own=number), index)
-
-    def left_out(self, index: int) -> LeftOut:
-        """One of its images rendered from all of other instants."""
-        return self._with_truth(self._view(index, self.shared.at_instant_of(index)), index)
-
-    def left_out_in_block(self, index: int, place: int) -> LeftOut:
-        """One of its images rendered from those beyond a distance, which alternates with `place`."""
-        block = self._block(index, _BLOCKS_M[place % len(_BLOCKS_M)])
-        return self._with_truth(self._view(index, block), index)
+        view = self._view(index, self.for_validation - {number}, own=number)
+        recorded = self.drive.given.cameras[self.name].training.rgb[index]
+        levels = recorded_at_exposure(recorded, -self._log_gain(index))
+        truth = functional.avg_pool2d(levels, view.factor)
+        device = self.images.full.device
+        return RecordedView(view.to(device), truth.to(device))
 
     def from_others(self, index: int, *, alone: bool = False) -> CameraView:
         """The view of one of its images by all of other instants, whose exposures give its own.
@@ -114,12 +97,11 @@ class ShownCamera:
         recording = self.drive.world.recording
         pose = self.drive.left_out_pose(self.name, index)
         moving, lidar = self._returns(index)
-        view = camera_view(
+        return camera_view(
             pose, recording.cameras[self.name].training.pinhole, lidar, self.images,
             self.shared.poses(recording), self.spec, instant=self.shared.instant, leave_out=leave_out,
             own=own, moving=moving,
         )  # fmt: skip
-        return replace(view, log_gain=self._log_gain(index)).to(self.images.full.device)
 
     def _log_gain(self, index: int, *, leave_out: bool = False) -> float:
         """Of one of its images; `leave_out`: as the others tell it."""
@@ -140,20 +122,3 @@ class ShownCamera:
             found = moving, lidar_view(pose, one.training.pinhole, static_m, moving)
             self.returns[index] = found
         return found
-
-    def _with_truth(self, view: CameraView, index: int) -> LeftOut:
-        truth = self.drive.given.cameras[self.name].training.rgb[index]
-        small = functional.avg_pool2d(recorded_at_exposure(truth, -view.log_gain), view.factor)
-        coarse = None if view.surfaces is None else coarse_colour(view)
-        example = LeftOut(view, torch.from_numpy(truth).permute(2, 0, 1), small, coarse)
-        return example.to(self.images.full.device)
-
-    def _block(self, index: int, radius_m: float) -> set[int]:
-        """Numbers of the images of its instant and within a distance of it; at least two are left."""
-        position_m = self.shared.poses(self.drive.world.recording)[:, :3, 3]
-        number, instant = self.shared.number(self.name, index), list(self.shared.at_instant_of(index))
-        distance_m = np.linalg.norm(position_m - position_m[number], axis=1)
-        distance_m[instant] = -1.0
-        order = np.argsort(distance_m, kind="stable")
-        inside = int(np.count_nonzero(distance_m <= radius_m))
-        return set(order[: max(len(instant), min(inside, len(order) - _FEWEST_SOURCES))].tolist())

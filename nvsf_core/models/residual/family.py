@@ -7,7 +7,6 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core._types import Scalar
-from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.models.family import Trained, TrainedPart, TrainingSession, Weights
@@ -30,8 +29,6 @@ class ResidualFields:
 
     lidar: LidarField | None
     """None where the drive has no LiDAR."""
-    camera: CameraNetworks | None
-    """None where the drive has no camera."""
     hits: CellNetwork | None = None
     """The raydrop network; None where the recipe has none."""
     pano: CellNetwork | None = None
@@ -40,7 +37,7 @@ class ResidualFields:
     def tensors(self) -> dict[str, Tensor]:
         """All weights on the CPU, named `<part>.<weight>`."""
         parts: dict[str, nn.Module | None] = {
-            "lidar": self.lidar, "camera": self.camera, "hits": self.hits, "pano": self.pano
+            "lidar": self.lidar, "hits": self.hits, "pano": self.pano
         }  # fmt: skip
         return {
             f"{part}.{name}": value.cpu()
@@ -52,7 +49,7 @@ class ResidualFields:
 
 def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> ResidualFields:
     """Untrained parts, each with weights from its own seed."""
-    lidar = camera = hits = pano = None
+    lidar = hits = pano = None
     if recording.lidar is not None:
         if recipe.hits is not None:
             hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
@@ -60,9 +57,7 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
             pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
         points_m = recording.lidar.evidence.surfels.mean_m
         lidar = LidarField.around(points_m, recipe.lidar_field, torch.Generator().manual_seed(seed))
-    if recording.cameras:
-        camera = CameraNetworks(recipe.camera, torch.Generator().manual_seed(seed + 1))
-    return ResidualFields(lidar=lidar, camera=camera, hits=hits, pano=pano)
+    return ResidualFields(lidar=lidar, hits=hits, pano=pano)
 
 
 def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
@@ -84,8 +79,8 @@ def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession
     parts: list[TrainedPart] = []
     if recording.lidar is not None:
         parts += _train_lidar_parts(session, fields, recipe, recording.lidar)
-    if fields.camera is not None:
-        parts.append(train_camera(session, fields.camera, recipe, recording))
+    if recording.cameras:
+        parts.append(train_camera(session, recipe, recording))
     states = {sensor: state for part in parts for sensor, state in part.states.items()}
     facts: dict[str, object] = {}
     for part in parts:
@@ -146,10 +141,8 @@ def load(
             model = replace(model, lidar=reprojecting_renderer(recording.lidar))
         elif fields.lidar is not None:
             model = _with_lidar(model, recipe, fields, weights, recording.lidar)
-    if fields.camera is not None and with_camera:
-        weights.load_into(fields.camera, "camera.")
-        camera = camera_renderer(fields.camera, recording, recipe.camera, weights)
-        model = replace(model, camera=camera)
+    if recording.cameras and with_camera:
+        model = replace(model, camera=camera_renderer(recording, recipe.camera, weights))
     return model
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from nvsf_core.fields.camera_networks import DepthNetwork
+from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.images.depth_splat import without_edges
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts

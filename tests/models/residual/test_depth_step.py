@@ -1,4 +1,4 @@
-"""Laws of the camera's training steps."""
+"""Laws of the depth network's training steps."""
 
 from dataclasses import replace
 
@@ -6,16 +6,14 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from nvsf_core.fields.camera_networks import CameraNetworks
+from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.models.residual.camera_examples import LeftOut
-from nvsf_core.models.residual.camera_step import camera_step, depth_step, sample_window
+from nvsf_core.models.residual.camera_examples import RecordedView
+from nvsf_core.models.residual.depth_step import depth_step, sample_window
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
-from nvsf_core.rendering.learned_warp import coarse_colour
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_inverses, planes_of
-from nvsf_core.rendering.view_depth_maps import DepthMaps
 from nvsf_core.rendering.warping import to_float
 from nvsf_core.training.loop import make_optimiser
 
@@ -25,7 +23,6 @@ RECIPE = replace(
     ResidualRecipe(name="tiny"),
     camera=CameraSpec(sources=2, planes=16, plane_px=64 * 32),
     depth_training=STEPS,
-    camera_training=STEPS,
 )
 
 
@@ -35,46 +32,32 @@ def poses() -> np.ndarray:
     return result
 
 
-def example(spec: CameraSpec = RECIPE.camera, *, itself: bool = False) -> LeftOut:
-    """A wall of stripes at 5 m, its middle photograph left out or `itself` a source; no LiDAR."""
+def example(spec: CameraSpec = RECIPE.camera) -> RecordedView:
+    """A wall of stripes at 5 m, its middle photograph the first source; no LiDAR."""
     rays = CAMERA.rays(CAMERA.pixels())
     x = (rays / rays[..., 2:] * 5.0)[None, ..., 0] + poses()[:, None, None, 0, 3]
     images = np.stack([127 + 100 * np.sin(2.5 * x + phase) for phase in (0, 1, 2)], -1).astype(np.uint8)
-    maps = DepthMaps(torch.full((3, 32, 64), 0.2), torch.zeros(3, 32, 64, dtype=torch.int16))
     shown = shown_images(images, np.ones((32, 64), np.bool_), shrinking(CAMERA, spec))
     nothing = lidar_view(poses()[1], CAMERA, np.zeros((0, 3), np.float32), ())
-    view = camera_view(
-        poses()[1], CAMERA, nothing, shown if itself else shown.with_depths(maps), poses(), spec,
-        leave_out=() if itself else (1,), own=1 if itself else None,
-    )  # fmt: skip
-    truth = torch.from_numpy(images[1]).permute(2, 0, 1)
-    full = to_float(images[1:2])
-    coarse = None if itself else coarse_colour(view)
-    return LeftOut(view, truth, functional.avg_pool2d(full, view.factor)[0], coarse)
+    view = camera_view(poses()[1], CAMERA, nothing, shown, poses(), spec, own=1)
+    return RecordedView(view, functional.avg_pool2d(to_float(images[1:2]), view.factor)[0])
 
 
-def test_both_steps_lower_their_loss_and_the_sweep_learns_the_depth_of_the_wall() -> None:
-    networks = CameraNetworks(RECIPE.camera, torch.Generator().manual_seed(0))
-    itself, left_out, generator = example(itself=True), example(), torch.Generator().manual_seed(1)
-
-    def descend(network, step) -> tuple[float, float]:
-        optimiser, losses = make_optimiser(network, STEPS), []
-        for _ in range(STEPS.steps):
-            optimiser.zero_grad()
-            loss = step()
-            loss.total.backward()
-            optimiser.step()
-            losses.append(float(loss.total.detach()))
-        return float(np.mean(losses[:5])), float(np.mean(losses[-5:]))
-
-    before, after = descend(networks.depth, lambda: depth_step(networks.depth, [itself], RECIPE, generator))
-    assert after < 0.8 * before
+def test_steps_lower_their_loss_and_the_network_learns_the_depth_of_the_wall() -> None:
+    network = DepthNetwork(RECIPE.camera, torch.Generator().manual_seed(0))
+    one, generator, losses = example(), torch.Generator().manual_seed(1), []
+    optimiser = make_optimiser(network, STEPS)
+    for _ in range(STEPS.steps):
+        optimiser.zero_grad()
+        loss = depth_step(network, [one], RECIPE, generator)
+        loss.total.backward()
+        optimiser.step()
+        losses.append(float(loss.total.detach()))
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
     with torch.no_grad():
-        probability, _ = planes_of(networks.depth, itself.view, RECIPE.camera)
+        probability, _ = planes_of(network, one.view, RECIPE.camera)
     middle = likeliest_depth(probability, plane_inverses(RECIPE.camera))[0][4:-4, 12:-12]
     assert abs(float(middle.median()) - 0.2) < 0.04
-    before, after = descend(networks.blend, lambda: camera_step(networks, [left_out], RECIPE, generator))
-    assert after < before
 
 
 def test_windows_lie_in_the_image_and_are_as_large_as_asked_where_they_fit() -> None:
@@ -88,9 +71,9 @@ def test_windows_lie_in_the_image_and_are_as_large_as_asked_where_they_fit() -> 
 
 def test_gradients_are_finite_with_a_place_holder_for_a_source() -> None:
     spec = replace(RECIPE.camera, sources=4)
-    networks = CameraNetworks(spec, torch.Generator().manual_seed(0))
-    camera_step(
-        networks, [example(spec)], replace(RECIPE, camera=spec), torch.Generator().manual_seed(1)
+    network = DepthNetwork(spec, torch.Generator().manual_seed(0))
+    depth_step(
+        network, [example(spec)], replace(RECIPE, camera=spec), torch.Generator().manual_seed(1)
     ).total.backward()
-    gradient = networks.blend.out.weight.grad
+    gradient = network.prior.weight.grad
     assert gradient is not None and torch.isfinite(gradient).all() and gradient.abs().sum() > 0

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from nvsf_core.demo.drive import DemoSize
-from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.models.residual.camera import EXPOSURES, LEARNED, camera_renderer, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.exposures import (
@@ -99,17 +98,16 @@ def test_exposures_between_images_and_as_the_other_images_tell_them() -> None:
 
 
 def test_views_have_the_exposure_of_their_time(run: SceneRun, drive: Recording, tmp_path: Path) -> None:
-    once = replace(preset("smoke").camera_training, steps=1)
-    recipe = replace(preset("smoke"), depth_training=once, camera_training=once)
-    networks = CameraNetworks(recipe.camera, torch.Generator().manual_seed(0))
+    once = replace(preset("smoke").depth_training, steps=1)
+    recipe = replace(preset("smoke"), depth_training=once)
     task = Task(
         scene=run.scene, store=run.store, config=replace(run.config, recipe=recipe), folder=tmp_path,
         progress=lambda _: None,
     )  # fmt: skip
-    trained = train_camera(StageSession(task, tmp_path), networks, recipe, drive)
+    trained = train_camera(StageSession(task, tmp_path), recipe, drive)
     assert list(trained.facts[EXPOSURES]) == [CAMERA]
     weights = StoredWeights(trained.tensors, trained.facts | {LEARNED: [CAMERA]}, tmp_path / "weights")
-    render = camera_renderer(networks, drive, recipe.camera, weights)
+    render = camera_renderer(drive, recipe.camera, weights)
     one = drive.cameras[CAMERA]
     for index in (0, 2, 4):
         place = one.training.pinhole, one.training.pose[index], float(one.training_time_s[index])

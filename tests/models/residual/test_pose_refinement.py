@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from nvsf_core.demo.drive import DemoSize
-from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
 from nvsf_core.models.residual.camera import ALIGNED, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
@@ -139,14 +137,13 @@ def test_an_image_whose_scan_is_missing_borrows_none(drive: Recording) -> None:
 def test_the_seconds_of_training_the_camera_are_all_that_it_took(
     run: SceneRun, drive: Recording, tmp_path: Path
 ) -> None:
-    once = replace(preset("smoke").camera_training, steps=1)
+    once = replace(preset("smoke").depth_training, steps=1)
     camera = replace(preset("smoke").camera, aligned=True)
-    recipe = replace(preset("smoke"), depth_training=once, camera_training=once, camera=camera)
+    recipe = replace(preset("smoke"), depth_training=once, camera=camera)
     task = Task(scene=run.scene, store=run.store, config=replace(run.config, recipe=recipe), folder=tmp_path,
                 progress=lambda _: None)  # fmt: skip
-    networks = CameraNetworks(camera, torch.Generator().manual_seed(0))
     started = time.perf_counter()
-    trained = train_camera(StageSession(task, tmp_path), networks, recipe, drive)
+    trained = train_camera(StageSession(task, tmp_path), recipe, drive)
     took_s = time.perf_counter() - started
     assert f"{CAMERA}_judged_aligned_gain_db" in trained.metadata
     counted_s = trained.preparation_seconds + sum(state.seconds for state in trained.states.values())

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from nvsf_core.demo.drive import DemoSize
-from nvsf_core.fields.camera_networks import CameraNetworks
 from nvsf_core.geometry.se3 import exp_se3
 from nvsf_core.models.family import TrainedPart
 from nvsf_core.models.residual.camera import ALONE, LEARNED, SHARED, TONES, camera_renderer, train_camera
@@ -91,9 +89,7 @@ def test_an_image_is_never_rendered_from_another_of_its_instant(drive: Recording
     one = shown(drive, camera)
     for index in range(FRAMES):
         instant = one.shared.at_instant_of(index)
-        views = [one.from_others(index), *(one.left_out_in_block(index, place).view for place in range(3))]
-        for view in views:
-            assert not instant & set(view.near.chosen)
+        assert not instant & set(one.from_others(index).near.chosen)
         own = set(one.from_others(index, alone=True).near.chosen)
         assert not own & (one.shared.of_others(camera) | instant)
     assert not set(one.training) & set(one.validation)
@@ -108,21 +104,17 @@ def test_each_image_has_the_other_of_its_instant_beside_it_for_its_depth(drive: 
         assert not one.for_validation & set(sources)
 
 
-def trained_once(run: SceneRun, drive: Recording, folder: Path) -> tuple[TrainedPart, CameraNetworks]:
-    once = replace(preset("smoke").camera_training, steps=1)
-    recipe = replace(preset("smoke"), depth_training=once, camera_training=once)
-    networks = CameraNetworks(recipe.camera, torch.Generator().manual_seed(0))
+def trained_once(run: SceneRun, drive: Recording, folder: Path) -> TrainedPart:
+    recipe = replace(preset("smoke"), depth_training=replace(preset("smoke").depth_training, steps=1))
     config = replace(run.config, recipe=recipe)
     task = Task(scene=run.scene, store=run.store, config=config, folder=folder, progress=lambda _: None)
-    return train_camera(StageSession(task, folder), networks, recipe, drive), networks
+    return train_camera(StageSession(task, folder), recipe, drive)
 
 
-def images(
-    networks: CameraNetworks, trained: TrainedPart, drive: Recording, facts: dict[str, object]
-) -> dict[str, np.ndarray]:
-    """A view half-way between two images of each camera, by the networks."""
+def images(trained: TrainedPart, drive: Recording, facts: dict[str, object]) -> dict[str, np.ndarray]:
+    """A view half-way between two images of each camera, by the learned depths."""
     weights = StoredWeights(trained.tensors, facts, Path("weights.safetensors"))
-    render = camera_renderer(networks, drive, preset("smoke").camera, weights)
+    render = camera_renderer(drive, preset("smoke").camera, weights)
     found = {}
     for name in CAMERAS:
         one = drive.cameras[name]
@@ -134,7 +126,7 @@ def images(
 def test_a_pair_has_one_set_of_depth_maps_and_each_camera_may_do_without_the_others_images(
     run: SceneRun, drive: Recording, tmp_path: Path
 ) -> None:
-    trained, networks = trained_once(run, drive, tmp_path)
+    trained = trained_once(run, drive, tmp_path)
     assert trained.facts[SHARED] == [list(PAIR), ["image_02"]]
     assert trained.facts[TONES] == {}, "both look alike"
     maps = {name: len(one) for name, one in trained.tensors.items() if name.endswith("inverse")}
@@ -143,11 +135,11 @@ def test_a_pair_has_one_set_of_depth_maps_and_each_camera_may_do_without_the_oth
     assert judged == [True, True, False]
 
     facts = trained.facts | {LEARNED: list(CAMERAS), ALONE: []}
-    shared = images(networks, trained, drive, facts)
-    alone = images(networks, trained, drive, facts | {ALONE: ["image_01"]})
+    shared = images(trained, drive, facts)
+    alone = images(trained, drive, facts | {ALONE: ["image_01"]})
     assert [np.array_equal(shared[name], alone[name]) for name in CAMERAS] == [True, False, True]
     older = {name: value for name, value in facts.items() if name not in (SHARED, TONES, ALONE)}
-    by_older = images(networks, trained, drive, older | {LEARNED: ["image_02"]})
+    by_older = images(trained, drive, older | {LEARNED: ["image_02"]})
     assert np.array_equal(by_older["image_02"], shared["image_02"])
 
 
@@ -158,10 +150,10 @@ def test_each_camera_of_a_pair_keeps_its_own_exposure(
     darker = replace(right, rgb=ToneCurve((0.7,) * 3, (1.1,) * 3).of(right.rgb))
     cameras = drive.cameras | {PAIR[1]: replace(drive.cameras[PAIR[1]], training=darker)}
     drive = replace(drive, cameras=cameras)
-    trained, networks = trained_once(run, drive, tmp_path)
+    trained = trained_once(run, drive, tmp_path)
     assert list(trained.facts[TONES]) == [PAIR[1]]
     assert min(trained.metadata[f"{name}_judged_psnr_db"] for name in PAIR) > 10.0
-    shown = images(networks, trained, drive, trained.facts | {LEARNED: list(CAMERAS), ALONE: []})
+    shown = images(trained, drive, trained.facts | {LEARNED: list(CAMERAS), ALONE: []})
     for name in PAIR:
         recorded = drive.cameras[name].training.rgb[2:4].mean()
         assert abs(shown[name].mean() - recorded) < 5.0

@@ -32,7 +32,6 @@ RESIDUAL = replace(
     lidar_field=FieldSpec(levels=2, log2_table=8),
     lidar_training=replace(_TRAINING, rays=64),
     depth_training=_TRAINING,
-    camera_training=_TRAINING,
     hits=HitsSpec(channels=4, layers=1, training=replace(_TRAINING, rays=64)),
     pano=PanoSpec(phases=1, parts=2, channels=4, layers=1, training=replace(_TRAINING, rays=264)),
 )
@@ -44,11 +43,8 @@ PAPER = replace(
     optimiser=replace(PAPER.optimiser, steps=STEPS),
     refinement=replace(PAPER.refinement, steps=STEPS, panos=1, column_step=8),
 )
-PHASES = {
-    "lidar": "lidar.", "hits": "hits.", "pano": "pano.", "depth": "camera.depth.",
-    "camera": "camera.blend.",
-}  # fmt: skip
-"""Of the residual recipes, in their order, and how the names of their weights begin."""
+PHASES = {"lidar": "lidar.", "hits": "hits.", "pano": "pano.", "depth": "depth_maps."}
+"""Of the residual recipes, in their order, and how the names of what they learn begin."""
 PAPER_PHASES = {"field": "field.", "refinement": "unet."}
 """LiDAR and camera rays train the paper's field together."""
 
