@@ -38,8 +38,8 @@ recipe's own number of steps; a training planned for so short a time would lower
 better. Where a recipe trains a model for each sensor, the LiDAR's errors stand over the LiDAR's seconds and
 the camera's over the camera's; `paper_cpu` trains both together. *End*: when training ended, what is
 published then, seconds in brackets. Before the end `lean`'s LiDAR is its field alone, without the network of
-hits; of a camera only the end is known since its images are blended without a network (decision 0050). “—”: no
-model yet, or training had ended.
+hits; a camera has an end alone since its images are blended without a network (decision 0050). “—”: no model
+yet, or training had ended.
 
 Errors are of frames that were never trained, means over them, then over seeds with their standard deviation
 (±). **Bold**, and ringed in the plots: the Pareto front, than which nothing that took less time is as good.

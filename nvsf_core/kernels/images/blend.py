@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-_AROUND = np.float32(0.1)
+_AROUND = np.float32(0.12)
 """Weight of the colour around a pixel, beside the depths' probabilities. More of it lowers squared errors,
 because it is smooth, and makes views less sharp (decision 0050)."""
 _NEARNESS_POWER = np.float32(1.5)
