@@ -126,8 +126,8 @@ CAPABILITIES = (
     Capability(
         "single pixels of another depth take that of those around them",
         ("kernels/images/speckles.py",),
-        "left-out images, aligned: k360_street 22.20 and 22.19 dB, SSIM .769 to .771, LPIPS .095 to .093; kitti0005 "
-        "23.02 to 23.04 dB, the rest the same; street .0852 to .0844 (0050)",
+        "left-out images, aligned: k360_street 22.20 and 22.19 dB, SSIM .769 to .771, LPIPS .095 to .093; "
+        "kitti0005 23.02 to 23.04 dB, the rest the same; street .0852 to .0844 (0050)",
     ),
     Capability(
         "sources that differ over an area lose weight",
