@@ -33,7 +33,7 @@ measured on KITTI-360's ten scenes.
 
 Networks are trained on the device that `nvsf_core/models/family.py` names, the first CUDA device if there
 is one: all of `paper`, and of `lean` and `quick` the LiDAR field, the raydrop network, the pano network and
-the camera networks. `paper` and the camera networks also render there; evidence and simulated sweeps stay on
+the camera's depth network. `paper` also renders there; evidence and simulated sweeps stay on
 the CPU, and so does the search for the surfaces along training rays, which CPU threads do for later steps
 while the GPU computes one. The tests train all of them on a device that is the CPU by
 another name, and that refuses what CUDA refuses.

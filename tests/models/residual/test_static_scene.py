@@ -76,7 +76,7 @@ def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Rec
     assert stored and not [name for name in stored if name.startswith(("object_", "background_"))]
     fields = make_fields(recipe, recording, 0)
     names = fields.tensors()
-    assert {name.split(".")[0] for name in names} == {"lidar", "camera", "hits"}
+    assert {name.split(".")[0] for name in names} == {"lidar", "hits"}
     assert not [name for name in names if any(w in name for w in ("time", "flow", "dynamic"))]
 
 
