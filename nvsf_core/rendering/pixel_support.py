@@ -35,7 +35,7 @@ def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
         shown: (k, H, W) bool, whether each of the view's sources shows that.
     """
     assert view.surfaces is not None
-    rays = plane_rays(view.pinhole, view.device)
+    rays = plane_rays(view.pinhole)
     point_m = (rays / inverse[..., None].clamp_min(1e-4)).permute(2, 0, 1).contiguous()
     seen = torch.zeros_like(inverse, dtype=torch.bool)
     moved = None if view.label is None else view.near.moved
@@ -64,7 +64,7 @@ def _glimpsed(view: CameraView, unknown: Tensor) -> Tensor:
     """
     assert view.surfaces is not None and view.images.depths is not None
     measured = unknown & (view.gap_px <= _BESIDE_PX)
-    rays = plane_rays(view.pinhole, view.device)[measured][:, None]
+    rays = plane_rays(view.pinhole)[measured][:, None]
     points = SeenPoints(rays, view.inverse[measured][None, :, None])
     is_shown = torch.zeros_like(measured[measured])
     maps = view.images.depths.inverse
@@ -92,7 +92,7 @@ def _shows_surface(
     found = []
     for number, image in enumerate(images.chosen):
         grid, inside, there = source_pixels(images.motion[number], points.rays, points.inverse[0], pinhole)
-        own = sample(maps[image][None].to(grid.device), grid, "nearest")[0].abs()
+        own = sample(maps[image][None], grid, "nearest")[0].abs()
         found.append(inside & (own > 0.0) & ~hides(own, there) & ~hides(there, own))
     return torch.stack(found)
 
@@ -142,7 +142,7 @@ def shown_by_others(
     """
     count = int(missing.sum())
     if others is None or count == 0:
-        return torch.zeros(3, count, device=missing.device), torch.zeros_like(missing[missing])
+        return torch.zeros(3, count), torch.zeros_like(missing[missing])
     label = None if points.label is None else points.label[missing][:, None]
     front = SeenPoints(points.rays[missing][:, None], points.inverse[:1, missing][..., None], label)
     colour, shown = look_up(others, front, pinhole)
