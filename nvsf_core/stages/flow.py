@@ -70,7 +70,7 @@ FIELD = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="34",
+    version="35",
     run=_later("field", "run"),
     estimate_bytes=_later("sizes", "field_bytes"),
     per_recipe=True,

@@ -4,8 +4,11 @@ import numpy as np
 from numba import njit
 
 _AROUND = np.float32(0.12)
-"""Weight of the colour around a pixel, beside the depths' probabilities. More of it lowers squared errors,
-because it is smooth, and makes views less sharp (decision 0050)."""
+"""Weight of the colour around a pixel, beside the depths' probabilities, where the second nearest source is
+as near as the first. More of it lowers squared errors, because it is smooth, and makes views less sharp; at
+the place of a recorded image, where that one tells all, it only blurs (decision 0050)."""
+_LEAST_AROUND = np.float32(0.01)
+"""The least weight of it: where no source shows anything it is all there is."""
 _NEARNESS_POWER = np.float32(1.5)
 """With 2 views are sharper, with 1 their errors are smaller."""
 _OFFSET = np.array([0.02, 0.01, 0.01], np.float32)
@@ -29,19 +32,21 @@ def blended(
     Returns:
         (3, h, w) float32, about 0..1.
     """
+    second = np.sort(nearness)[-2] if len(nearness) > 1 else _LEAST_AROUND
+    beside = max(_LEAST_AROUND, _AROUND * second)
     found = np.empty_like(around)
-    _blend(colour, seen, share, nearness**_NEARNESS_POWER, around, trust, found)
+    _blend(colour, seen, share, nearness**_NEARNESS_POWER, around, beside * trust[-1], trust, found)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _blend(colour, seen, share, near, around, trust, found):  # type: ignore[no-untyped-def]
-    """Write the blend (3, h, w); `near` (k,) are the sources' weights."""
+def _blend(colour, seen, share, near, around, beside, trust, found):  # type: ignore[no-untyped-def]
+    """Write the blend (3, h, w); `near` (k,) are the sources' weights, `beside` (h, w) that of `around`."""
     sources, depths, rows, columns = seen.shape
     whole = np.empty(columns, np.float32)
     for r in range(rows):
         for c in range(columns):
-            whole[c] = _AROUND * trust[-1, r, c]
+            whole[c] = beside[r, c]
         for i in range(3):
             for c in range(columns):
                 found[i, r, c] = whole[c] * around[i, r, c]

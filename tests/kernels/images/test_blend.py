@@ -27,7 +27,7 @@ def test_the_kernel_takes_the_weighted_mean() -> None:
         given["nearness"][None, :, None, None] ** blend._NEARNESS_POWER
     )
     weight = weight * given["trust"][:-1].reshape(weight.shape) * given["seen"].swapaxes(0, 1)
-    beside = blend._AROUND * given["trust"][-1]
+    beside = blend._AROUND * given["nearness"][1] * given["trust"][-1]
     colour = given["colour"].transpose(2, 0, 1, 3, 4)
     whole = (weight[:, :, None] * colour).sum(axis=(0, 1)) + beside * given["around"]
     np.testing.assert_allclose(blended(**given), whole / (weight.sum(axis=(0, 1)) + beside), rtol=1e-5)
@@ -45,6 +45,16 @@ def test_where_nothing_is_seen_the_colour_around_stays() -> None:
     given = inputs()
     given["seen"][:] = False
     np.testing.assert_allclose(blended(**given), given["around"], rtol=1e-5)
+
+
+def test_at_the_place_of_a_recorded_image_its_own_colour_is_hardly_blurred() -> None:
+    given = inputs()
+    given["seen"][:], given["trust"][:], given["share"][0] = True, 1.0, 1.0
+    given["colour"][0] = given["colour"][0, :, :1]
+    given["nearness"][1] = 0.01
+    apart = np.abs(blended(**given) - given["colour"][0, :, 0])
+    given["nearness"][1] = 1.0
+    assert apart.max() < 0.02 < np.abs(blended(**given) - given["colour"][0, :, 0]).mean()
 
 
 def test_a_source_without_nearness_is_a_placeholder() -> None:
