@@ -32,7 +32,7 @@ def blended(
     Returns:
         (3, h, w) float32, about 0..1.
     """
-    second = np.sort(nearness)[-2] if len(nearness) > 1 else _LEAST_AROUND
+    second = np.sort(nearness)[-2] if len(nearness) > 1 else np.float32(0.0)
     beside = max(_LEAST_AROUND, _AROUND * second)
     found = np.empty_like(around)
     _blend(colour, seen, share, nearness**_NEARNESS_POWER, around, beside * trust[-1], trust, found)

@@ -87,7 +87,7 @@ def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Re
         )  # fmt: skip
     session.say("camera", f"{sum(len(one.training) for one in cameras.values())} images to learn from")
     device, spec = training_device(), recipe.depth_training
-    compared = {name: one.with_images(one.images.to(device)) for name, one in cameras.items()}
+    compared = {name: replace(one, images=one.images.to(device)) for name, one in cameras.items()}
     examples = _examples(compared, spec)
     network = DepthNetwork(recipe.camera, torch.Generator().manual_seed(session.seed + 1)).to(device)
     state = fresh_state(network, spec, session.seed * 3 + 1)
@@ -100,8 +100,11 @@ def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Re
     )  # fmt: skip
     placing = time.perf_counter()
     maps = {one.name: image_depths(network, compared[one.name]) for one in shared}
+    # They hold all images without depths.
+    examples.clear()
+    compared.clear()
     shown = {name: cameras[name].images.with_depths(one) for name, one in maps.items()}
-    cameras = {name: one.with_images(shown[one.shared.name]) for name, one in cameras.items()}
+    cameras = {name: replace(one, images=shown[one.shared.name]) for name, one in cameras.items()}
     verdict, facts = _verdict(given, cameras, recipe.camera, exposures)
     return TrainedPart(
         states={"depth": state}, preparation_seconds=preparation + time.perf_counter() - placing,

@@ -45,10 +45,6 @@ class ShownCamera:
     returns: dict[int, tuple[list[MovingPoints], LidarView]] = field(default_factory=dict)
     """What is known already of `_returns`, for all views of an image by this drive's poses."""
 
-    def with_images(self, images: ShownImages) -> "ShownCamera":
-        """The same camera with its images on another device, or with depths."""
-        return replace(self, images=images)
-
     @property
     def validation(self) -> range:
         """Which of its own training images are for validation; at least one, never all."""
