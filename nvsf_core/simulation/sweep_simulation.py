@@ -263,7 +263,7 @@ def support_of_sweep(
         )
     is_known = np.where(has_end, _is_recorded(lidar.evidence, rays, ends_m), looked)
     ended = np.flatnonzero(has_end & ~is_known)
-    is_known[ended] = _is_on_object(lidar, ends_m[ended], time_s[ended], rays.origin_m[ended])
+    is_known[ended] = _is_on_object(lidar, rays, time_s, ended, ends_m[ended])
     support = np.where(is_known, Support.EXTRAPOLATED, Support.GUESSED)
     support[(agreed >= min(_AGREEING_SCANS, len(lookups.scans))) & (others == 0)] = Support.SEEN
     if is_own_unit:
@@ -284,14 +284,18 @@ def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -
 
 
 def _is_on_object(
-    lidar: LidarRecording, ends_m: np.ndarray, time_s: np.ndarray, origin_m: np.ndarray
+    lidar: LidarRecording, rays: SweepRays, time_s: np.ndarray, ended: np.ndarray, ends_m: np.ndarray
 ) -> np.ndarray:
-    """Whether (n,) bool places (n, 3), scene-local, lie within a voxel of a moving object's surface then."""
+    """Whether (n,) bool the rays `ended` (n,) of a sweep end within a voxel of a moving object's surface.
+
+    Arguments as of `support_of_sweep`; `ends_m` (n, 3) are these rays' ends, scene-local.
+    """
     found, moving = np.zeros(len(ends_m), bool), lidar.moving()
     if moving is None or len(ends_m) == 0:
         return found
-    for one in moving.at(time_s, origin_m):
-        place_m = one.path.to_object(ends_m.astype(np.float64), time_s)
+    # Asked for the whole sweep, whose objects are there already: building others takes longer than the rest.
+    for one in moving.at(time_s, rays.origin_m):
+        place_m = one.path.to_object(ends_m.astype(np.float64), time_s[ended])
         found |= _holds(one.surfels, place_m, reach=1)
     return found
 

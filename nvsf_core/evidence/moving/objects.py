@@ -1,6 +1,8 @@
 """Collects moving objects' rays in their own frames, and finds objects' surfaces along rays to render."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from threading import Lock
 
 import numpy as np
@@ -23,8 +25,15 @@ _STEPS_A_FRAME = 8
 """Instants per frame at which objects' surfels are built; an object that bends moves 2 cm between them."""
 _KEPT = 16
 """Instants and places whose objects are kept: a sweep asks for two, and up to eight are rendered at once."""
+_KEPT_SURFELS = 256
+"""Objects whose surfels are kept: what the bonnet mirrors is seen from elsewhere, but mostly by the same
+scans."""
 _SOME = 256
 """Rays from which a sweep's mean origin and time are estimated, to decimetres and hundredths of a second."""
+
+
+SurfelsBuilder = Callable[[ObjectEvidence, np.ndarray, float], Surfels | None]
+"""Gives `ObjectEvidence.surfels_from` of an object, or the same found before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +117,7 @@ def objects_at(
     *,
     leave_out: int | None = None,
     from_m: np.ndarray | None = None,
+    build: SurfelsBuilder = ObjectEvidence.surfels_from,
 ) -> tuple[ObjectSurfels, ...]:
     """The objects that are there about an instant, each built from its nearest scans.
 
@@ -120,6 +130,7 @@ def objects_at(
         leave_out: Number of a training scan.
         from_m: (3,) where they are seen from, scene-local, metres; where no near scan saw an object from
             there, others that did are added. None = from the recorded path, as always with `leave_out`.
+        build: Surfels of an object from some of its scans at a time.
     """
     there, looked_up = [], []
     for number, one in enumerate(evidence):
@@ -131,7 +142,7 @@ def objects_at(
         lag_s = _lag_s(one.path, scans, hit_priors)
         if from_m is not None and leave_out is None:
             scans = one.scans_towards(time_s, from_m, scans)
-        surfels = one.surfels_from(scans, time_s + lag_s)
+        surfels = build(one, scans, time_s + lag_s)
         if surfels is not None:
             there.append((number, path, surfels))
             looked_up.append((path, scans))
@@ -160,6 +171,7 @@ class NearObjects:
         self._leave_out = leave_out
         self._built: dict[tuple[float, ...], tuple[ObjectSurfels, ...]] = {}
         self._lock = Lock()
+        self._kept = lru_cache(_KEPT_SURFELS)(_surfels_from)
 
     def at(self, time_s: np.ndarray, origin_m: np.ndarray) -> tuple[ObjectSurfels, ...]:
         """The objects about the median of the rays' times, rounded to eighths of a frame; none without rays.
@@ -179,13 +191,20 @@ class NearObjects:
         if found is None:
             found = objects_at(
                 self.evidence, instant * frame_s / _STEPS_A_FRAME, self._hit_priors,
-                leave_out=self._leave_out, from_m=from_m,
+                leave_out=self._leave_out, from_m=from_m, build=self._surfels_from,
             )  # fmt: skip
             with self._lock:
                 if len(self._built) >= _KEPT:
                     del self._built[next(iter(self._built))]
                 self._built[about] = found
         return found
+
+    def _surfels_from(self, one: ObjectEvidence, scans: np.ndarray, time_s: float) -> Surfels | None:
+        return self._kept(one, tuple(scans.tolist()), time_s)
+
+
+def _surfels_from(one: ObjectEvidence, scans: tuple[int, ...], time_s: float) -> Surfels | None:
+    return one.surfels_from(np.array(scans, np.int32), time_s)
 
 
 def candidates_on(

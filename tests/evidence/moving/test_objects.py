@@ -189,6 +189,16 @@ def test_parts_of_a_sweep_share_what_was_built(passing) -> None:
     assert near.at(np.array([0.2]), HERE) is first
 
 
+def test_places_that_ask_the_same_scans_share_an_objects_surfels(passing) -> None:
+    near = NearObjects(passing[0].objects, ALWAYS)
+    (here,), (beside,) = (near.at(np.array([0.2]), HERE + np.array([x_m, 0.0, 0.0])) for x_m in (0.0, 1.0))
+    (later,) = near.at(np.array([0.35]), HERE)
+    assert here is not beside and here.surfels is beside.surfels
+    assert later.surfels is not here.surfels
+    alone = passing[0].objects[0].surfels_from(passing[0].objects[0].scans_near(0.2), 0.2)
+    assert np.array_equal(here.surfels.mean_m, alone.mean_m)
+
+
 def test_what_was_built_is_forgotten_after_some_instants(passing) -> None:
     near = NearObjects(passing[0].objects, ALWAYS)
     first = near.at(np.array([0.2]), HERE)
