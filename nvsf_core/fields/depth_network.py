@@ -7,10 +7,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nvsf_core.fields.layers import undrawn
+from nvsf_core.kernels.images.plane_features import N_FEATURES
 from nvsf_core.recipe import CameraSpec
 
-VOLUME_FEATURES = 12
-"""Channels that describe a depth plane of a pixel."""
+_FULL_CHANNELS = 8
+"""Channels at the resolution of the planes themselves."""
 _PLANE_PRIOR = (-4.0, -2.0, -8.0, -4.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Weights of a plane's features in its logit before training: where images agree, and returns lie."""
 
@@ -25,21 +26,21 @@ class DepthNetwork(nn.Module):
         """Sample all weights from `generator`."""
         super().__init__()
         a, b = spec.depth_channels
-        self.near = _layer(generator, VOLUME_FEATURES, 8, 1)
-        self.down = _layer(generator, VOLUME_FEATURES, a, 3, stride=(1, 2, 2), padding=1)
+        self.near = _layer(generator, N_FEATURES, _FULL_CHANNELS, 1)
+        self.down = _layer(generator, N_FEATURES, a, 3, stride=(1, 2, 2), padding=1)
         self.deep = _layer(generator, a, b, 3, stride=2, padding=1)
         self.deepest = _layer(generator, b, b, 3, padding=1)
         self.raise_deep = _layer(generator, b, a, 1)
         self.join = _layer(generator, a, a, 3, padding=1)
-        self.raise_join = _layer(generator, a, 8, 1)
-        self.logit = _layer(generator, 8, 1, 1)
-        self.prior = _layer(generator, VOLUME_FEATURES, 1, 1)
+        self.raise_join = _layer(generator, a, _FULL_CHANNELS, 1)
+        self.logit = _layer(generator, _FULL_CHANNELS, 1, 1)
+        self.prior = _layer(generator, N_FEATURES, 1, 1)
         with torch.no_grad():
             self.logit.weight.zero_()
             self.prior.weight[0, :, 0, 0, 0] = torch.tensor(_PLANE_PRIOR)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Logits (d, h, w) of d planes from their `features` (d, VOLUME_FEATURES, h, w)."""
+        """Logits (d, h, w) of d planes from their `features` (d, N_FEATURES, h, w)."""
         volume = features.contiguous(memory_format=torch.channels_last)
         wide = functional.relu(_by_plane(self.down, volume))
         deep = functional.relu(_by_plane(self.deepest, functional.relu(_by_plane(self.deep, wide))))
@@ -48,10 +49,6 @@ class DepthNetwork(nn.Module):
         raised = _resized_planes(_by_plane(self.raise_join, wide), volume)
         full = functional.relu(_by_plane(self.near, volume) + raised)
         return (_by_plane(self.logit, full) + _by_plane(self.prior, volume))[:, 0]
-
-
-def _resized(x: Tensor, like: Tensor) -> Tensor:
-    return functional.interpolate(x, like.shape[2:], mode="nearest")
 
 
 def _by_plane(layer: nn.Conv3d, x: Tensor) -> Tensor:
@@ -75,7 +72,7 @@ def _by_plane(layer: nn.Conv3d, x: Tensor) -> Tensor:
 def _resized_planes(x: Tensor, like: Tensor) -> Tensor:
     """Planes (d, c, h, w), repeated to the number and size of those of `like`."""
     # By planes, with channels last in memory, torch resizes many times as fast as in 3-D.
-    planes = _resized(x, like)
+    planes = functional.interpolate(x, like.shape[2:], mode="nearest")
     return planes if len(planes) == len(like) else planes.repeat_interleave(2, dim=0)[: len(like)]
 
 

@@ -1,4 +1,4 @@
-"""The presets by name (`lean`, `quick`, `smoke`, the paper's), and their variants with smaller step sizes."""
+"""The presets by name (`lean`, `quick`, `short`, `smoke`, the paper's), and those with smaller step sizes."""
 
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar

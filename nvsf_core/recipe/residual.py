@@ -55,7 +55,7 @@ class CameraSpec:
     plane_px: int = 33_000
     """Planes are compared on images shrunk, by a whole factor, to about this many pixels."""
     depth_channels: tuple[int, int] = (12, 16)
-    """Channels of the depth network, at its two resolutions."""
+    """Channels of the depth network, at its two lower resolutions."""
     aligned: bool = False
     """Correct camera poses so that LiDAR returns have similar colours in neighbouring images. Depths are
     found with recorded poses."""

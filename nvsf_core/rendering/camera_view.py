@@ -123,15 +123,15 @@ class CameraView:
         """Intrinsics of the images on which planes are compared."""
         return shrunk(self.pinhole, self.factor)
 
-    def thinned(self, image: Tensor, factor: int) -> Tensor:
+    def thinned(self, image: Tensor) -> Tensor:
         """The middle pixel of each block of factor x factor pixels of an image (..., H, W)."""
-        half = factor // 2
+        factor, half = self.factor, self.factor // 2
         rows, columns = self.pinhole.height // factor, self.pinhole.width // factor
         return image[..., half::factor, half::factor][..., :rows, :columns]
 
-    def label_of(self, factor: int, window: Window = WHOLE) -> Tensor | None:
-        """Labels (h, w) in a window of the view shrunk by `factor`; None = nothing moves."""
-        return None if self.label is None else self.thinned(self.label, factor)[window]
+    def label_of(self, window: Window = WHOLE) -> Tensor | None:
+        """Labels (h, w) in a window of the shrunk view; None = nothing moves."""
+        return None if self.label is None else self.thinned(self.label)[window]
 
 
 def shrinking(pinhole: Pinhole, spec: CameraSpec) -> int:

@@ -51,8 +51,7 @@ def at_exposure(levels: Tensor, log_gain: float) -> Tensor:
     if log_gain == 0.0:
         return levels
     x = levels.clamp(0.0, 1.0)
-    # The power's slope at 0 is finite, but torch's is not a number there.
-    saturation = 1.0 + math.expm1(_SHOULDER * log_gain) * x.clamp_min(1e-4) ** _SHOULDER
+    saturation = 1.0 + math.expm1(_SHOULDER * log_gain) * x**_SHOULDER
     return math.exp(log_gain) * x * saturation ** (-1.0 / _SHOULDER)
 
 

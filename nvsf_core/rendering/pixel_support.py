@@ -22,7 +22,6 @@ _HOLE_PX = 5
 """Side of the smallest square that is a hole: at depth edges no map has a surface, but both sides have."""
 
 
-@torch.no_grad()
 def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
     """(H, W) uint8 class of `Support` of each pixel of a view.
 
@@ -122,7 +121,6 @@ def _grown(image: Tensor) -> Tensor:
     return functional.max_pool2d(rows, (1, _HOLE_PX), 1, (0, half))[0]
 
 
-@torch.no_grad()
 def shown_by_others(
     others: Sources | None, points: SeenPoints, pinhole: Pinhole, missing: Tensor
 ) -> tuple[Tensor, Tensor]:

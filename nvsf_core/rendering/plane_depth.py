@@ -44,43 +44,26 @@ def planes_of(
 ) -> tuple[Tensor, Tensor]:
     """Probability (d, h, w) and colour (d, 3, h, w) of a recorded image's d depth planes, at shrunk pixels.
 
-    Args:
-        network: Gives the probabilities.
-        view: Of the image.
-        spec: Recipe of the cameras.
-        window: Part of the shrunk image.
-    """
-    features, colour = compared_planes(view, spec, window)
-    return probabilities(network, features), colour
-
-
-def probabilities(network: DepthNetwork, features: Tensor) -> Tensor:
-    """Probability (d, h, w) of depth planes by their features, see `plane_features`."""
-    logits: Tensor = network(features)
-    return logits.softmax(dim=0)
-
-
-def compared_planes(view: CameraView, spec: CameraSpec, window: Window = WHOLE) -> tuple[Tensor, Tensor]:
-    """Features of a recorded image's depth planes, see `plane_features`, and their colours (d, 3, h, w).
-
     The image itself is the first source: planes are compared with it, but their colours are the others'.
 
     Args:
+        network: Gives the logits of the probabilities.
         view: Of the image.
         spec: Recipe of the cameras.
         window: Part of the shrunk image.
     """
     inverses, small = plane_inverses(spec, view.device), view.small
     points = SeenPoints(
-        plane_rays(small, view.device)[window], inverses[:, None, None], view.label_of(view.factor, window)
+        plane_rays(small, view.device)[window], inverses[:, None, None], view.label_of(window)
     )
     agreed = agreement(view.near.of(view.images.small), points, small, first=1)
-    prior, gap_px = (view.thinned(x, view.factor)[window] for x in (view.inverse, view.gap_px))
-    return plane_features(agreed, prior, gap_px / view.factor, inverses), agreed.colour
+    prior, gap_px = (view.thinned(x)[window] for x in (view.inverse, view.gap_px))
+    logits: Tensor = network(plane_features(agreed, prior, gap_px / view.factor, inverses))
+    return logits.softmax(dim=0), agreed.colour
 
 
 def plane_features(agreed: Agreement, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
-    """Input (d, VOLUME_FEATURES, h, w) of the depth network, channels last in memory.
+    """Input (d, N_FEATURES, h, w) of the depth network, channels last in memory.
 
     Args:
         agreed: How well the sources agree on d planes.
@@ -152,25 +135,24 @@ def image_inverse_depth(network: DepthNetwork, view: CameraView, spec: CameraSpe
     """
     trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_in_small(view)
-    features, _ = compared_planes(view, spec)
-    both = torch.stack(likeliest_depth(probabilities(network, features), inverses))
+    probability, _ = planes_of(network, view, spec)
+    both = torch.stack(likeliest_depth(probability, inverses))
     inverse, mass = resized(both, places, plane_step(spec))
     return torch.where(trust > mass * (1.0 - trust), view.inverse, inverse)
 
 
 def resized(layers: Tensor, places: Tensor, jump: float) -> Tensor:
-    """Resample depths and what belongs to them: bilinear on a surface, the nearest pixel at an edge.
+    """Resample a depth and what belongs to it: bilinear on a surface, the nearest pixel at an edge.
 
     A mean across an edge would be a depth where nothing is, visible as a line.
 
     Args:
-        layers: (c, h, w); of n depths first the inverse depths, 1/m, then n other values; c = 2n.
+        layers: (2, h, w): inverse depths, 1/m, and another value of each.
         places: (H, W, 2) in grid_sample's coordinates.
-        jump: 1/m; where both samplings of a depth differ by more there is an edge.
+        jump: 1/m; where both samplings of the depth differ by more there is an edge.
     """
     mean, near = sample(layers, places), sample(layers, places, "nearest")
-    is_edge = (mean - near)[: len(layers) // 2].abs() > jump
-    return torch.where(is_edge.repeat(2, 1, 1), near, mean)
+    return torch.where((mean - near)[0].abs() > jump, near, mean)
 
 
 def _window_mean(costs: Tensor) -> Tensor:

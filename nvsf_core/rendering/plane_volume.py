@@ -32,7 +32,6 @@ class Agreement(NamedTuple):
         return self.found[..., 2]
 
 
-@torch.no_grad()
 def agreement(sources: Sources, points: SeenPoints, pinhole: Pinhole, first: int = 0) -> Agreement:
     """Compare the sources at points of a view.
 

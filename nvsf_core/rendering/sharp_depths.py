@@ -23,7 +23,6 @@ COMPARED = 6
 """Images that a pixel is looked up in, at growing distances: what some of them hide others show."""
 ASKED = 8
 """Images whose depth maps are asked whether they agree."""
-_LEAST_AGREEING = 1
 _REACHES_PX = (3, 2)
 """A pixel chooses of the surfaces within this distance, then once more."""
 _BESIDE_PX = 30.0
@@ -124,4 +123,4 @@ def agreed(
     motions = matrix @ (invert_pose(poses[list(others)]) @ poses[own])[:, :3]
     motions[:, :, :3] = motions[:, :, :3] @ np.linalg.inv(matrix)
     asked = np.ascontiguousarray(maps[list(others)])
-    return confirmed(inverse, motions.astype(np.float32), asked, is_static, _LEAST_AGREEING)
+    return confirmed(inverse, motions.astype(np.float32), asked, is_static)

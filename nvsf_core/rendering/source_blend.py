@@ -27,12 +27,8 @@ class Hypotheses:
     """(3, h, w) inverse depths, 1/m: the two of `ViewDepth`, and the LiDAR's."""
     share: Tensor
     """(3, h, w) in 0..1: trust in each."""
-
-    @property
-    def likeliest(self) -> Tensor:
-        """(h, w) int64, which of them is trusted most; torch's argmax takes 20 times as long."""
-        first, second, lidar = self.share
-        return torch.where(lidar > torch.maximum(first, second), 2, (second > first).long())
+    likeliest: Tensor
+    """(h, w) int64, which of them is trusted most."""
 
 
 def render_view(view: CameraView) -> RenderedImage:
@@ -56,17 +52,20 @@ def _hypotheses(view: CameraView) -> Hypotheses:
     """Depth hypotheses of a view's pixels."""
     assert view.surfaces is not None
     lidar_trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
+    first, second = view.surfaces.support
     return Hypotheses(
         torch.cat([view.surfaces.inverse, view.inverse[None]]),
         torch.cat([view.surfaces.support, lidar_trust[None]]),
+        # torch's argmax takes 20 times as long.
+        torch.where(lidar_trust > torch.maximum(first, second), 2, (second > first).long()),
     )
 
 
 def coarse_colour(view: CameraView) -> Tensor:
     """Colours (3, h, w) of a view's shrunk pixels on the front surface, without holes."""
     assert view.surfaces is not None
-    small, surface = view.small, view.thinned(view.surfaces.inverse, view.factor)[:1]
-    points = SeenPoints(plane_rays(small), surface, view.label_of(view.factor))
+    small, surface = view.small, view.thinned(view.surfaces.inverse)[:1]
+    points = SeenPoints(plane_rays(small), surface, view.label_of())
     agreed = agreement(view.near.of(view.images.small), points, small)
     colour, known = agreed.colour[0], agreed.share[0] > 0.0
     missing = ~known

@@ -84,8 +84,8 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
     """Colours (k, 3, d, h, w) of the sources at points, and whether they show them (k, d, h, w) bool.
 
     A pixel is not shown where the source's own depth map has a surface in front of it, nor is a static one
-    where a moving object hid it when the source image was taken. What is not shown has any colour. Colours
-    are bicubic: bilinear ones are blurred between pixels.
+    where a moving object hid it when the source image was taken. What is not shown is 0. Colours are
+    bicubic: bilinear ones are blurred between pixels.
 
     Args:
         sources: Source images of the view.
@@ -112,7 +112,7 @@ def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> Loo
     return LookUp(
         np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen, np.int64),
         motions, np.ascontiguousarray(points.rays.numpy()), label,
-        np.ascontiguousarray(points.inverse.detach().numpy()),
+        np.ascontiguousarray(points.inverse.numpy()),
         (np.float32(_HIDDEN_SHARE), np.float32(_HIDDEN_PER_M)),
     )  # fmt: skip
 
@@ -127,10 +127,10 @@ def pixel_motions(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tup
         motions = torch.cat([motions, sources.moved])
     matrix = torch.tensor([[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]])
     # A placeholder shows nothing: with zeros every point is behind it.
-    motions = (matrix @ motions[..., :3, :].cpu()) * (sources.nearness.cpu() > 0.0)[:, None, None]
+    motions = (matrix @ motions[..., :3, :]) * (sources.nearness > 0.0)[:, None, None]
     if len(motions) == 1 or points.label is None:
         return motions.numpy(), np.zeros(points.rays.shape[:2], np.uint8)
-    return motions.numpy(), np.ascontiguousarray(points.label.cpu().numpy())
+    return motions.numpy(), np.ascontiguousarray(points.label.numpy())
 
 
 def _look_up_one(

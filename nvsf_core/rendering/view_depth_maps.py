@@ -317,12 +317,13 @@ def _seen(near: NearMaps, k: int, points: SeenPoints, pinhole: Pinhole) -> Tenso
     grid, inside, there = source_pixels(motions[0], points.rays, points.inverse, pinhole)
     seen = inside & ~hides(sample(near.fronts[k][None], grid, "nearest")[0], there)
     assert points.label is not None
-    for mover in torch.unique(points.label[points.label > 0]).tolist():
+    movers = torch.unique(points.label[points.label > 0]).tolist()
+    shown = np.stack([near.inverse[k], near.label[k].astype(np.float32)]) if movers else None
+    for mover in movers:
         where = points.label == mover
         grid, inside, there = source_pixels(
             motions[mover], points.rays[where], points.inverse[where], pinhole
         )
-        shown = np.stack([near.inverse[k], near.label[k].astype(np.float32)])
         own, which = sample(torch.from_numpy(shown), grid[None], "nearest")[:, 0]
         seen[where] = inside & (which == mover) & ~hides(own, there)
     return seen

@@ -59,7 +59,7 @@ def source_pixels(
 def sample(image: Tensor, grid: Tensor, mode: Literal["bilinear", "nearest"] = "bilinear") -> Tensor:
     """Values (c, H, W) of an image (c, h, w) at the places of `grid` (H, W, 2).
 
-    Only this function calls grid_sample: its backward crashes the process (signal 11) on a NaN coordinate.
+    Only this function calls grid_sample, which shows some pixel for a coordinate that is NaN.
 
     Raises:
         DivergedError: A coordinate of `grid` is not finite.

@@ -3,7 +3,8 @@
 import torch
 from torch.nn import functional
 
-from nvsf_core.fields.depth_network import VOLUME_FEATURES, DepthNetwork
+from nvsf_core.fields.depth_network import DepthNetwork
+from nvsf_core.kernels.images.plane_features import N_FEATURES
 from nvsf_core.recipe import CameraSpec
 
 SPEC = CameraSpec(sources=2)
@@ -14,8 +15,8 @@ def seeded(number: int = 0) -> torch.Generator:
 
 
 def features(shape: tuple[int, int, int], seed: int) -> torch.Tensor:
-    """Of (d, h, w) planes of pixels, as `plane_features` gives them: (d, VOLUME_FEATURES, h, w)."""
-    return torch.rand(shape[0], VOLUME_FEATURES, *shape[1:], generator=seeded(seed))
+    """Of (d, h, w) planes of pixels, as `plane_features` gives them: (d, N_FEATURES, h, w)."""
+    return torch.rand(shape[0], N_FEATURES, *shape[1:], generator=seeded(seed))
 
 
 def test_depth_logits_have_the_shape_of_the_planes_whatever_the_window() -> None:

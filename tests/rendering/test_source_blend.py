@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.fields.depth_network import VOLUME_FEATURES
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images.plane_features import N_FEATURES
 from nvsf_core.recipe import CameraSpec
 from nvsf_core.rendering import plane_depth
 from nvsf_core.rendering.camera_view import (
@@ -79,7 +79,7 @@ def test_sources_agree_best_on_the_plane_of_the_wall() -> None:
     agreed = agreement(one.near.of(one.images.small), points, one.small)
     size = (one.small.height, one.small.width)
     features = plane_features(agreed, torch.full(size, 1 / 300.0), torch.full(size, torch.inf), inverses)
-    assert features.shape == (SPEC.planes, VOLUME_FEATURES, *size)
+    assert features.shape == (SPEC.planes, N_FEATURES, *size)
     assert torch.isfinite(features).all()
     disagreement = features[:, 2, 8:-8, 16:-16].mean(dim=(1, 2))
     assert abs(int(disagreement.argmin()) - int((inverses - 1 / WALL_M).abs().argmin())) <= 1
@@ -120,14 +120,14 @@ def test_a_view_shows_the_wall_where_the_depths_of_images_are_known(points: np.n
 
 def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:
     columns = torch.arange(8.0)
-    inverse = torch.where(columns < 4, 0.10 + 0.001 * columns, 0.30).expand(3, 2, 8)
-    share = torch.where(columns < 4, 0.9, 0.2).expand(3, 2, 8)
+    inverse = torch.where(columns < 4, 0.10 + 0.001 * columns, 0.30).expand(2, 8)
+    share = torch.where(columns < 4, 0.9, 0.2).expand(2, 8)
     x = (torch.arange(32) + 0.5) / 16.0 - 1.0
     places = torch.stack([x, torch.zeros(32)], dim=-1)[None]
-    finer, trust = resized(torch.cat([inverse, share]), places, 0.01).chunk(2)
+    finer, trust = resized(torch.stack([inverse, share]), places, 0.01)
     near = torch.arange(32) < 16
     expected = 0.10 + 0.001 * ((torch.arange(32) + 0.5) / 4.0 - 0.5).clamp_min(0.0)
-    torch.testing.assert_close(finer[0, 0, :14], expected[:14])
+    torch.testing.assert_close(finer[0, :14], expected[:14])
     assert (finer[..., near] < 0.104).all() and (finer[..., ~near] > 0.299).all()
     assert (trust[..., near] > 0.89).all() and (trust[..., ~near] < 0.21).all()
 

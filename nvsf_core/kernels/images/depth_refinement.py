@@ -127,9 +127,9 @@ def _best(layers, total):  # type: ignore[no-untyped-def]
 
 
 def confirmed(
-    inverse: np.ndarray, motions: np.ndarray, others: np.ndarray, is_static: np.ndarray, least: int
+    inverse: np.ndarray, motions: np.ndarray, others: np.ndarray, is_static: np.ndarray
 ) -> np.ndarray:
-    """A depth map (H, W) float32, 1/m; negative where too few other images' maps agree with a static depth.
+    """A depth map (H, W) float32, 1/m; negative where other maps know a static depth's place and none agrees.
 
     Args:
         inverse: (H, W) float32 of the image, 1/m.
@@ -137,15 +137,14 @@ def confirmed(
             pixels of each other image times z.
         others: (k, H, W) float32, their depth maps, 1/m.
         is_static: (H, W) bool: pixels that are asked about; the others stay.
-        least: So many must agree, or all that know the place, if fewer do.
     """
     found = inverse.copy()
-    _ask(inverse, motions, others, is_static, least, found)
+    _ask(inverse, motions, others, is_static, found)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _ask(inverse, motions, others, is_static, least, found):  # type: ignore[no-untyped-def]
+def _ask(inverse, motions, others, is_static, found):  # type: ignore[no-untyped-def]
     rows, columns = inverse.shape
     for r in range(rows):
         for c in range(columns):
@@ -165,5 +164,5 @@ def _ask(inverse, motions, others, is_static, least, found):  # type: ignore[no-
                     if there > _ZERO:
                         known += 1
                         agree += abs(there - own) <= _AGREE_SHARE * max(there, own) + _AGREE_PER_M
-            if agree < min(least, known):
+            if agree == 0 and known > 0:
                 found[r, c] = -q

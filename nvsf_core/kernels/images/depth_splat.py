@@ -165,7 +165,7 @@ def _leave_expected(inverse, label, expected):  # type: ignore[no-untyped-def]
     for i in range(len(inverse)):
         shown = shown or (inverse[i] > 0.0 and label[i] == expected)
     for i in range(len(inverse)):
-        if expected > 0 and shown and label[i] != expected:
+        if shown and label[i] != expected:
             inverse[i] = 0.0
 
 

@@ -17,7 +17,7 @@ class FirstBlend(NamedTuple):
     colour: np.ndarray
     """(3, h, w) float32 mean of all of them, 0..1."""
     shown: np.ndarray
-    """(k, 3, h, w) float32 of each of them; any colour where it does not show the point."""
+    """(k, 3, h, w) float32 of each of them; 0 where it does not show the point."""
     is_shown: np.ndarray
     """(k, h, w) bool, whether it does."""
 
@@ -38,9 +38,7 @@ def first_blend(
     is_shown = np.empty((len(colour), *around.shape[1:]), np.bool_)
     _take(colour, seen, likeliest, shown, is_shown)
     share = weight[:, None, None] * is_shown
-    # What is not shown may have any colour.
-    known = np.where(is_shown[:, None], shown, _ZERO)
-    mean = (_AROUND * around + (share[:, None] * known).sum(axis=0)) / (_AROUND + share.sum(axis=0))
+    mean = (_AROUND * around + (share[:, None] * shown).sum(axis=0)) / (_AROUND + share.sum(axis=0))
     return FirstBlend(mean, shown, is_shown)
 
 
@@ -61,4 +59,4 @@ def _take(colour, seen, likeliest, shown, is_shown):  # type: ignore[no-untyped-
                 d = likeliest[r, c]
                 is_shown[k, r, c] = seen[k, d, r, c]
                 for i in range(3):
-                    shown[k, i, r, c] = colour[k, i, d, r, c]
+                    shown[k, i, r, c] = colour[k, i, d, r, c] if seen[k, d, r, c] else _ZERO

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 N_FEATURES = 12
+"""Channels that describe a depth plane of a pixel."""
 _NOTHING = np.float32(13.0)
 """Planes farther than this from the LiDAR's depth: exp(-x^2 / 2) is 0 in single precision."""
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)

@@ -1,7 +1,6 @@
 """Colours that recorded images show at points of a view, and how well they agree there, in numba.
 
-The same as torch's operations in `nvsf_core.rendering.sources` and `plane_volume`, without the dozens of
-arrays that these store in between.
+`agreement` is what `nvsf_core.rendering.plane_volume` computes by torch on a GPU, without dozens of arrays.
 """
 
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from nvsf_core.kernels.images.interpolation import (
 )
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_THIRD = np.float32(1.0 / 3.0)
 """With a Python number, or an integer, numba would compute in double precision."""
 _NEAREST_Z = np.float32(1e-3)
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
@@ -251,29 +251,28 @@ def _agree(  # type: ignore[no-untyped-def]
 @njit(inline="always")
 def _compare(found, is_seen, unseen, weight, agreed, colour):  # type: ignore[no-untyped-def]
     """Write the agreement (6,) and the weighted mean colour (3,) of a point's colours (k, 3)."""
-    zero, third = np.float32(0.0), np.float32(1.0 / 3.0)
-    seen, whole = zero, zero
-    red, green, blue, r, g, b = zero, zero, zero, zero, zero, zero
+    seen, whole = _ZERO, _ZERO
+    red, green, blue, r, g, b = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for k in range(len(found)):
         if is_seen[k]:
-            seen += np.float32(1.0)
+            seen += _ONE
             whole += weight[k]
             red, green, blue = red + found[k, 0], green + found[k, 1], blue + found[k, 2]
             r, g, b = r + weight[k] * found[k, 0], g + weight[k] * found[k, 1], b + weight[k] * found[k, 2]
     if seen > _HALF:
         red, green, blue = red / seen, green / seen, blue / seen
-    spread = zero
+    spread = _ZERO
     for k in range(len(found)):
         if is_seen[k]:
-            spread += third * (abs(found[k, 0] - red) + abs(found[k, 1] - green) + abs(found[k, 2] - blue))
+            spread += _THIRD * (abs(found[k, 0] - red) + abs(found[k, 1] - green) + abs(found[k, 2] - blue))
     spread = spread / seen if seen > np.float32(1.5) else unseen
     pair = spread
     if len(found) > 1:
         pair = unseen
         if is_seen[0] and is_seen[1]:
-            pair = zero
+            pair = _ZERO
             for i in range(3):
-                pair += third * abs(found[0, i] - found[1, i])
+                pair += _THIRD * abs(found[0, i] - found[1, i])
     agreed[0], agreed[1], agreed[2] = spread, pair, seen / np.float32(len(found))
     agreed[3], agreed[4], agreed[5] = red, green, blue
     whole = max(whole, np.float32(1e-6))
@@ -323,7 +322,7 @@ def _differ(  # type: ignore[no-untyped-def]
                         for i in range(3):
                             there = between(image, at, beside, below, np.uint64(i), weights)
                             total += abs(there - own[r, c, i])
-                        _insert(apart, seen, min(total * np.float32(1.0 / 3.0), unseen))
+                        _insert(apart, seen, min(total * _THIRD, unseen))
                         seen += 1
                 half, total = (seen + 1) // 2, _ZERO
                 for k in range(half):

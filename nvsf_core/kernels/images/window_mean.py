@@ -14,10 +14,10 @@ def window_mean(plane, reach):  # type: ignore[no-untyped-def]
     """
     rows, columns = plane.shape
     # Sums that run along an image lose digits in single precision.
-    running, line = np.zeros(columns), np.empty(max(rows, columns))
+    running, line = np.zeros(columns), np.empty(columns)
     share = 1.0 / (2 * reach + 1) ** 2
     for r in range(rows):
-        line[:columns] = plane[r]
+        line[:] = plane[r]
         total = line[: min(reach, columns)].sum()
         for c in range(columns):
             total += line[c + reach] if c + reach < columns else 0.0

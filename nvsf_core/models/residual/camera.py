@@ -59,7 +59,7 @@ _FEWEST_IMAGES = 3
 _WINDOWS_AN_IMAGE = 8
 """At least so many windows are sampled of each image that is prepared to learn from."""
 SHARED = "shared_images"
-"""Name of the fact: lists of the cameras that share their images; of older models each camera is alone."""
+"""Name of the fact: lists of the cameras that share their images."""
 TONES = "tones"
 """Name of the fact: by camera, gain and exponent of its `ToneCurve`."""
 EXPOSURES = "exposures"
@@ -87,7 +87,8 @@ def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Re
         )  # fmt: skip
     session.say("camera", f"{sum(len(one.training) for one in cameras.values())} images to learn from")
     device, spec = training_device(), recipe.depth_training
-    compared = {name: replace(one, images=one.images.to(device)) for name, one in cameras.items()}
+    there = {one.name: cameras[one.name].images.to(device) for one in shared}
+    compared = {name: replace(one, images=there[one.shared.name]) for name, one in cameras.items()}
     examples = _examples(compared, spec)
     network = DepthNetwork(recipe.camera, torch.Generator().manual_seed(session.seed + 1)).to(device)
     state = fresh_state(network, spec, session.seed * 3 + 1)
@@ -103,6 +104,7 @@ def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Re
     # They hold all images without depths.
     examples.clear()
     compared.clear()
+    there.clear()
     shown = {name: cameras[name].images.with_depths(one) for name, one in maps.items()}
     cameras = {name: replace(one, images=shown[one.shared.name]) for name, one in cameras.items()}
     verdict, facts = _verdict(given, cameras, recipe.camera, exposures)
@@ -216,16 +218,13 @@ def camera_renderer(recording: Recording, spec: CameraSpec, weights: Weights) ->
         StoreError: A depth map is absent.
     """
     warp, facts = warping_renderer(recording), weights.facts
-    tones = {name: ToneCurve(*map(tuple, one)) for name, one in facts.get(TONES, {}).items()}
-    corrections = corrections_from(facts.get(ALIGNED, {}))
-    exposures = exposures_from(facts.get(EXPOSURES, {}))
+    tones = {name: ToneCurve(*map(tuple, one)) for name, one in facts[TONES].items()}
+    corrections = corrections_from(facts[ALIGNED])
+    exposures = exposures_from(facts[EXPOSURES])
     drive = aligned_by(MovingWorld(with_tones(recording, tones)), corrections)
-    world, learned, alone = drive.world, facts[LEARNED], facts.get(ALONE, ())
+    world, learned, alone = drive.world, facts[LEARNED], facts[ALONE]
     shared = {
-        name: one
-        for one in shared_by(recording, facts.get(SHARED, [[name] for name in learned]))
-        for name in one.cameras
-        if name in learned
+        name: one for one in shared_by(recording, facts[SHARED]) for name in one.cameras if name in learned
     }
     shown = {
         one.name: _shown(world, one, spec, exposures).with_depths(_maps_from(weights, one.name))

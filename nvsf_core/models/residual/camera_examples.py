@@ -66,7 +66,7 @@ class ShownCamera:
         Images for validation are no sources.
         """
         number = self.shared.number(self.name, index)
-        view = self._view(index, self.for_validation - {number}, own=number)
+        view = self._view(index, self.for_validation, own=number)
         recorded = self.drive.given.cameras[self.name].training.rgb[index]
         levels = recorded_at_exposure(recorded, -self._log_gain(index))
         truth = functional.avg_pool2d(levels, view.factor)

@@ -13,6 +13,7 @@ from nvsf_core.models.residual.camera_examples import RecordedView
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.rendering.camera_view import Window
 from nvsf_core.rendering.plane_depth import planes_of
+from nvsf_core.rendering.sources import SHOWN
 
 
 def depth_step(
@@ -28,7 +29,7 @@ def depth_step(
     probability, colour = planes_of(network, example.view, recipe.camera, window)
     truth = example.truth[:, *window]
     # Valid pixels are the same in all images of a camera.
-    shown = example.view.images.small[0, 3][window] > 0.999
+    shown = example.view.images.small[0, SHOWN][window] > 0.999
     terms = {
         "coarse": ((probability[:, None] * colour).sum(dim=0) - truth).square().mean(dim=0)[shown],
         "plane": _believed_error(probability, colour, truth)[shown],

@@ -1,4 +1,4 @@
-"""The family `residual` (recipes `lean`, `quick`, `smoke`): trains and loads its parts; see `Family`."""
+"""The family `residual` (recipes `lean`, `quick`, `short`, `smoke`): trains and loads its parts."""
 
 import time
 from dataclasses import dataclass, replace

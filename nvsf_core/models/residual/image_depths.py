@@ -35,10 +35,10 @@ def image_depths(network: DepthNetwork, camera: ShownCamera) -> DepthMaps:
     world, images = camera.drive.world, camera.images
     shown, recording = world.recording.cameras[camera.name].training, world.recording
     poses, time_s = camera.shared.poses(recording), camera.shared.times_s(recording)
-    around_movers, recorded = images.moving, images.full.cpu()
+    around_movers, recorded, for_validation = images.moving, images.full.cpu(), camera.for_validation
 
     def known_beside(number: int) -> list[int]:
-        return [k for k in range(len(poses)) if k != number and k not in camera.for_validation]
+        return [k for k in range(len(poses)) if k != number and k not in for_validation]
 
     def neighbours(number: int, most: int) -> list[int]:
         return baseline_sources(poses, number, known_beside(number), most)
@@ -49,7 +49,7 @@ def image_depths(network: DepthNetwork, camera: ShownCamera) -> DepthMaps:
         lidar = lidar_view(poses[number], shown.pinhole, world.static_points(instant_s), moving)
         view = camera_view(
             poses[number], shown.pinhole, lidar, images, poses, camera.spec,
-            instant=camera.shared.instant, leave_out=camera.for_validation - {number}, own=number,
+            instant=camera.shared.instant, leave_out=for_validation - {number}, own=number,
             moving=moving,
         )  # fmt: skip
         inverse = image_inverse_depth(network, view.to(images.full.device), camera.spec).cpu().numpy()

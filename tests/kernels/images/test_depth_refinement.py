@@ -52,22 +52,21 @@ def test_a_depth_that_no_other_map_has_is_marked_and_one_that_one_has_stays() ->
     others = np.full((2, *SHAPE), FAR)
     motions = np.stack([to_image(1.0), to_image(-1.0)])
     static = np.ones(SHAPE, np.bool_)
-    found = confirmed(own, motions, others, static, 1)
+    found = confirmed(own, motions, others, static)
     np.testing.assert_array_equal(found, np.where(own == NEAR, -own, own))
     # The near square stands 8 px farther left in the first other image.
     others[0, 8:12, 18:22] = NEAR
-    np.testing.assert_array_equal(confirmed(own, motions, others, static, 1), own)
-    assert (confirmed(own, motions, others, static, 2)[8:12, 26:30] == -NEAR).all()
+    np.testing.assert_array_equal(confirmed(own, motions, others, static), own)
 
 
 def test_where_no_other_map_knows_anything_a_depth_stays_and_what_moves_is_not_asked() -> None:
     own = np.full(SHAPE, NEAR)
     nothing = np.zeros((1, *SHAPE), np.float32)
     static = np.ones(SHAPE, np.bool_)
-    np.testing.assert_array_equal(confirmed(own, to_image(1.0)[None], nothing, static, 1), own)
+    np.testing.assert_array_equal(confirmed(own, to_image(1.0)[None], nothing, static), own)
     static[:, 20:] = False
     other = np.full((1, *SHAPE), FAR)
-    found = confirmed(own, to_image(1.0)[None], other, static, 1)
+    found = confirmed(own, to_image(1.0)[None], other, static)
     assert (found[:, 20:] == NEAR).all()
     # 8 px beyond the border no map is asked.
     assert (found[:, 8:20] == -NEAR).all()

@@ -138,9 +138,6 @@ def test_a_pair_has_one_set_of_depth_maps_and_each_camera_may_do_without_the_oth
     shared = images(trained, drive, facts)
     alone = images(trained, drive, facts | {ALONE: ["image_01"]})
     assert [np.array_equal(shared[name], alone[name]) for name in CAMERAS] == [True, False, True]
-    older = {name: value for name, value in facts.items() if name not in (SHARED, TONES, ALONE)}
-    by_older = images(trained, drive, older | {LEARNED: ["image_02"]})
-    assert np.array_equal(by_older["image_02"], shared["image_02"])
 
 
 def test_each_camera_of_a_pair_keeps_its_own_exposure(
