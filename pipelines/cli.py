@@ -224,7 +224,10 @@ def scenes() -> None:
     for entry in catalogue_from_environment(os.environ):
         trained = [folder.parent for folder in published(home / entry.name / "field", "*/*/stage.json")]
         made = ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
-        there = made if has_data(entry) or is_embedded(entry) else f"no data at {entry.root}"
+        try:
+            there = made if has_data(entry) or is_embedded(entry) else f"no data at {entry.root}"
+        except NvsfError as error:
+            there = str(error)
         click.echo(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
 
 
@@ -241,16 +244,21 @@ def verify(names: Sequence[str], mend: bool) -> None:
     other damaged outputs are made anew by the next run. Ends with 1 if something is damaged.
     """
     from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
-    from nvsf_core.stages import STAGES, find_scene, plan_run
+    from nvsf_core.recipe import preset
+    from nvsf_core.stages import STAGES, RunConfig, SceneRun, find_scene
     from nvsf_core.stages.runner.trained import trained_fields
     from nvsf_core.stages.runner.verify import Verdict, verify_scene
+    from nvsf_core.stores.scene_store import SceneStore
 
     home = home_from_environment(os.environ)
     entries = [find_scene(name) for name in names] or catalogue_from_environment(os.environ)
     damaged = False
     for entry in entries:
         for recipe, seed in trained_fields(home / entry.name):
-            for found in verify_scene(plan_run(entry, home, recipe=recipe, seed=seed), STAGES):
+            # What a view asks for may not be had here any more: what is made can be read all the same.
+            config = RunConfig(recipe=preset(recipe), seed=seed)
+            run = SceneRun(scene=entry, store=SceneStore(home.resolve(), entry.name), config=config)
+            for found in verify_scene(run, STAGES):
                 damaged |= found.verdict is Verdict.DAMAGED
                 words = f" ({found.words})" if found.words else ""
                 click.echo(f"{entry.name} {recipe} seed {seed}, {found.stage}: {found.verdict.value}{words}")

@@ -92,11 +92,16 @@ def _existing(place: Path) -> Path:
 def _catalogue(environ: Mapping[str, str]) -> Finding:
     try:
         entries = catalogue_from_environment(environ)
-        there = [entry.name for entry in entries if has_data(entry)]
     except NvsfError as error:
         return Finding("catalogue", False, str(error), is_needed=True)
+    there, faults = list[str](), list[str]()
+    for entry in entries:
+        try:
+            there += [entry.name] if has_data(entry) else []
+        except NvsfError as error:
+            faults.append(str(error))
     words = f"{len(entries)} scenes, with data here: {', '.join(there) or 'none (nvsf demo writes its own)'}"
-    return Finding("catalogue", True, words)
+    return Finding("catalogue", not faults, "; ".join([words, *faults]))
 
 
 def _versions(environ: Mapping[str, str]) -> Finding:

@@ -39,14 +39,16 @@ def strip_of(root: Path, view: Path) -> bytes | None:
     camera = next(iter(attrs.get("cameras", [])), None)
     rows = []
     if camera is not None:
-        rows.append(_images(root / "undistorted" / "images.zarr", path, camera, frames[steps]))
+        rows.append(_images(root / "undistorted" / "images.zarr", path, camera, steps, frames))
     if attrs.get("sensor"):
         rows.append(_ranges(root / "pano" / "pano.zarr", path, steps, frames))
     rows = [row for row in rows if row]
     return _animated([_stacked(parts) for parts in zip(*rows, strict=True)]) if rows else None
 
 
-def _images(known: Path, path: Path, camera: str, frames: np.ndarray) -> list[Image.Image]:
+def _images(
+    known: Path, path: Path, camera: str, steps: Sequence[int], frames: np.ndarray
+) -> list[Image.Image]:
     """Recorded image on the left, rendered image on the right; empty if the camera recorded nothing."""
     name = f"{camera}_frame"
     if not known.is_dir() or not holds_array(known, name):
@@ -55,8 +57,11 @@ def _images(known: Path, path: Path, camera: str, frames: np.ndarray) -> list[Im
     if not len(recorded) or not len(rendered):
         return []
     found = []
-    for frame in frames.tolist():
-        own, other = _nearest(recorded, frame), _nearest(rendered, frame)
+    is_at_all = np.array_equal(rendered, frames)
+    for step in steps:
+        frame = int(frames[step])
+        # Two instants may share their nearest frame.
+        own, other = _nearest(recorded, frame), step if is_at_all else _nearest(rendered, frame)
         pictures = [
             Image.fromarray(read_part(group, slice(row, row + 1), f"{camera}_rgb")[f"{camera}_rgb"][0])
             for group, row in ((known, own), (path, other))

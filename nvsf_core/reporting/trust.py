@@ -61,14 +61,15 @@ def _line(view: str, said: Sequence[Verdict]) -> list[str]:
     """One line on a view: the worst verdict on scans and on pictures, and the reason of the worst of all."""
     scans = [one for one in said if one.sensor == LIDAR]
     worst = max(said, key=_badness)
-    of = "" if len(said) == 1 else f"{'Scans' if worst.sensor == LIDAR else 'Pictures'}: "
-    if worst.trust is Trust.AS_RECORDED and len(said) > 1:
+    if len(said) == 1:
+        why = worst.why
+    elif worst.trust is Trust.AS_RECORDED:
         why = "Scans and pictures fit the recorded ones as well as these fit each other."
-        return [_name(view), _words(scans), _words([one for one in said if one not in scans]), why]
-    why = f"{of}{worst.why[0].lower() if of else worst.why[0]}{worst.why[1:]}"
-    return [
-        _name(view), _words(scans), _words([one for one in said if one not in scans]), escape(why),
-    ]  # fmt: skip
+    else:
+        of = "Scans" if worst.sensor == LIDAR else "Pictures"
+        why = f"{of}: {worst.why[0].lower()}{worst.why[1:]}"
+    others = [one for one in said if one not in scans]
+    return [_name(view), _words(scans), _words(others), escape(why)]
 
 
 def _name(view: str) -> str:

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from nvsf_core import reporting
+from nvsf_core import metrics, reporting
 from nvsf_core._types import Scalar
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
@@ -19,7 +19,7 @@ from nvsf_core.stages.versions_page import made_from, write_versions_page
 from nvsf_core.stores.scene_store import publish_folder, published
 
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
-_REPORTING = Path(reporting.__file__).parent
+_REPORTING, _METRICS = Path(reporting.__file__).parent, Path(metrics.__file__).parent
 _CODE = ("*.py", "*.js", "page.html")
 _RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
 """Patterns of stage records below a scene's folder: once per scene, per recipe and seed, per data set."""
@@ -87,9 +87,19 @@ def _source(home: Path, names: Sequence[str], said: object, curves: Path | None)
     read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
     read += made_from(home, names)
     read += sorted(curves.rglob("*.json")) if curves is not None else []
-    code = [path for kind in _CODE for path in sorted(_REPORTING.rglob(kind))] + [Path(__file__)]
-    state = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in [*read, *code]]
+    code = [path for kind in _CODE for root in (_REPORTING, _METRICS) for path in root.rglob(kind)]
+    code += [Path(__file__), Path(__file__).with_name("versions_page.py")]
+    state = [one for path in [*read, *code] for one in _state_of(path)]
     return hashlib.sha256(repr((list(names), said, sorted(state))).encode()).hexdigest()
+
+
+def _state_of(path: Path) -> list[tuple[str, int, int]]:
+    """Name, time and size of a file; nothing of one that is being replaced."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return []
+    return [(str(path), found.st_mtime_ns, found.st_size)]
 
 
 def _silent(line: str) -> None:

@@ -29,7 +29,7 @@ from nvsf_core.stages.exports.manifest import (
 )
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
-from nvsf_core.stages.flow import DATASET, FIELD, NOVEL_VIEWS
+from nvsf_core.stages.flow import DATASET, FIELD, NOVEL_VIEWS, SCENE_METRICS
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
@@ -82,8 +82,7 @@ def is_there(task: Task, location: str) -> bool:
 
 def run(task: Task) -> StageOutput:
     """Export each view as a version of its data set; the stage `dataset`."""
-    recipe, seed = task.config.recipe, task.config.seed
-    rendered = task.store.require(f"novel_views/{recipe.name}/{seed}")
+    rendered = task.store.require(NOVEL_VIEWS.location(task.config))
     sources = source_checksums(task)
     metrics = _field_metrics(task)
     held_out = ViewEntry(name="test", exports=("bin", "ply"))
@@ -95,14 +94,14 @@ def run(task: Task) -> StageOutput:
             task.progress(f"[{task.scene.name}] dataset: {view.name} {reason}")
             continue
         version = dataset_version(task, view, sources)
-        arrays = _read_view(rendered / view.name / "model.zarr")
-        attrs = read_attrs(rendered / view.name / "model.zarr")
         location = f"dataset/{view.name}/{version}"
         removal = removal_of(task.store, location)
         if removal is not None:
             output.beside.append(location)
             output.metadata[view.name] = removal.words
             continue
+        arrays = _read_view(rendered / view.name / "model.zarr")
+        attrs = read_attrs(rendered / view.name / "model.zarr")
         if not is_there(task, location):
             with task.store.publish(location) as folder:
                 rendered_view = RenderedView(
@@ -199,7 +198,7 @@ def source_checksums(task: Task) -> dict[str, str]:
 def _field_metrics(task: Task) -> list[dict[str, Any]]:
     """Means over frames of the field's metrics; values that are not finite become None, for JSON."""
     config = task.config
-    path = task.store.require(f"scene_metrics/{config.recipe.name}/{config.seed}") / "metrics.parquet"
+    path = task.store.require(SCENE_METRICS.location(config)) / "metrics.parquet"
     return [
         {
             name: None if isinstance(value, float) and not math.isfinite(value) else value

@@ -63,7 +63,7 @@ def run(task: Task) -> StageOutput:
             "train_seconds": trained.seconds,
             "parameters": sum(value.numel() for value in trained.tensors.values()),  # unless the family says
             "model_mb": sum(value.nbytes for value in trained.tensors.values()) / 1e6,
-            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
             **trained.metadata,
             **_ends(trained),
         },

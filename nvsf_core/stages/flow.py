@@ -109,7 +109,7 @@ SCENE_METRICS = Stage(
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
         "and of every view what can be said without its truth."
     ),
-    version="12",
+    version="13",
     run=_later("scene_metrics", "run"),
     per_recipe=True,
     reads_truth=True,
@@ -123,7 +123,7 @@ DATASET = Stage(
     inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="9",
+    version="10",
     run=_later("dataset", "run"),
     per_recipe=True,
     per_draw=True,

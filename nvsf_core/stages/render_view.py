@@ -33,6 +33,7 @@ from nvsf_core.stages.versions import reading_versions
 from nvsf_core.stages.views.instances import boxes_of, instance_arrays
 from nvsf_core.stages.views.view import View, asked_view, camera_models, placed, view_attrs
 from nvsf_core.stores.removal import carry_pin
+from nvsf_core.stores.scene_store import new_folder
 
 _MODEL = "model"
 _BEFORE = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
@@ -103,8 +104,8 @@ def render_view(
     for name in _BEFORE:
         run_named_stage(name, run, say)
     if target is not None:
-        target.mkdir(parents=True, exist_ok=True)
-        _write(run, asked, target, say)
+        with new_folder(target.absolute()) as folder:
+            _write(run, asked, folder, say)
         return target
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
     location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"

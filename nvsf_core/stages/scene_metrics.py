@@ -16,6 +16,7 @@ from nvsf_core.metrics.table import COLUMNS, HELD_OUT
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME, WRONG_M, error_cloud_png
 from nvsf_core.reporting.scene_outputs import METHODS
 from nvsf_core.stages.checks.metrics import TABLE_NAME
+from nvsf_core.stages.flow import NOVEL_VIEWS
 from nvsf_core.stages.runner.host import code_commit, machine
 from nvsf_core.stages.runner.stage import StageOutput, Task
 from nvsf_core.stages.scoring.camera import measure_camera
@@ -32,7 +33,7 @@ from nvsf_core.stages.scoring.recorded_truth import recorded_truth
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stages.scoring.trust.view_rows import measure_trust, recorded_sensors, shows
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
-from nvsf_core.stores.arrays import read_attrs
+from nvsf_core.stores.arrays import holds_array, read_attrs
 from nvsf_core.stores.tables import write_rows
 
 
@@ -50,7 +51,7 @@ class _Part:
 def run(task: Task) -> StageOutput:
     """Measure what was rendered; the stage `scene_metrics`."""
     config = task.config
-    views = task.store.require(f"novel_views/{config.recipe.name}/{config.seed}")
+    views = task.store.require(NOVEL_VIEWS.location(config))
     ledger = Ledger(facts={"scene": task.scene.name, "commit": code_commit()})
     recording = read_recorded_scans(task.store.require("sweeps") / "returns.zarr")
     lpips = load_lpips()
@@ -118,7 +119,7 @@ def _parts_of_view(
         if not path.is_dir():
             continue
         method, attrs = _method(task, path)
-        if demo is not None and (path / "grid_hit").is_dir():
+        if demo is not None and holds_array(path, "grid_hit"):
             yield _Part(f"{name}, view {view.name},", method, partial(measure_demo_view, path, view, demo))
         for truth in truths:
             if truth.camera in attrs.get("cameras", []):

@@ -33,12 +33,13 @@ BYTES_A_RETURN = {"bin": 16, "ply": 16, "pcd": 16}
 """Of each format: four float32."""
 _OTHER_FORMAT_BYTES = 40
 """Of a format that is not listed: a dozen fields, compressed or not."""
-_SUPPORT_BYTES = 1
+_BESIDE_BYTES = 2 + 4 + 1
+"""Of a return, beside its scan: laser, time and support."""
 _SAMPLED_MORE = 1.1
 """Sampled scans have up to a tenth more returns than rendered ones, and these than recorded ones."""
 _DEFAULT_EXPORTS = ("bin", "ply")
 _SWEEP_RETURN_BYTES = 54
-"""Of a return in `sweeps`: three points of three float32, four more numbers, laser, firing and two marks."""
+"""Of a return in `sweeps`: three points of three float32, three more numbers, laser, firing and two marks."""
 _RAY_BYTES = 21
 """Of a ray of a rendered grid: five float32 and its support."""
 _RETURN_BYTES = 12 + 4 + 2 + 1
@@ -215,7 +216,7 @@ def _view_bytes(path: Path, exports: tuple[str, ...]) -> int:
     if not path.is_dir():
         return 0
     arrays = array_layouts(path)
-    a_return = sum(BYTES_A_RETURN.get(kind, _OTHER_FORMAT_BYTES) for kind in exports) + _SUPPORT_BYTES
+    a_return = sum(BYTES_A_RETURN.get(kind, _OTHER_FORMAT_BYTES) for kind in exports) + _BESIDE_BYTES
     returns = len(arrays["points_m"]) if "points_m" in arrays else 0
     return int(_SAMPLED_MORE * returns * a_return) + _image_bytes(arrays)
 

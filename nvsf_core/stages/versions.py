@@ -86,17 +86,15 @@ def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progres
     Returns:
         Whether it is whole now. It cannot be made again if the model, the drive or the code has changed.
 
-    Raises:
-        NvsfError: A stage failed.
     """
     for folder in _made_by(SceneStore(home, scene.name), version):
         # As `Stage.location` names it: <recipe>/<seed>-<draw seed>-<label>.
         seed, draw_seed, label = folder.name.split("-", 2)
-        run = plan_run(
-            scene, home, recipe=folder.parent.name, seed=int(seed), draw_seed=int(draw_seed),
-            dataset_label=label,
-        )  # fmt: skip
         try:
+            run = plan_run(
+                scene, home, recipe=folder.parent.name, seed=int(seed), draw_seed=int(draw_seed),
+                dataset_label=label,
+            )  # fmt: skip
             run_named_stage("dataset", run, progress)
         except NvsfError as error:
             progress(f"{version.location}: {error}")

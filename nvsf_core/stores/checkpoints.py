@@ -1,5 +1,6 @@
 """Tensors on disk as safetensors, replaced atomically; pickle is never used."""
 
+import errno
 import json
 import os
 from collections.abc import Mapping
@@ -7,22 +8,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from nvsf_core.errors import StoreError
 from nvsf_core.stores.documents import Contents, foreign
+from nvsf_core.stores.writers import leftovers, temporary_of
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, Any] | None = None) -> None:
-    """Write named tensors and JSON-able facts atomically: a reader sees the old file or the new one."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    """Write named tensors and JSON-able facts atomically: a reader sees the old file or the new one.
+
+    Raises:
+        OSError: The disk refuses; nothing is left of what was begun.
+    """
+    for left in leftovers(path.parent):
+        left.unlink(missing_ok=True)
+    temporary = temporary_of(path)
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    save_file(contiguous, str(temporary), metadata={"json": json.dumps(dict(meta or {}))})
-    with temporary.open("rb") as handle:
-        os.fsync(handle.fileno())
-    temporary.replace(path)
+    try:
+        save_file(contiguous, str(temporary), metadata={"json": json.dumps(dict(meta or {}))})
+        with temporary.open("rb") as handle:
+            os.fsync(handle.fileno())
+        temporary.replace(path)
+    except SafetensorError as error:
+        raise OSError(errno.EIO, str(error), str(path)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -199,6 +199,27 @@ def publish_folder(target: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def new_folder(target: Path) -> Iterator[Path]:
+    """Yield a temporary folder to fill; without an error it becomes `target`, which is absent or empty.
+
+    Raises:
+        OSError: There are files in `target` by then: they stay.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for temporary in leftovers(target.parent):
+        _remove(temporary)
+    temporary = temporary_of(target)
+    temporary.mkdir()
+    try:
+        yield temporary
+        _flush_tree(temporary)
+        temporary.rename(target)
+        flush(target.parent)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
 def _swap_in(temporary: Path, target: Path) -> None:
     """Put a folder in its place; what was there is gone once the new one is."""
     # Linux cannot rename over a folder that is not empty, so the old one is renamed first. If the process

@@ -37,6 +37,7 @@ def test_views_are_checked_at_once(ask):
     for keys, words in (
         ("times_s = [9.5]", "expected times from 0 to 0.3 seconds of the drive, found [9.5]"),
         ("frames = [1.5]", "moments between frames are `times_s`"),
+        ("speed = 5", "a sweep goes on for 0.5 s of the recorded path: expected times from 0.15 to 0.15"),
         ("frozen_at_s = 7", "frozen_at_s: expected 0 to 0.3"),
         (
             'waypoints = [{ time_s = 0.1, position_m = [0.0, 0.0, 0.0] }]\npath_in = "world"',
@@ -133,3 +134,17 @@ def test_a_recording_is_imported_and_what_is_left_out_is_named(ask, tiny_catalog
     assert again.exit_code == 1 and "expected a folder to be made" in again.output
     nothing = ask("import", str(tmp_path / "nowhere"), "--out", str(tmp_path / "other"))
     assert nothing.exit_code == 1 and "found nothing" in nothing.output
+
+
+def test_a_scene_whose_root_cannot_be_looked_into_stops_no_other(ask, tiny_catalogue, tmp_path, monkeypatch):
+    own = tmp_path / "own.toml"
+    own.write_text(
+        f'[[scene]]\nname = "hidden"\nroot = "/{"r" * 300}"\nsequence = "2013_05_28_drive_0001_sync"\n'
+        "first_frame = 0\nlast_frame = 3\ntest_frames = []\n"
+    )
+    monkeypatch.setenv("NVSF_SCENES", f"{own}:{tiny_catalogue}")
+    said = ask("scenes")
+    assert said.exit_code == 0 and "cannot look into" in said.output and "\ntiny " in said.output, said.output
+    said = ask("doctor").output
+    assert "scene hidden: cannot look into" in said and "with data here: tiny" in said
+    assert ask("report").exit_code == 0

@@ -58,3 +58,12 @@ def test_a_long_view_is_shown_in_few_steps_and_a_single_instant_not_at_all(tmp_p
     assert len(_frames(strip_of(tmp_path, _write(tmp_path, 40, ["image_00"], has_scans=False)))) == MOST_STEPS
     assert strip_of(tmp_path / "one", _write(tmp_path / "one", 1, ["image_00"])) is None
     assert strip_of(tmp_path / "no", _write(tmp_path / "no", 3, [], has_scans=False)) is None
+
+
+def test_instants_that_share_a_frame_have_their_own_synthetic_images(tmp_path: Path) -> None:
+    view = _write(tmp_path, 4, ["image_00"], has_scans=False)
+    shared = np.array([10, 10, 11, 11])
+    synthetic = {"frame": shared, "image_00_rgb": _images(_SYNTHETIC, 4), "image_00_frame": shared}
+    write_arrays(view / "model.zarr", synthetic, {"cameras": ["image_00"], "sensor": ""})
+    brightness = [frame[100, 700].sum() for frame in _frames(strip_of(tmp_path, view))]
+    assert brightness == sorted(set(brightness)) and len(brightness) == 4

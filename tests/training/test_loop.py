@@ -221,3 +221,13 @@ def test_an_observer_changes_neither_the_bits_nor_the_clock() -> None:
     assert torch.equal(alone.model.weight, watched.model.weight)
     assert [step for step, _ in seen] == list(range(1, SPEC.steps + 1))
     assert watched.seconds < 0.5 * 0.02 * SPEC.steps
+
+
+def test_weights_that_cannot_be_written_leave_the_old_ones_and_nothing_else(tmp_path) -> None:
+    path = tmp_path / "weights.safetensors"
+    save_tensors(path, {"a": torch.ones(3)})
+    with pytest.raises(OSError, match=r"weights\.safetensors"):
+        # Longer than any file name may be: refused as a full disk would refuse.
+        save_tensors(tmp_path / f"{'w' * 250}.weights.safetensors", {"a": torch.zeros(3)})
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+    assert torch.equal(load_tensors(path)[0]["a"], torch.ones(3))

@@ -91,12 +91,13 @@ def _of_view(path: Path, camera: str, norms: ImageNorms) -> Iterator[_Image]:
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
     depth = f"{camera}_range_m"
     range_m = read_arrays(path, depth)[depth] if holds_array(path, depth) else None
+    blank_below, apart_limit = norms.blank_below, norms.greys_limit
     for i, (image, frame) in enumerate(zip(a[f"{camera}_rgb"], a[f"{camera}_frame"], strict=True)):
         yield _Image(
             place=f"view {path.parent.name}, {camera}, frame {frame}",
             deviation=norms.deviation_of(image),
-            blank_below=norms.blank_below,
+            blank_below=blank_below,
             has_depth=range_m is None or bool(np.isfinite(range_m[i][norms.seen]).any()),
             apart=norms.greys_apart(image),
-            apart_limit=norms.greys_limit,
+            apart_limit=apart_limit,
         )

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from nvsf_core.metrics.table import HEADLINES, HELD_OUT
-from nvsf_core.metrics.trust.cues import PROTOCOL
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.rendering.rendered import Support
 
@@ -105,7 +104,7 @@ def _shares(rows: Sequence[Mapping[str, Any]], total: str) -> dict[str, float]:
 
 def _is_shown(row: Mapping[str, Any]) -> bool:
     protocol, metric = row["protocol"], row["metric"]
-    is_main = protocol in _SHOWN and protocol != PROTOCOL and metric in HEADLINES[protocol]
+    is_main = protocol in _SHOWN and metric in HEADLINES[protocol]
     is_by_support = row["region"] in [one.region for one in Support] and metric in _BY_SUPPORT
     return is_main and (row["region"] == "all" or is_by_support)
 

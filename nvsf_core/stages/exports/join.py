@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
 from nvsf_core.stages.exports.one_drive import on_one_clock, with_shared_objects
 from nvsf_core.stages.exports.write import WHOLE, finish_data_set
-from nvsf_core.stores.scene_store import published
+from nvsf_core.stores.scene_store import new_folder, published
 
 _COUNTS = ("n_frames", "n_defined")
 _COSTS = ("train_seconds", "parameters", "model_mb")
@@ -65,16 +64,12 @@ def join_data_sets(
                 f"{part.name}: expected the {differing[0]} of {parts[0][0].name}, found another; make all "
                 "parts' data sets by one recipe and seed"
             )
-    part_folder = out.with_name(f".{out.name}.part-{os.getpid()}")
     try:
-        of_one_drive = with_shared_objects(on_one_clock(manifests))
-        joined = _joined(name, parts, of_one_drive, folders, part_folder)
-        finish_data_set(part_folder, joined)
-        part_folder.rename(out)
+        with new_folder(out.absolute()) as folder:
+            of_one_drive = with_shared_objects(on_one_clock(manifests))
+            finish_data_set(folder, _joined(name, parts, of_one_drive, folders, folder))
     except OSError as error:
         raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
-    finally:
-        shutil.rmtree(part_folder, ignore_errors=True)
     return out
 
 

@@ -6,12 +6,13 @@ images are fisheyes, come as MEI cameras without distortion. Cameras of other in
 layout.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.kitti360.boxes import class_of, number_in_boxes
 from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
@@ -27,15 +28,15 @@ from nvsf_core.drives.kitti360.writer import (
     write_pose,
     write_timestamps,
 )
+from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.stages.exports.records import CameraRecord, DataSet
+from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet
 
 FOLDER = "kitti360"
 START = datetime(2013, 5, 28, 8, 0, 0)
 """Date of a data set's second 0: the layout needs one, the drives' own is not kept."""
-_MOST_ID = 65_535
 _LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 """The pose frame (x forward, y right, z down) lies in the LiDAR."""
 
@@ -56,7 +57,9 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
         write_timestamps(layout.timestamps_path(kind), START, (stamps + shift_s).tolist())
     for name in cameras:
         write_timestamps(layout.camera_timestamps_path(name), START, stamps.tolist())
-    write_boxes(layout.boxes_path("train"), _boxes(data))
+    boxes = [data.boxes(index) for index in range(len(data.numbers))]
+    objects = object_numbers({one.object_id: one.label for there in boxes for one in there})
+    write_boxes(layout.boxes_path("train"), _written(data, boxes, objects))
     for index, number in enumerate(data.numbers):
         if data.scan is not None:
             scan = data.scan(index)
@@ -71,9 +74,7 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
             image = data.image(name, index)
             write_image(layout.image_path(name, number), image.rgb)
             if image.object_id is not None:
-                # An object's number is semanticId * 1000 + instanceId, as the layout has it.
-                labels = np.where(image.object_id <= _MOST_ID, image.object_id, 0).astype(np.uint16)
-                write_numbers(layout.instance_path(name, number), labels)
+                write_numbers(layout.instance_path(name, number), _renumbered(image.object_id, objects))
 
 
 def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:
@@ -110,13 +111,53 @@ def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float)
     return np.asarray(found - min(0.0, float(found[0])))
 
 
-def _boxes(data: DataSet) -> list[WrittenBox]:
+def object_numbers(objects: Mapping[int, str]) -> dict[int, int]:
+    """The layout's number of each object, class * 1000 + instance, the same in boxes and in images.
+
+    An object of a drive in this layout keeps its number.
+
+    Args:
+        objects: Number in the data set to label.
+
+    Raises:
+        DataError: A class has more than 1000 objects.
+    """
+    found, taken = dict[int, int](), set[int]()
+    # Those that have a number of their class come first.
+    for one in sorted(objects, key=lambda one: (one // 1000 != _class_of(objects[one]), one)):
+        first = 1000 * _class_of(objects[one])
+        free = (number for number in (first + one % 1000, *range(first, first + 1000)) if number not in taken)
+        number = next(free, None)
+        if number is None:
+            raise DataError(
+                f"format kitti360: expected at most 1000 objects of the class {objects[one]!r:.60}, found "
+                "more; export fewer frames"
+            )
+        taken.add(number)
+        found[one] = number
+    return found
+
+
+def _class_of(label: str) -> int:
+    return class_of(label, number_in_boxes(label))
+
+
+def _written(
+    data: DataSet, boxes: Sequence[Sequence[BoxRecord]], numbers: Mapping[int, int]
+) -> list[WrittenBox]:
     found: dict[tuple[int, int], WrittenBox] = {}
     first, last = data.numbers[0], data.numbers[-1]
-    for index, number in enumerate(data.numbers):
-        for one in data.boxes(index):
-            frame = number if one.is_dynamic else -1
-            found[one.object_id, frame] = WrittenBox(
-                one.object_id % 1000, one.label, one.is_dynamic, frame, first, last, one.box_to_world
+    for frame, there in zip(data.numbers, boxes, strict=True):
+        for one in there:
+            at = frame if one.is_dynamic else -1
+            found[one.object_id, at] = WrittenBox(
+                numbers[one.object_id] % 1000, one.label, one.is_dynamic, at, first, last, one.box_to_world
             )
     return list(found.values())
+
+
+def _renumbered(object_id: np.ndarray, numbers: Mapping[int, int]) -> np.ndarray:
+    """Labels (H, W) uint16 of an image whose pixels have the objects (H, W); 0 = none."""
+    known, place = np.unique(object_id, return_inverse=True)
+    labels = np.array([numbers.get(int(one), 0) for one in known], np.uint16)
+    return labels[place].reshape(object_id.shape)

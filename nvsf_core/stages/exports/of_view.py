@@ -119,7 +119,7 @@ class RenderedView:
         a = self.arrays
         numbers = self.numbers
         order = np.argsort(numbers)
-        whole = [name for name in cameras_of(a) if len(a[f"{name}_rgb"]) == len(numbers)]
+        whole = [name for name in cameras_of(a) if np.array_equal(a[f"{name}_frame"], a["frame"])]
         models, mounts = camera_models(self.attrs), self.attrs.get("camera_in_lidar", {})
         table = self.attrs.get("instances", [])
 

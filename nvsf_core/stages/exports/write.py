@@ -125,7 +125,7 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
         if f"{camera}_support" in a:
             row["support"] = f"{camera}/support/{number:010d}.png"
             row |= _support_counts(a[f"{camera}_support"][index])
-        if len(a[f"{camera}_frame"]) == len(a["time_s"]):
+        if np.array_equal(a[f"{camera}_frame"], a["frame"]):
             row |= {"time_s": float(a["time_s"][index]), "stamp_s": float(view.stamp_s[index])}
         if f"{camera}_camera_to_world" in a:
             row["camera_to_world"] = a[f"{camera}_camera_to_world"][index].reshape(-1).tolist()

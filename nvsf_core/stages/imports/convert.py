@@ -5,8 +5,6 @@ written. The drive appears under its name only when it is complete.
 """
 
 import json
-import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +18,7 @@ from nvsf_core.stages.imports.kitti360_layout import Kitti360Target
 from nvsf_core.stages.imports.odometry import found_path
 from nvsf_core.stages.imports.plain_layout import PlainTarget
 from nvsf_core.stages.imports.target import AbstractTarget
+from nvsf_core.stores.scene_store import new_folder
 
 TARGETS: dict[str, type[AbstractTarget]] = {"plain": PlainTarget, "kitti360": Kitti360Target}
 """Layouts that a drive can be written in."""
@@ -63,17 +62,11 @@ def import_drive(
         raise DataError(f"{out}: expected a folder to be made, found one that is taken; name another")
     if len(range(scene.first_frame, scene.last_frame + 1)) > MOST_FRAMES:
         raise DataError(f"expected at most {MOST_FRAMES:,} frames; name a part (--first, --last)")
-    part = out.with_name(f".{out.name}.part-{os.getpid()}")
-    shutil.rmtree(part, ignore_errors=True)
     try:
-        done = _convert(scene, part, layout, progress)
-        if out.exists():
-            out.rmdir()
-        part.rename(out)
+        with new_folder(out.absolute()) as folder:
+            done = _convert(scene, folder, layout, progress)
     except OSError as error:
         raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return replace(done, folder=out)
 
 

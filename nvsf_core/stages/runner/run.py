@@ -25,7 +25,7 @@ from nvsf_core.stages.runner.execution import (
 )
 from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
 from nvsf_core.stages.runner.locks import LOCKS, output_locks
-from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage
+from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, UnsoundOutputError
 from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
@@ -161,7 +161,8 @@ def run_named_stage(
             f"({error.strerror or error}); free space, or mend what is in its place, and run again"
         ) from error
     except NvsfError as error:
-        if run.scene.name in str(error):
+        says_where = str(error).startswith(f"scene {run.scene.name}")
+        if says_where or isinstance(error, DamagedInputError | UnsoundOutputError):
             raise
         raise type(error)(f"scene {run.scene.name}, stage {name}: {error}") from error
 

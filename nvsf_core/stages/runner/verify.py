@@ -42,12 +42,10 @@ def verify_scene(run: SceneRun, stages: Sequence[Stage]) -> Iterator[Verified]:
         stages: All stages of the flow, in order.
     """
     by_name = {stage.name: stage for stage in stages}
-    read = False
-    for stage in stages:
-        with hashes_of(run.store, read_anew=not read) as hashes:
+    # One reader for all: it reads each file once.
+    with hashes_of(run.store, read_anew=True) as hashes:
+        for stage in stages:
             yield _verified(stage, run, by_name, hashes)
-            # Once is enough: what the first stage read is remembered.
-            read = read or stage.reads_drive
 
 
 def _verified(stage: Stage, run: SceneRun, by_name: dict[str, Stage], hashes: FileHashes) -> Verified:

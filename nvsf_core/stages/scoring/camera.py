@@ -19,7 +19,7 @@ from nvsf_core.stages.inputs import pinhole_of
 from nvsf_core.stages.scoring.lidar import RecordedScans
 from nvsf_core.stages.scoring.moving_boxes import MovingBoxes
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _NO_LIDAR = absent("this drive has no LiDAR to compare camera depth with")
 DEPTH_METRIC = "image_depth_rmse_m"
@@ -115,7 +115,5 @@ def _depth(
 
 def _stored_depth(path: Path, camera: str) -> np.ndarray | None:
     """(k, H, W) length of each pixel's ray, metres; None if the method stores none."""
-    try:
-        return read_arrays(path, f"{camera}_range_m")[f"{camera}_range_m"]
-    except StoreError:
-        return None
+    name = f"{camera}_range_m"
+    return read_arrays(path, name)[name] if holds_array(path, name) else None

@@ -198,8 +198,8 @@ def file_numbers(arrays: Mapping[str, np.ndarray], camera: str = "") -> list[int
         camera: Name; empty = of the scans.
     """
     frame = arrays[f"{camera}_frame" if camera else "frame"]
-    # A held-out frame may lack an image: then the camera's own frames are the numbers.
-    if "number" in arrays and len(arrays["number"]) == len(frame):
+    # A held-out frame may lack an image, or its scan: then the camera's own frames are the numbers.
+    if "number" in arrays and np.array_equal(frame, arrays["frame"]):
         return [int(number) for number in arrays["number"]]
     is_unique = len(np.unique(frame)) == len(frame)
     return [int(number) for number in (frame if is_unique else range(len(frame)))]

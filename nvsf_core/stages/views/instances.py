@@ -173,6 +173,7 @@ def instance_arrays(
         {"value": value, "object_id": one, "label": known[one].label, "dynamic": known[one].is_dynamic}
         for one, value in value_of.items()
     ]
+    still = [box for box in known.values() if not box.is_dynamic]
     found = {}
     for camera in cameras_of(arrays):
         if camera not in models or f"{camera}_range_m" not in arrays:
@@ -182,18 +183,19 @@ def instance_arrays(
         for index, instant in enumerate(_instants(arrays, camera)):
             pose = arrays[f"{camera}_camera_to_world"][index]
             range_m = arrays[f"{camera}_range_m"][index].astype(np.float64)
-            shown.append(_image(models[camera], rays, range_m, pose, at[instant], value_of))
+            there = still if instant is None else at[instant]
+            shown.append(_image(models[camera], rays, range_m, pose, there, value_of))
         found[f"{camera}_instance"] = np.stack(shown)
     return found, table
 
 
-def _instants(arrays: Mapping[str, np.ndarray], camera: str) -> list[int]:
-    """Instant of the view of each of a camera's images; a held-out frame may lack an image."""
+def _instants(arrays: Mapping[str, np.ndarray], camera: str) -> Sequence[int | None]:
+    """Instant of the view of each of a camera's images; None of a held-out frame that has no scan."""
     own, all_frames = arrays[f"{camera}_frame"], arrays["frame"]
-    if len(own) == len(all_frames):
-        return list(range(len(own)))
+    if np.array_equal(own, all_frames):
+        return range(len(own))
     row_of = {int(frame): row for row, frame in enumerate(all_frames)}
-    return [row_of.get(int(frame), 0) for frame in own]
+    return [row_of.get(int(frame)) for frame in own]
 
 
 def _image(

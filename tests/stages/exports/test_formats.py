@@ -12,9 +12,10 @@ from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.drives.kitti360.calibration import read_calibration
 from nvsf_core.drives.kitti360.frames import frame_times, read_poses
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.kitti import write_kitti
-from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.kitti360 import object_numbers, write_kitti360
 from nvsf_core.stages.exports.records import DataSet
 from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
 from nvsf_core.stages.views.instances import boxes_at
@@ -175,3 +176,14 @@ def test_boxes_between_frames_lie_between_and_end_with_their_track() -> None:
     moving = [[box.box_to_world[0, 3] for box in at(k) if box.is_dynamic] for k in range(4)]
     assert [np.round(one, 9).tolist() for one in moving] == [[1.0], [2.0], [3.0], []]
     assert all(len([box for box in at(k) if not box.is_dynamic]) == 1 for k in range(4))
+
+
+def test_kitti360_numbers_an_object_alike_in_boxes_and_images() -> None:
+    kept = {26_006: "car", 24_001: "person"}
+    assert object_numbers(kept) == dict(zip(kept, kept, strict=True))
+    found = object_numbers({5: "car", 1005: "car", 26_006: "car", 26_007: "no class of theirs"})
+    assert len(set(found.values())) == 4 and max(found.values()) < 2**16
+    assert found[26_006] == 26_006 and found[5] == 26_005 and found[1005] // 1000 == 26
+    assert found[26_007] // 1000 != 26
+    with pytest.raises(DataError, match="at most 1000 objects of the class 'car'"):
+        object_numbers(dict.fromkeys(range(1001), "car"))

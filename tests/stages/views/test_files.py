@@ -39,3 +39,8 @@ def test_scans_are_cut_where_the_arrays_say():
 @pytest.mark.parametrize(("frame", "numbers"), [([5, 9], [5, 9]), ([5, 5], [0, 1])])
 def test_files_are_numbered_by_frames_unless_two_share_one(frame, numbers):
     assert file_numbers({"frame": np.array(frame)}) == numbers
+
+
+def test_an_image_of_a_frame_without_a_scan_has_its_own_number():
+    held_out = {"number": np.array([2]), "frame": np.array([2]), "image_00_frame": np.array([1])}
+    assert file_numbers(held_out) == [2] and file_numbers(held_out, "image_00") == [1]

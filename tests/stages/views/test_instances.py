@@ -1,5 +1,6 @@
 """Instance images show which box each pixel's surface lies in, labelled or found; depth is along the axis."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,3 +132,10 @@ def test_what_moves_in_a_static_box_of_what_cannot_keeps_its_own(tmp_path: Path,
     house = _track(11_004, 0.0, 9.0, label=label, dynamic=False)[0] | {"frame": -1}
     (boxes,) = _boxes(tmp_path, [house], _track(1, 0.3, 0.6), [0.16])
     assert [(one.object_id, one.label) for one in boxes] == [(11_004, label), (11_005, "dynamic")]
+
+
+def test_an_image_of_a_frame_without_a_scan_shows_none_of_another_instants_moving_objects() -> None:
+    arrays = _arrays(_PINHOLE, _wall(_PINHOLE, 10.0)) | {"image_00_frame": np.array([4])}
+    moving, still = _box(26_001, 10.0, 0.0, 2.0), replace(_box(26_002, 10.0, 0.0, 6.0), is_dynamic=False)
+    found, table = instance_arrays(arrays, {"image_00": _PINHOLE}, lambda index: [moving, still])
+    assert set(object_ids(found["image_00_instance"][0], table).ravel().tolist()) == {0, 26_002}

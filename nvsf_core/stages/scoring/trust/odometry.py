@@ -31,13 +31,14 @@ def odometry_errors(path: Path, sweeps: Sweeps) -> tuple[Measure, Measure]:
         path: Zarr group of the model's view.
         sweeps: The recorded scans.
     """
-    a = read_arrays(path, "frame", "time_s", "offsets", "points_m", "lidar_to_world")
+    a = read_arrays(path, "frame", "path_time_s", "offsets", "points_m", "lidar_to_world")
     step_s = float(np.median(np.diff(sweeps.arrays["time_s"]))) if sweeps.count > 1 else np.inf
-    steps_s = np.diff(a["time_s"])
-    if len(a["time_s"]) < _LEAST_SCANS or not ((steps_s > 0) & (steps_s < _LARGEST_STEP * step_s)).all():
+    # Of the path: the scene may stand still meanwhile.
+    steps_s = np.diff(a["path_time_s"])
+    if len(steps_s) + 1 < _LEAST_SCANS or not ((steps_s > 0) & (steps_s < _LARGEST_STEP * step_s)).all():
         reason = absent(f"a path needs {_LEAST_SCANS} or more consecutive scans; ask for all frames")
         return reason, reason
-    rendered = [_timed(a["points_m"][part(a["offsets"], i)]) for i in range(len(a["time_s"]))]
+    rendered = [_timed(a["points_m"][part(a["offsets"], i)]) for i in range(len(a["frame"]))]
     try:
         mine = _error(rendered, a["lidar_to_world"])
     except (DataError, MissingLibraryError) as error:

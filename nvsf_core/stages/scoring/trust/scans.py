@@ -58,7 +58,7 @@ _NEIGHBOURS = 2
 _NEAR_M, _FAR_M = 3.0, 80.0
 """Nearer is the own vehicle, farther is counted by no metric."""
 _VIEW = (
-    "frame", "time_s", "offsets", "points_m", "laser", "lidar_to_world", "grid_support", "grid_firings",
+    "frame", "offsets", "points_m", "laser", "lidar_to_world", "grid_support", "grid_firings",
     "grid_range_m", "grid_hit", "grid_intensity", "grid_azimuth_rad", "grid_elevation_rad",
 )  # fmt: skip
 
@@ -151,6 +151,11 @@ class RecordedScans:
             self._traits[scan] = ScanTraits.of(self._grid(scan))
         return self._traits[scan]
 
+    def time_of(self, frame: int) -> float:
+        """Time of a frame of the drive, seconds since its first one."""
+        a = self.sweeps.arrays
+        return float(np.interp(frame, a["frame"], a["time_s"]))
+
     def neighbours(self, time_s: float, *, leave_out: int | None = None) -> list[ScanTraits]:
         """Traits of the training scans nearest in time."""
         others = [k for k in self.scans if k != leave_out]
@@ -240,11 +245,10 @@ def scan_cues(
     goes = plan.path or recorded.sweeps.trajectory
     sweep_s = float(attrs["sweep_period_s"]) * plan.path_rate
     for i, frame in enumerate(a["frame"].tolist()):
-        own, firings, time_s = part(a["offsets"], i), int(a["grid_firings"][i]), float(a["time_s"][i])
+        own, firings, moment_s = part(a["offsets"], i), int(a["grid_firings"][i]), float(plan.moments_s[i])
         scan = _Rendered(
-            a["points_m"][own], a["laser"][own], table, float(plan.moments_s[i]), a["lidar_to_world"][i],
-            goes, sweep_s,
-        )  # fmt: skip
+            a["points_m"][own], a["laser"][own], table, moment_s, a["lidar_to_world"][i], goes, sweep_s
+        )
         points_m = recorded.placed(scan)
         hit = a["grid_hit"][i][:, :firings].astype(np.float64)
         guessed = a["grid_support"][i][:, :firings] == Support.GUESSED
@@ -256,7 +260,9 @@ def scan_cues(
             DENSITY.name: recorded.cloud.density_aware(points_m),
         }
         if is_comparable:
-            cues |= ScanTraits.of(_rendered_grid(a, i, firings)).apart(recorded.neighbours(time_s))
+            # Compared with what was recorded near the same place, whatever instant of the scene is shown.
+            near_s = moment_s if plan.path is None else recorded.time_of(frame)
+            cues |= ScanTraits.of(_rendered_grid(a, i, firings)).apart(recorded.neighbours(near_s))
         yield frame, cues
 
 
