@@ -8,6 +8,8 @@ import numpy as np
 from nvsf_core.drives.drive import AbstractDrive, drive_of, has_data
 from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
+from nvsf_core.drives.kitti360.frames import FrameTimes
+from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError
 
@@ -106,7 +108,9 @@ def require_views(scene: SceneEntry) -> None:
     for view in scene.views:
         where = f"scene {scene.name}, view {view.name}"
         try:
-            moments_s(view, frames, times.time_s)
+            moments = moments_s(view, frames, times.time_s)
+            if scene.compensate:
+                _require_sweeps_within(view, moments, times)
         except DataError as error:
             raise DataError(f"{where}: {error} ({len(frames)} frames, {times.source})") from error
         if view.frozen_at_s is not None and not -_SLACK_S <= view.frozen_at_s <= end_s + _SLACK_S:
@@ -123,6 +127,24 @@ def require_views(scene: SceneEntry) -> None:
                 f"{where}: expected cameras that the drive has, found {absent[0]}: there are no "
                 f"images of it below {scene.root}"
             )
+
+
+def _require_sweeps_within(view: ViewEntry, moments: np.ndarray, times: FrameTimes) -> None:
+    """Refuse moments of the recorded path about which a sweep of the view reaches beyond its ends.
+
+    A fast or slowly turning sensor goes a longer way in a sweep. The path is prolonged by one frame.
+    """
+    if not view.is_on_recorded_path or view.sensor == NO_SENSOR or len(times.time_s) < 2:
+        return
+    half_s = 0.5 * view.speed * (times.sweep_period_s if view.own_rate_hz is None else 1.0 / view.own_rate_hz)
+    spare_s = float(np.median(np.diff(times.time_s))) - half_s
+    first_s, last_s = float(times.time_s[0]) - spare_s, float(times.time_s[-1]) + spare_s
+    outside = moments[(moments < first_s - _SLACK_S) | (moments > last_s + _SLACK_S)]
+    if len(outside):
+        raise DataError(
+            f"speed and sensor: a sweep goes on for {2 * half_s:g} s of the recorded path: expected times "
+            f"from {first_s:g} to {last_s:g} seconds, found {outside.tolist()!s:.200}"
+        )
 
 
 def _require_near(view: ViewEntry, drive: AbstractDrive, where: str) -> None:

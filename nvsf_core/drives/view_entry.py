@@ -141,6 +141,13 @@ class ViewEntry:
         """Name of the LiDAR that is asked for; None = the recorded one."""
         return self.sensor.name if isinstance(self.sensor, SensorEntry) else self.sensor
 
+    @property
+    def own_rate_hz(self) -> float | None:
+        """Rotations a second of the LiDAR that is asked for; None = those of the recorded one."""
+        if isinstance(self.sensor, SensorEntry):
+            return self.sensor.rate_hz
+        return None if self.sensor in (None, NO_SENSOR) else SENSOR_TABLES[self.sensor].rate_hz
+
     def _require_times(self) -> None:
         given = [
             name
@@ -200,11 +207,14 @@ class ViewEntry:
         if any(after <= before for before, after in itertools.pairwise(times_s)):
             raise DataError(f"waypoints: expected ascending time_s, found {times_s!r:.200}")
         if self.path_in == "start":
-            for point in self.waypoints:
-                if not all(abs(value) <= FARTHEST_SHIFT_M for value in point.position_m):
+            poses = () if self.pose_file is None else self.pose_file.poses
+            places_m = [*(point.position_m for point in self.waypoints), *(row[3::4] for row in poses)]
+            for place_m in places_m:
+                if not all(abs(value) <= FARTHEST_SHIFT_M for value in place_m):
                     raise DataError(
-                        f"waypoints: expected positions within {FARTHEST_SHIFT_M:g} m of the start, found "
-                        f"{point.position_m}"
+                        f"{'waypoints' if self.waypoints else 'pose_file'}: expected positions within "
+                        f"{FARTHEST_SHIFT_M:g} m of the start, found {place_m}; places in the drive's world "
+                        'need `path_in = "world"`'
                     )
 
     def _require_truth(self) -> None:

@@ -87,7 +87,7 @@ def lidar4d_regions(
     found: dict[str, Mapping[str, Measure]] = {}
     for region in REGIONS:
         cut = cut_pano(truth, pano, boxes_to_lidar, region)
-        network = lpips if region == FOREGROUND else None
+        network = lpips if region == FOREGROUND and len(boxes_to_lidar) else None
         measures = lidar4d(cut_pano(predicted, pano, boxes_to_lidar, region), cut, pano, network)
         if region == FOREGROUND and len(boxes_to_lidar) == 0:
             measures = dict.fromkeys(measures, absent(NO_BOX))

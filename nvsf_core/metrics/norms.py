@@ -115,8 +115,9 @@ def spread_limit(spread: np.ndarray) -> float:
     """
     together = spread.mean(axis=0)
     at_median = (np.arange(_LEVELS + 1) >= int(np.searchsorted(together, 0.5))).astype(np.float64)
-    apart = np.abs(spread[:, None] - spread[None]).mean(axis=2).max()
-    return max(_SMALLEST_LIMIT, _HALF_WAY * spread_distance(together, at_median), float(apart))
+    # One with all others at a time: all pairs at once would take gigabytes.
+    apart = max(float(np.abs(spread - one).sum(axis=1).max()) for one in spread) / _LEVELS
+    return max(_SMALLEST_LIMIT, _HALF_WAY * spread_distance(together, at_median), apart)
 
 
 def spread_distance(one: np.ndarray, other: np.ndarray) -> float:

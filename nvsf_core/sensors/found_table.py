@@ -87,6 +87,7 @@ def find_table(scans: Scans) -> FoundTable:
             "Name the sensor (`lidar` of the scene), or give each point its `ring`"
         )
     order = sorted(good, key=lambda k: -lines[k].elevation_rad)
+    left_out = len(groups) - len(order)
     groups, lines = [groups[k] for k in order], [lines[k] for k in order]
     fitting = _fitting(scans, lines)
     if fitting < _LEAST_FITTING:
@@ -125,7 +126,7 @@ def find_table(scans: Scans) -> FoundTable:
     evidence = (
         f"{len(groups)} lasers from {len(scans)} scans, {words}: {elevations[0]:.2f} to {elevations[1]:.2f} "
         f"degrees, {spread_deg:.3f} degrees off their lines in the median; {table.firings_per_turn} firings; "
-        f"{lattice}; {len(groups) - len(order) or 'none'} left out"
+        f"{lattice}; {left_out or 'none'} left out"
     )
     return FoundTable(table, evidence)
 

@@ -162,12 +162,13 @@ class RenderedSweep:
         order = np.concatenate([own + first for own, first in zip(orders, [0, *starts], strict=True)])
         return np.asarray(returned[order])
 
-    def scan(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def scan(self, returns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The recorded scan: points (m, 3) float32, intensity (m,) float32, laser (m,) int16 of the returns.
 
-        Points are in the sensor's frame at firing time, in the order of `returns`.
+        Points are in the sensor's frame at firing time, in the order of `self.returns()`, which is computed
+        unless given.
         """
-        taken = self.returns()
+        taken = self.returns() if returns is None else returns
         return (
             self.point_m[taken].astype(np.float32),
             np.clip(self.rendered.intensity[taken], 0, 1).astype(np.float32),

@@ -60,28 +60,28 @@ def simulate_sweep(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float
 ) -> SimulatedSweep:
     """Simulate one sweep of the plan's sensor; arguments as of `fire_sweep`."""
-    lookups = _lookups(model, lidar, plan, time_s)
+    near = _near_scans(model, lidar, plan, time_s)
+    lookups = ScanLookups(lidar.scan_grids, near, gaps_hide=not plan.is_recorded_sensor)
     rays, rendered = fire_sweep(model, lidar, plan, time_s, lookups=lookups)
     sweep = RenderedSweep.of(rays, rendered)
-    points, intensity, laser = sweep.scan()
+    returns = sweep.returns()
+    points, intensity, laser = sweep.scan(returns)
     pano = LinearPano(reference_quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
     fired_s = plan.fired_s(time_s, rays.fraction, lidar.sweeps.period_s)
     support = support_of_sweep(lidar, rays, rendered, fired_s, lookups, is_own_unit=plan.is_recorded_sensor)
     return SimulatedSweep(
         points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid(),
-        support[sweep.returns()], support.reshape(rays.shape),
+        support[returns], support.reshape(rays.shape),
     )  # fmt: skip
 
 
-def _lookups(
+def _near_scans(
     model: SceneModel, lidar: LidarRecording, plan: SweepPlan, time_s: float, leave_out_s: float | None = None
-) -> ScanLookups:
-    """For lookups in the scans of a sweep's hit prior; the unit's gaps are no other sensor's."""
-    near = lidar.evidence.prior.nearest_scans(
-        plan.near_time_s(time_s), model.prior_scans, leave_out_s=leave_out_s
-    )
-    return ScanLookups(lidar.scan_grids, near, gaps_hide=not plan.is_recorded_sensor)
+) -> np.ndarray:
+    """Numbers (k,) of the training scans that give a sweep's hit prior."""
+    prior, near_s = lidar.evidence.prior, plan.near_time_s(time_s)
+    return prior.nearest_scans(near_s, model.prior_scans, leave_out_s=leave_out_s)
 
 
 def fire_sweep(
@@ -104,14 +104,13 @@ def fire_sweep(
         time_s: The sweep's instant, seconds since the first frame.
         phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
         leave_out_s: The training scan of this time is ignored; None = all are used.
-        lookups: For whoever asks of the same sweep afterwards; None = nobody does.
+        lookups: In the training scans of the hit prior, for whoever asks of the same sweep afterwards; None =
+            nobody does.
     """
     assert model.lidar is not None
     evidence, sweeps = lidar.evidence, lidar.sweeps
     near_s = plan.near_time_s(time_s)
-    if lookups is None:
-        lookups = _lookups(model, lidar, plan, time_s, leave_out_s)
-    near = lookups.scans
+    near = _near_scans(model, lidar, plan, time_s, leave_out_s) if lookups is None else lookups.scans
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
     else:
@@ -138,7 +137,7 @@ def fire_sweep(
         rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     if model.correct is not None and is_in_place:
-        rendered = model.correct(rays, rendered, lookups)
+        rendered = model.correct(rays, rendered, lookups or ScanLookups(lidar.scan_grids, near))
     if model.unobserved is not None and is_in_place:
         rendered = ask_unobserved(rendered, model.unobserved, *columns, rays.laser, plan.table)
     if is_in_place and not model.as_recorded:

@@ -52,6 +52,14 @@ def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
             offsets.append(one.offset)
     count = message.width * message.height
     data = np.asarray(message.data, np.uint8).tobytes()
+    row_bytes = message.width * message.point_step
+    # Of a single row many drivers leave `row_step` at 0.
+    is_cut = message.height > 1 and not row_bytes <= message.row_step <= len(data) // message.height
+    if is_cut or not message.point_step or count > len(data) // message.point_step:
+        raise DataError(
+            f"{where}: expected {message.height} rows of {message.width} points of {message.point_step} "
+            f"bytes, found {len(data)} bytes"
+        )
     try:
         kind = np.dtype(
             {"names": names, "formats": kinds, "offsets": offsets, "itemsize": message.point_step}
@@ -110,8 +118,12 @@ def image_rgb(message: Any, where: str, decode: Any) -> np.ndarray:
         raise DataError(f"{where}: encoding: expected one of {', '.join(_COLOURS)}, found {encoding!r:.40}")
     channels = _CHANNELS.get(encoding, 1)
     data = np.asarray(message.data, np.uint8)
-    if len(data) < message.height * message.step or message.step < message.width * channels:
-        raise DataError(f"{where}: expected {message.height} rows of {message.step} bytes, found {len(data)}")
+    is_empty = 0 in (message.height, message.width)
+    if is_empty or len(data) < message.height * message.step or message.step < message.width * channels:
+        raise DataError(
+            f"{where}: expected {message.height} rows of {message.width} pixels in {message.step} bytes, "
+            f"found {len(data)} bytes"
+        )
     rows = data[: message.height * message.step].reshape(message.height, message.step)
     pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
     code = _COLOURS[encoding]

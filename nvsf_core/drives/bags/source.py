@@ -150,7 +150,7 @@ class BagDrive(AbstractPosedDrive):
                 f"expected fixed transforms from {index.frame_ids[topic]!r} to {self._lidar_frame!r} in "
                 "/tf_static, found none"
             )
-        is_rectified = "rect" in topic.split("/")[-1] or "/rect" in topic or "_rect" in topic
+        is_rectified = "/rect" in topic or "_rect" in topic
         return lens_of(lens_facts(index.infos[info], info, is_rectified=is_rectified), info), to_lidar
 
     def calibration(self) -> Calibration:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nvsf_core.drives.kitti360.text import FARTHEST_M
 from nvsf_core.drives.posed import PosePath
 from nvsf_core.errors import DataError
 
@@ -22,13 +23,15 @@ def pose_of(translation: Any, rotation: Any) -> np.ndarray:
     """(4, 4) of a message's translation and quaternion.
 
     Raises:
-        DataError: The quaternion has no length, or a number is not finite.
+        DataError: The quaternion has no length, a number is not finite, or the place is impossibly far.
     """
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w], np.float64)
     pose = np.eye(4)
     pose[:3, 3] = translation.x, translation.y, translation.z
-    if not np.isfinite(pose).all() or not abs(float(np.linalg.norm(quaternion)) - 1.0) < 0.01:
-        raise DataError(f"expected a rotation and a place, found {quaternion.tolist()}")
+    is_near = bool((np.abs(pose[:3, 3]) <= FARTHEST_M).all())
+    if not is_near or not abs(float(np.linalg.norm(quaternion)) - 1.0) < 0.01:
+        found = [*pose[:3, 3].tolist(), *quaternion.tolist()]
+        raise DataError(f"expected a place within {FARTHEST_M:g} m and a rotation, found {found}")
     pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     return pose
 

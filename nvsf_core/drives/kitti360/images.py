@@ -175,6 +175,8 @@ def _orientation(exif: bytes) -> int:
 
 
 _JPEG_BEGIN, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers of a frame's header; the three others are of tables."""
 
 
 def decode_picture(path: Path, data: bytes, width: int, height: int) -> np.ndarray:
@@ -194,11 +196,28 @@ def decode_picture(path: Path, data: bytes, width: int, height: int) -> np.ndarr
     # The decoder fills a truncated image with grey, silently.
     if _JPEG_END not in data[-64:]:
         raise DataError(f"{path}: unreadable image, truncated; copy it again")
-    rgb = decode_pixels(path, data)
-    if rgb.shape != (height, width, 3):
+    # As of a PNG, before the decoder allocates memory for it.
+    size = _jpeg_size(data)
+    if size != (width, height):
         raise DataError(
             f"{path}: wrong size, expected {width} x {height} as the calibration says, found "
-            f"{rgb.shape[1]} x {rgb.shape[0]}; use the calibration of this drive"
+            f"{'none' if size is None else f'{size[0]} x {size[1]}'}; use the calibration of this drive"
         )
+    rgb = decode_pixels(path, data)
     require_picture(path, rgb)
     return rgb
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Columns and rows of the frame header of a JPEG (ITU-T T.81, B.2.2); None without one."""
+    position = len(_JPEG_BEGIN)
+    while position + 9 <= len(data) and data[position] == 0xFF:
+        marker = data[position + 1]
+        if marker == 0xFF:  # a fill byte
+            position += 1
+        elif marker in _JPEG_FRAMES:
+            rows, columns = (int.from_bytes(data[position + k : position + k + 2], "big") for k in (5, 7))
+            return columns, rows
+        else:
+            position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+    return None

@@ -8,7 +8,8 @@ import numpy as np
 from nvsf_core.errors import DataError
 
 Columns = Mapping[str, np.ndarray]
-_MOST_POINTS = 4_000_000
+_MOST_POINTS, _MOST_BYTES = 4_000_000, 256
+"""Of a file, and of one of its points."""
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -93,6 +94,10 @@ def read_pcd(path: Path, data: bytes) -> dict[str, np.ndarray]:
         raise DataError(f"{path}: its header is no PCD's ({error!r:.60}); copy it again") from error
     if not 0 <= count <= _MOST_POINTS:
         raise DataError(f"{path}: expected at most {_MOST_POINTS:,} points, found {count:,}")
+    if not 0 < kind.itemsize <= _MOST_BYTES:
+        raise DataError(
+            f"{path}: expected 1 to {_MOST_BYTES} bytes a point, found {kind.itemsize}; copy it again"
+        )
     storage = head["DATA"][:1]
     single = [name for name, _, n in fields if n == (1,)]
     if storage == ["ascii"]:
@@ -108,7 +113,7 @@ def read_pcd(path: Path, data: bytes) -> dict[str, np.ndarray]:
 
 
 def _of_rows(path: Path, body: bytes, count: int, kind: np.dtype) -> dict[str, np.ndarray]:
-    if len(body) < count * kind.itemsize:
+    if not kind.itemsize or len(body) < count * kind.itemsize:
         raise DataError(
             f"{path}: expected {count} points of {kind.itemsize} bytes, found {len(body)} bytes; copy it"
         )

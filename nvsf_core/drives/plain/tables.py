@@ -13,7 +13,7 @@ from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, read_text, rigid
 from nvsf_core.drives.posed import PosePath, require_ascending
 from nvsf_core.errors import DataError
 
-_MOST_BYTES = 256 * MIB
+_MOST_BYTES, _MOST_ID = 256 * MIB, 2**31 - 1
 _PLACE = ("x", "y", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
@@ -160,6 +160,12 @@ def read_box_table(path: Path, frames: range) -> tuple[list[Box], list[str]]:
     for k, row in enumerate(rows):
         frame = int(columns["frame"][k])
         if frame != STATIC_FRAME and frame not in frames:
+            continue
+        if not 0 <= columns["object_id"][k] <= _MOST_ID:
+            found = columns["object_id"][k]
+            left_out.append(
+                f"row {k + 2} of {path.name}: expected object_id 0 to {_MOST_ID}, found {found:g}"
+            )
             continue
         sides_m = np.array([columns[name][k] for name in _SIZE])
         if not ((sides_m > 1e-3) & (sides_m < 1e3)).all():

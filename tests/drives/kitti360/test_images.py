@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nvsf_core.drives.kitti360.images import read_image
+from nvsf_core.drives.kitti360.images import decode_picture, read_image
 from nvsf_core.errors import DataError
 
 
@@ -47,3 +47,14 @@ def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
 def test_an_absent_image_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no image file .*a\.png"):
         read_image(tmp_path / "a.png", 64, 48)
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_a_jpeg_says_its_size_before_it_is_decoded(tmp_path: Path, progressive: int) -> None:
+    packed, data = cv2.imencode(".jpg", picture(), [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive])
+    assert packed and decode_picture(tmp_path, data.tobytes(), 64, 48).shape == (48, 64, 3)
+    with pytest.raises(DataError, match=r"wrong size, expected 32 x 48 .* found 64 x 48"):
+        decode_picture(tmp_path, data.tobytes(), 32, 48)
+    frame = data.tobytes().index(b"\xff\xc2" if progressive else b"\xff\xc0")
+    with pytest.raises(DataError, match=r"wrong size, expected 64 x 48 .* found none"):
+        decode_picture(tmp_path, data.tobytes()[:frame] + b"\xff\xd9", 64, 48)

@@ -94,3 +94,13 @@ def test_each_storage_of_a_pcd_gives_the_same(kind):
 def test_a_damaged_file_is_refused_by_name(read, data):
     with pytest.raises(DataError, match="scan: "):
         read(PLACE, data)
+
+
+def test_a_point_without_numbers_or_with_millions_of_them_is_refused():
+    empty = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nend_header\n"
+    with pytest.raises(DataError, match="expected"):
+        read_ply(PLACE, empty)
+    for data in ("ascii", "binary", "binary_compressed"):
+        wide = _pcd(data, b"1 2 3\n").replace(b"COUNT 1 1 1 1 1 3", b"COUNT 1 1 1 1 1 500000000")
+        with pytest.raises(DataError, match="expected 1 to 256 bytes a point"):
+            read_pcd(PLACE, wide)
