@@ -66,8 +66,8 @@ CAPABILITIES = (
         ("models/residual/lidar.py", "fields/lidar_field.py", "rendering/lidar.py",
          "kernels/composite.py", "kernels/surface_list.py",
          "losses/lidar.py"),
-        "k360_street: CD .029 (reproject) to .022, range PSNR 29.8 to 30.8 dB; kitti0005: 24.9 to 26.3 dB "
-        "(docs/results.md)",
+        "k360_street: CD .026 (reproject) to .020, range PSNR 29.8 to 31.0 dB; kitti0005: 25.0 to 26.4 dB "
+        "(docs/results.md, 698ed4b)",
     ),
     Capability(
         "raydrop network on the sensor's own grid",
@@ -89,7 +89,7 @@ CAPABILITIES = (
          "rendering/plane_depth.py", "rendering/plane_volume.py", "rendering/camera_view.py",
          "rendering/sources.py", "rendering/warping.py",
          "kernels/images/source_lookup.py"),
-        "k360_street: 20.4 (reproject) to 21.7 dB; kitti0005: 20.7 to 23.6",
+        "k360_street: 20.8 (reproject) to 22.0 dB; kitti0005: 20.7 to 23.6 (docs/results.md, 698ed4b)",
     ),
     Capability(
         "views by depth maps of the images; pixels that nothing shows are known",
