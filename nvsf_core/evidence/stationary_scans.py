@@ -12,30 +12,20 @@ import numpy as np
 
 from nvsf_core.evidence.drop_prior import DropPrior, FiredCells
 from nvsf_core.geometry.se3 import log_so3
+from nvsf_core.kernels.stationary_lookup import NearScans, combine_stationary
 from nvsf_core.sensors.sweep import Trajectory
 
 MOST_APART_M = 0.3
 """Scans farther than this from every other pose are not kept: no ray's footprint is wider."""
 NEAREST_SCANS = 12
 """Most scans that are looked up."""
-_NOISE_M = 0.02
-"""Noise of a measured range: a sensor that moved less than this is taken as in the same place."""
-_AGREE_M, _AGREE_PER_RANGE = 0.1, 0.005
-"""Two ranges of one surface differ by less: metres, plus metres per metre of range."""
-_SURFACE_WEIGHT = 1.0
-"""Weight of the surfels' values: that of a scan of the frame before or after."""
-_FOOTPRINT_STEPS = 1.5
-"""How far a ray may be off and still count as the same, in angles from firing to firing."""
 _FADE = 1.5
 """A scan k frames away has the weight k^-1.5: the two scans beside a sweep outweigh all others."""
 _BESIDE_FRAMES = 1.5
 """Scans nearer to a sweep than this are beside it."""
-_STILL_M = 0.02
-"""Where the sensor moved less than this, a trend of the ranges is noise and is not followed."""
 _SAME_INSTANT_S = 1e-6
 _MOMENTS = 17
 """Instants of a sweep at which the sensor's poses are compared."""
-_CHUNK_RAYS = 65536
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,22 +67,6 @@ class FiredRays:
     """(r,) float32 probability of a return."""
     intensity: np.ndarray
     """(r,) float32."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lookup:
-    """Values of r rays in k scans, the scan nearest in time first."""
-
-    range_m: np.ndarray
-    """(k, r) float32 metres, 0 = no return."""
-    intensity: np.ndarray
-    """(k, r) float32."""
-    weight: np.ndarray
-    """(k, r) float32: 1 for a scan one frame away, less farther away, 0 where the sensor was elsewhere."""
-    moved_m: np.ndarray
-    """(k, r) float32 metres: how far the sensor was away; negative for earlier scans."""
-    frames: np.ndarray
-    """(k,) float64 frames from the sweep to each scan, negative before it."""
 
 
 def find_stationary_scans(time_s: np.ndarray, trajectory: Trajectory) -> np.ndarray:
@@ -164,17 +138,11 @@ def look_up_stationary(
         for row in order[:NEAREST_SCANS]
     ]
     there = [one for one in there if np.abs(one[1]).min() < MOST_APART_M]
-    if not there:
-        return rays.range_m, rays.hit, rays.intensity
     rendered = rays.range_m.copy(), rays.hit.copy(), rays.intensity.copy()
-    for start in range(0, len(rays.laser), _CHUNK_RAYS):
-        part = slice(start, start + _CHUNK_RAYS)
-        some = FiredRays(*(getattr(rays, name)[part] for name in FiredRays.__slots__))
-        found = _look_up(stationary, prior, some, there, instant_s, frame_s)
-        rows = np.flatnonzero(found.weight.any(axis=0))
-        values = (_copy if stationary.is_copied else _combine)(found, some, rows)
-        for target, value in zip(rendered, values, strict=True):
-            target[part][rows] = value
+    if there:
+        scans = _near_scans(stationary, prior, there, instant_s, frame_s)
+        laser, fraction = rays.laser.astype(np.int64), rays.fraction.astype(np.float64)
+        combine_stationary(laser, fraction, rendered, scans, bool(stationary.is_copied))
     return rendered
 
 
@@ -190,83 +158,20 @@ def _apart(
     return np.copysign(apart_m, scan_s - instant_s), angle_rad
 
 
-def _look_up(
+def _near_scans(
     stationary: StationaryScans,
     prior: DropPrior,
-    rays: FiredRays,
     there: list[tuple[int, np.ndarray, np.ndarray]],
     instant_s: float,
     frame_s: float,
-) -> _Lookup:
-    """Values of rays in some scans; `there` holds each scan's row, offsets and angles from `_apart`."""
-    moments = np.linspace(-0.5, 0.5, _MOMENTS)
-    shape = (len(there), len(rays.laser))
-    scan_s = np.array([prior.time_s[stationary.scan[row]] for row, _, _ in there])
-    frames = (scan_s - instant_s) / frame_s
-    ranges, shine, weight, moved = (np.zeros(shape, np.float32) for _ in range(4))
-    found = _Lookup(ranges, shine, weight, moved, frames)
-    for k, (row, moved_m, angle_rad) in enumerate(there):
-        scan = int(stationary.scan[row])
-        column = prior.nearest_firing(scan, rays.fraction)
-        step_rad = 2.0 * np.pi / prior.firings_of(scan)
-        found.range_m[k] = stationary.range_m[row, rays.laser, column]
-        found.intensity[k] = stationary.intensity[row, rays.laser, column]
-        found.moved_m[k] = np.interp(rays.fraction, moments, moved_m)
-        reach_m = np.where(found.range_m[k] > 0, found.range_m[k], np.minimum(rays.range_m, 1e3))
-        footprint_m = _NOISE_M + _FOOTPRINT_STEPS * step_rad * reach_m
-        off_m = np.abs(found.moved_m[k]) + np.interp(rays.fraction, moments, angle_rad) * reach_m
-        found.weight[k] = np.where(off_m < footprint_m, max(abs(frames[k]), 1.0) ** -_FADE, 0.0)
-    return found
-
-
-def _copy(found: _Lookup, rays: FiredRays, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `_combine`, from the scan nearest in time alone."""
-    nearest = (found.weight[:, rows] > 0.0).argmax(axis=0)
-    range_m, intensity = found.range_m[nearest, rows], found.intensity[nearest, rows]
-    returned = range_m > 0.0
-    # A ray without a return keeps the surface behind it, as the rays that are combined do.
-    range_m = np.where(returned, range_m, rays.range_m[rows])
-    intensity = np.where(returned, intensity, rays.intensity[rows])
-    return range_m, returned.astype(np.float32), intensity
-
-
-def _combine(found: _Lookup, rays: FiredRays, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range, hit probability and intensity (k,) of the rays `rows` (k,) that at least one scan fired, too."""
-    measured, weight, surface_m = found.range_m[:, rows], found.weight[:, rows], rays.range_m[rows]
-    returned = weight * (measured > 0)
-    hit = (returned.sum(axis=0) + _SURFACE_WEIGHT * rays.hit[rows]) / (weight.sum(axis=0) + _SURFACE_WEIGHT)
-    near_m = _AGREE_M + _AGREE_PER_RANGE * measured
-    agrees = np.stack([np.abs(one - measured) < near_m for one in measured])
-    support = np.where(returned > 0, (returned[:, None] * agrees).sum(axis=0), 0.0)
-    by_surface = (returned > 0) & (np.abs(surface_m - measured) < near_m)
-    of_surface = _SURFACE_WEIGHT * np.isfinite(surface_m) * ~_is_stale(by_surface, returned, found.frames)
-    support = support + by_surface * of_surface
-    best, column = support.argmax(axis=0), np.arange(len(rows))
-    own = of_surface + (returned * by_surface).sum(axis=0) * (of_surface > 0)
-    is_measured = (returned[best, column] > 0) & ((support[best, column] > own) | by_surface[best, column])
-    member = returned * agrees[best, :, column].T
-    range_m = np.where(is_measured, _level(member, found.moved_m[:, rows], measured), surface_m)
-    shine = (member * found.intensity[:, rows]).sum(axis=0) / np.maximum(member.sum(axis=0), 1e-6)
-    intensity = np.where(is_measured, shine, rays.intensity[rows])
-    return range_m.astype(np.float32), hit.astype(np.float32), intensity.astype(np.float32)
-
-
-def _is_stale(by_surface: np.ndarray, returned: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Whether (r,) the scans beside the sweep disagree with the surfels, and scans farther away agree.
-
-    Then something has moved, and the surfels, which show another time, do not count.
-    """
-    beside = np.abs(frames) < _BESIDE_FRAMES
-    now, then = returned[beside] > 0, by_surface[~beside]
-    stale: np.ndarray = now.any(axis=0) & ~by_surface[beside].any(axis=0) & then.any(axis=0)
-    return stale
-
-
-def _level(weight: np.ndarray, moved_m: np.ndarray, range_m: np.ndarray) -> np.ndarray:
-    """Range (r,) at the sweep's own pose, by a weighted line through ranges (k, r) over offsets (k, r)."""
-    total = np.maximum(weight.sum(axis=0), 1e-6)
-    moved, mean = (weight * moved_m).sum(axis=0) / total, (weight * range_m).sum(axis=0) / total
-    spread = (weight * np.square(moved_m - moved)).sum(axis=0) / total
-    slope = (weight * (moved_m - moved) * (range_m - mean)).sum(axis=0) / total
-    level: np.ndarray = mean - moved * slope / (spread + _STILL_M**2)
-    return level
+) -> NearScans:
+    """As the kernel takes them; `there` holds each scan's row, offsets and angles from `_apart`."""
+    row = np.array([one[0] for one in there])
+    scan = stationary.scan[row]
+    frames = np.abs(prior.time_s[scan] - instant_s) / frame_s
+    return NearScans(
+        row, stationary.range_m, stationary.intensity, prior.fraction[scan],
+        np.array([prior.firings_of(int(one)) for one in scan]), np.stack([one[1] for one in there]),
+        np.stack([one[2] for one in there]), (np.maximum(frames, 1.0) ** -_FADE).astype(np.float32),
+        frames < _BESIDE_FRAMES,
+    )  # fmt: skip
