@@ -110,7 +110,7 @@ def require_views(scene: SceneEntry) -> None:
         try:
             moments = moments_s(view, frames, times.time_s)
             if scene.compensate:
-                _require_sweeps_within(view, moments, times)
+                _require_sweeps_within(view, moments, drive, times)
         except DataError as error:
             raise DataError(f"{where}: {error} ({len(frames)} frames, {times.source})") from error
         if view.frozen_at_s is not None and not -_SLACK_S <= view.frozen_at_s <= end_s + _SLACK_S:
@@ -129,10 +129,13 @@ def require_views(scene: SceneEntry) -> None:
             )
 
 
-def _require_sweeps_within(view: ViewEntry, moments: np.ndarray, times: FrameTimes) -> None:
+def _require_sweeps_within(
+    view: ViewEntry, moments: np.ndarray, drive: AbstractDrive, times: FrameTimes
+) -> None:
     """Refuse moments of the recorded path about which a sweep of the view reaches beyond its ends.
 
-    A fast or slowly turning sensor goes a longer way in a sweep. The path is prolonged by one frame.
+    A fast or slowly turning sensor goes a longer way in a sweep. The path is prolonged by one frame. A drive
+    without scans has no sweeps to ask about.
     """
     if not view.is_on_recorded_path or view.sensor == NO_SENSOR or len(times.time_s) < 2:
         return
@@ -140,7 +143,7 @@ def _require_sweeps_within(view: ViewEntry, moments: np.ndarray, times: FrameTim
     spare_s = float(np.median(np.diff(times.time_s))) - half_s
     first_s, last_s = float(times.time_s[0]) - spare_s, float(times.time_s[-1]) + spare_s
     outside = moments[(moments < first_s - _SLACK_S) | (moments > last_s + _SLACK_S)]
-    if len(outside):
+    if len(outside) and any(drive.find_scan(frame) is not None for frame in drive.frames):
         raise DataError(
             f"speed and sensor: a sweep goes on for {2 * half_s:g} s of the recorded path: expected times "
             f"from {first_s:g} to {last_s:g} seconds, found {outside.tolist()!s:.200}"

@@ -11,6 +11,8 @@ import pytest
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.view_checks import require_views
+from nvsf_core.errors import DataError
 from nvsf_core.recipe import FieldSpec, PaperRecipe, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
@@ -238,3 +240,12 @@ def test_each_sensor_is_asked_for_the_held_out_frames_that_it_recorded(drive: Pa
     alone = held_out_view(replace(recording, lidar=None), scene.test_frames)
     assert alone is not None and alone.sweeps is None and alone.plan.frame.tolist() == [1]
     assert held_out_view(recording, ()) is None
+
+
+def test_a_fast_view_is_refused_only_where_sweeps_would_reach_beyond_the_path(
+    drive: Path, camera_only: Run
+) -> None:
+    fast = (ViewEntry(name="fast", speed=5.0),)
+    with pytest.raises(DataError, match=r"view fast: .* a sweep goes on for 0\.5 s"):
+        require_views(replace(scene_of(drive), views=fast))
+    require_views(replace(scene_of(camera_only.home.parent / "drive"), views=fast))
