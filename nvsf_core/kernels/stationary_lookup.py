@@ -155,11 +155,11 @@ def _combined(found, is_beside, rendered, room, member):  # type: ignore[no-unty
     own = of_surface + float(_sum(room, count)) * of_surface
     is_measured = weight[best] > _ZERO and measured[best] > _ZERO
     is_measured = is_measured and (support > own or abs(surface_m - measured[best]) < _near_m(measured[best]))
+    if not is_measured:
+        return surface_m, returns, shine
     for k in range(count):
         is_same = measured[k] > _ZERO and abs(measured[best] - measured[k]) < _near_m(measured[k])
         member[k] = weight[k] if is_same else _ZERO
-    if not is_measured:
-        return surface_m, returns, shine
     whole = max(_sum(member, count), _TINY)
     for k in range(count):
         room[k] = member[k] * intensity[k]

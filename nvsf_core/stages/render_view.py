@@ -104,8 +104,12 @@ def render_view(
     for name in _BEFORE:
         run_named_stage(name, run, say)
     if target is not None:
-        with new_folder(target.absolute()) as folder:
-            _write(run, asked, folder, say)
+        try:
+            with new_folder(target) as folder:
+                _write(run, asked, folder, say)
+        except OSError as error:
+            why = error.strerror or error
+            raise DataError(f"out: cannot write {target} ({why}); check space and rights") from error
         return target
     task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
     location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"

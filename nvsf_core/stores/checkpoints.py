@@ -13,8 +13,8 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.documents import Contents, foreign
-from nvsf_core.stores.writers import leftovers, temporary_of
+from nvsf_core.stores.documents import Contents, foreign, remove_left_documents
+from nvsf_core.stores.writers import temporary_of
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, Any] | None = None) -> None:
@@ -23,8 +23,7 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, A
     Raises:
         OSError: The disk refuses; nothing is left of what was begun.
     """
-    for left in leftovers(path.parent):
-        left.unlink(missing_ok=True)
+    remove_left_documents(path.parent)
     temporary = temporary_of(path)
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     try:

@@ -56,7 +56,7 @@ def write_document(path: Path, values: Mapping[str, Any]) -> None:
 
 
 def remove_left_documents(folder: Path) -> None:
-    """Remove what killed writers left of documents in a folder; a disk that refuses keeps it."""
+    """Remove what killed writers left of single files in a folder; a disk that refuses keeps it."""
     for left in leftovers(folder):
         with contextlib.suppress(OSError):
             left.unlink()

@@ -201,21 +201,30 @@ def publish_folder(target: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Yield a temporary folder to fill; without an error it becomes `target`, which is absent or empty.
+    """Yield a temporary folder to fill; without an error `target`, absent or empty before, has its content.
 
     Raises:
         OSError: There are files in `target` by then: they stay.
     """
+    target = target.resolve()
     target.parent.mkdir(parents=True, exist_ok=True)
     for temporary in leftovers(target.parent):
         _remove(temporary)
-    temporary = temporary_of(target)
+    # A folder that is there may be a mounted disk, which can be filled but not replaced.
+    is_there = target.is_dir()
+    temporary = temporary_of(target / target.name if is_there else target)
     temporary.mkdir()
     try:
         yield temporary
         _flush_tree(temporary)
-        temporary.rename(target)
-        flush(target.parent)
+        if not is_there:
+            temporary.rename(target)
+        elif any(one != temporary for one in target.iterdir()):
+            raise OSError(errno.ENOTEMPTY, os.strerror(errno.ENOTEMPTY), str(target))
+        else:
+            for one in list(temporary.iterdir()):
+                one.rename(target / one.name)
+        flush(target if is_there else target.parent)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

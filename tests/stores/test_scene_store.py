@@ -5,11 +5,12 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.scene_store import SceneStore, new_folder
 
 KILLED_WRITER = """
 import sys, time
@@ -92,3 +93,31 @@ def test_a_nested_output_lies_where_it_says(store):
     with store.publish("field/quick/0") as folder:
         (folder / "weights").write_text("1")
     assert store.require("field/quick/0") == store.home / "s/field/quick/0"
+
+
+def test_a_new_folder_is_there_when_it_is_whole_and_an_empty_one_is_filled(
+    tmp_path: Path,
+) -> None:
+    absent, empty = tmp_path / "a/absent", tmp_path / "empty"
+    empty.mkdir()
+    before = empty.stat().st_ino
+    for target in (absent, empty):
+        with new_folder(target) as folder:
+            (folder / "part").mkdir()
+            (folder / "part/file").write_text("whole")
+            assert not (target / "part").exists()
+        assert [one.name for one in target.iterdir()] == ["part"]
+        assert (target / "part/file").read_text() == "whole"
+    assert empty.stat().st_ino == before
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a", "empty"]
+
+
+def test_a_new_folder_is_never_written_over_files_that_came_meanwhile(tmp_path: Path) -> None:
+    for target in (tmp_path / "absent", tmp_path / "empty"):
+        (tmp_path / "empty").mkdir(exist_ok=True)
+        with pytest.raises(OSError, match="not empty"), new_folder(target) as folder:
+            (folder / "file").write_text("ours")
+            target.mkdir(exist_ok=True)
+            (target / "file").write_text("theirs")
+        assert (target / "file").read_text() == "theirs"
+        assert [one.name for one in target.iterdir()] == ["file"]

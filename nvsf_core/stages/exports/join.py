@@ -65,7 +65,7 @@ def join_data_sets(
                 "parts' data sets by one recipe and seed"
             )
     try:
-        with new_folder(out.absolute()) as folder:
+        with new_folder(out) as folder:
             of_one_drive = with_shared_objects(on_one_clock(manifests))
             finish_data_set(folder, _joined(name, parts, of_one_drive, folders, folder))
     except OSError as error:

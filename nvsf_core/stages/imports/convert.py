@@ -63,7 +63,7 @@ def import_drive(
     if len(range(scene.first_frame, scene.last_frame + 1)) > MOST_FRAMES:
         raise DataError(f"expected at most {MOST_FRAMES:,} frames; name a part (--first, --last)")
     try:
-        with new_folder(out.absolute()) as folder:
+        with new_folder(out) as folder:
             done = _convert(scene, folder, layout, progress)
     except OSError as error:
         raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
