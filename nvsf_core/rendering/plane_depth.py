@@ -16,7 +16,7 @@ from nvsf_core.rendering.warping import plane_rays, sample
 _WINDOW_PX = 5
 _TRUST_PX = 3.0
 """Distance from a return in the shrunk image over which the trust in its depth falls to 1/e."""
-FULL_TRUST_PX = 12.0
+_FULL_TRUST_PX = 6.0
 """The same in the full image, where the return's depth replaces that of the planes."""
 _COLOUR_SCALE = 4.0
 """Of differences of colours, which are mostly below a quarter."""
@@ -133,7 +133,7 @@ def image_inverse_depth(network: DepthNetwork, view: CameraView, spec: CameraSpe
         view: Of the image, which is its first source.
         spec: Recipe of the cameras.
     """
-    trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
+    trust = torch.exp(-view.gap_px / _FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_in_small(view)
     probability, _ = planes_of(network, view, spec)
     both = torch.stack(likeliest_depth(probability, inverses))

@@ -8,15 +8,18 @@ from torch import Tensor
 
 from nvsf_core.kernels.images.blend import blended
 from nvsf_core.kernels.images.source_agreement import source_trust
-from nvsf_core.kernels.images.source_shifts import Surface, brought_together
+from nvsf_core.kernels.images.source_shifts import brought_together
 from nvsf_core.rendering.camera_view import CameraView, places_in_small
 from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.rendering.pixel_support import holes, pixel_support, shown_by_others, without_holes
-from nvsf_core.rendering.plane_depth import FULL_TRUST_PX
 from nvsf_core.rendering.plane_volume import agreement
 from nvsf_core.rendering.rendered import RenderedImage
-from nvsf_core.rendering.sources import SeenPoints, Sources, look_up, pixel_motions
+from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look_up
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
+
+_TRUST_PX = 2.0
+"""Over this distance from a return the trust in the LiDAR's depth falls to 1/e: beside returns the images'
+depth maps are better, which have learned from the returns of all scans."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +54,8 @@ def render_view(view: CameraView) -> RenderedImage:
 def _hypotheses(view: CameraView) -> Hypotheses:
     """Depth hypotheses of a view's pixels."""
     assert view.surfaces is not None
-    lidar_trust = torch.exp(-view.gap_px / FULL_TRUST_PX)
     first, second = view.surfaces.support
+    lidar_trust = torch.exp(-view.gap_px / _TRUST_PX)
     return Hypotheses(
         torch.cat([view.surfaces.inverse, view.inverse[None]]),
         torch.cat([view.surfaces.support, lidar_trust[None]]),
@@ -103,12 +106,11 @@ def _blended(
         around: (3, h, w) of `_around`.
     """
     sources = view.near.of(view.images.full)
-    motions, label = pixel_motions(sources, points, view.pinhole)
-    surface = Surface(motions, _array(points.rays), label, _array(points.inverse), _array(found.likeliest))
+    where, likeliest = kernel_inputs(sources, points, view.pinhole), _array(found.likeliest)
     is_seen, around_colour, nearness = _array(seen), _array(around), _array(sources.nearness)
     weight = nearness * nearness
-    moved = brought_together(surface, _array(colour), is_seen, around_colour, weight)
-    trust = source_trust(moved, is_seen, surface.likeliest, around_colour, weight)
+    moved = brought_together(where, likeliest, _array(colour), is_seen, around_colour, weight)
+    trust = source_trust(moved, is_seen, likeliest, around_colour, weight)
     return torch.from_numpy(blended(moved, is_seen, _array(found.share), nearness, around_colour, trust))
 
 

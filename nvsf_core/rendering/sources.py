@@ -108,7 +108,7 @@ def look_up_by_torch(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> 
 
 def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> LookUp:
     """Sources and points, on the CPU, as the kernels take them."""
-    motions, label = pixel_motions(sources, points, pinhole)
+    motions, label = _pixel_motions(sources, points, pinhole)
     return LookUp(
         np.ascontiguousarray(sources.images.permute(0, 2, 3, 1).numpy()), np.array(sources.chosen, np.int64),
         motions, np.ascontiguousarray(points.rays.numpy()), label,
@@ -117,7 +117,7 @@ def kernel_inputs(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> Loo
     )  # fmt: skip
 
 
-def pixel_motions(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+def _pixel_motions(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     """Motions (m, k, 3, 4) float32 to the sources' pixels, and which of them each pixel has, (h, w) uint8.
 
     They are those of `LookUp`.

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.kernels.images.depth_smoothing import smoothed
 from nvsf_core.kernels.images.depth_splat import agreed_depths, splat_depth_map
 from nvsf_core.kernels.images.filling import nearest_known
-from nvsf_core.kernels.images.speckles import without_speckles
 from nvsf_core.rendering.reproject_camera import FAR_M
 from nvsf_core.rendering.sources import SeenPoints, hides
 from nvsf_core.rendering.warping import plane_rays, sample, shrunk, source_pixels
@@ -25,7 +25,7 @@ _BESIDE = 4
 _SHRUNK, _LEAST_NEW, _MOST_BEYOND = 4, 0.001, 6
 """At so small a size, one pixel of so many in a row, a further image must show this share of a view anew; so
 many are added at most."""
-_LEAST_SHARE = 0.3
+_LEAST_SHARE = 0.5
 """Share of the maps, by weight, that make a surface."""
 _SPECKLE = 0.5
 """Share of its support that the front of a single pixel keeps, as the other surface there."""
@@ -232,13 +232,11 @@ def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> 
     elif not known.all():
         _, where = nearest_known(static)
         depths[0] = np.where(known, depths[0], depths[0][where[0], where[1]])
+    front, is_speckle = smoothed(depths[0], labels[0])
     # A pixel is looked up as one thing: another one behind a moving object is left out.
     is_other = (support[1] > 0.0) & (labels[0] == labels[1])
-    depths[1], support[1] = np.where(is_other, depths[1], depths[0]), np.where(is_other, support[1], 0.0)
-    front = without_speckles(depths[0], labels[0])
-    is_speckle = front != depths[0]
-    depths[1] = np.where(is_speckle, depths[0], depths[1])
-    support[1] = np.where(is_speckle, _SPECKLE * support[0], support[1])
+    support[1] = np.where(is_speckle, _SPECKLE * support[0], np.where(is_other, support[1], 0.0))
+    depths[1] = np.where(is_speckle, depths[0], np.where(is_other, depths[1], front))
     depths[0] = front
     glimpsed = np.stack([one > 0.0 for one, _ in unconfirmed]).any(axis=0)
     return ViewDepth(*(torch.from_numpy(each) for each in (depths, support, labels[0], glimpsed)))

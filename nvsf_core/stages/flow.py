@@ -70,7 +70,7 @@ FIELD = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="35",
+    version="36",
     run=_later("field", "run"),
     estimate_bytes=_later("sizes", "field_bytes"),
     per_recipe=True,
@@ -91,7 +91,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="30",
+    version="31",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,

@@ -136,8 +136,18 @@ def _project(starts, steps, inverse, place):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _shows(image, at, beside, below, weights, hiding, asks_moving):  # type: ignore[no-untyped-def]
-    """Whether an image (flat) shows a point that only inverse depths above `hiding` hide."""
+def shows(image, at, beside, below, weights, hiding, asks_moving):  # type: ignore[no-untyped-def]
+    """Whether an image (flat) shows a point that only inverse depths above `hiding` hide.
+
+    Args:
+        image: All its numbers.
+        at: Where those of the upper left of the four pixels around the point begin.
+        beside: As of `between`.
+        below: As of `between`.
+        weights: Of the four pixels.
+        hiding: Inverse depth, 1/m.
+        asks_moving: Whether a moving object hides it, too.
+    """
     return (
         between(image, at, beside, below, SHOWN, weights) > _ALMOST
         and not between(image, at, beside, below, DEPTH, weights) > hiding
@@ -202,7 +212,7 @@ def _look_up(  # type: ignore[no-untyped-def]
                         weights = weights_of(down, right)
                         hiding = depths[c] * place[2, c] * (_ONE + share) + per_m
                         asks_moving = has_moving and label[r, c] == 0
-                        is_seen = _shows(image, pixel * beside, beside, below, weights, hiding, asks_moving)
+                        is_seen = shows(image, pixel * beside, beside, below, weights, hiding, asks_moving)
                     found = bicubic(image, size, pixel, down, right) if is_seen else (_ZERO, _ZERO, _ZERO)
                     seen[k, d, r, c] = is_seen
                     colour[k, 0, d, r, c], colour[k, 1, d, r, c], colour[k, 2, d, r, c] = found
@@ -240,7 +250,7 @@ def _agree(  # type: ignore[no-untyped-def]
                     if is_inside:
                         at, weights = pixel * beside, weights_of(down, right)
                         hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
-                        is_seen[k] = is_open[k, pixel] or _shows(
+                        is_seen[k] = is_open[k, pixel] or shows(
                             image, at, beside, below, weights, hiding, asks_moving
                         )
                         for i in range(3):
@@ -315,7 +325,7 @@ def _differ(  # type: ignore[no-untyped-def]
                         continue
                     at, weights = pixel * beside, weights_of(down, right)
                     hiding = depths[c] * place[k, 2, c] * (_ONE + share) + per_m
-                    if (has_open and is_open[k, pixel]) or _shows(
+                    if (has_open and is_open[k, pixel]) or shows(
                         image, at, beside, below, weights, hiding, has_moving and label[r, c] == 0
                     ):
                         total = _ZERO

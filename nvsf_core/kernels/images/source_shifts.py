@@ -6,13 +6,12 @@ images show is therefore first brought to one picture, by local least squares (L
 this picture to where q + e has it, with e fitted to all images' shifts (ridge regression).
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
 from nvsf_core.kernels.images.first_blend import first_blend, luma
-from nvsf_core.kernels.images.interpolation import SHOWN, between, bicubic, corner, weights_of
+from nvsf_core.kernels.images.interpolation import MOVING, SHOWN, between, bicubic, corner, weights_of
+from nvsf_core.kernels.images.source_lookup import LookUp, shows
 from nvsf_core.kernels.images.window_mean import window_mean
 
 _REACH = 5
@@ -28,37 +27,26 @@ _MOST_PX = np.float32(2.0)
 _RIDGE = np.float32(0.1)
 """By what share of the fit's weight an error of the depth is drawn to 0: few images, or all on one side of
 the view, tell little about it."""
-_NEAREST_Z = np.float32(1e-3)
-"""Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
+_NEAREST_Z, _OUTSIDE = np.float32(1e-3), np.float32(-1e9)
+"""Smallest z of a point scaled by its inverse depth; with less it is behind the source, at this column."""
 _U0 = np.uint64(0)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 """With a Python number, or an integer, numba would compute in double precision."""
 
 
-class Surface(NamedTuple):
-    """The pixels of a view or of a window of it, and where k sources show them."""
-
-    motions: np.ndarray
-    """(m, k, 3, 4) float32, as of `nvsf_core.kernels.images.source_lookup.LookUp`."""
-    rays: np.ndarray
-    """(h, w, 3) float32 directions (x, y, 1) of the pixels."""
-    label: np.ndarray
-    """(h, w) uint8, which of the m motions a pixel has."""
-    inverse: np.ndarray
-    """(d, h, w) float32 inverse depths, 1/m."""
-    likeliest: np.ndarray
-    """(h, w) int64, which of the d depths is the likeliest."""
-
-
 def brought_together(
-    surface: Surface, colour: np.ndarray, seen: np.ndarray, around: np.ndarray, weight: np.ndarray
-) -> np.ndarray:
+    where: LookUp, likeliest: np.ndarray, colour: np.ndarray, seen: np.ndarray, around: np.ndarray,
+    weight: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """Colours of source images, each moved to where all of them together have what a pixel shows.
 
     Shifts are found from the colours at each pixel's likeliest depth, and move those at all its depths.
+    A moved colour is the mean of two: what the source shows at the pixels around, each at its own depth,
+    between which single pixels of a wrong depth vanish; and what it has at the moved place, which is sharper.
 
     Args:
-        surface: The pixels, and which of d depths is their likeliest.
+        where: k source images, and d points of each pixel.
+        likeliest: (h, w) int64, which of the d is the likeliest.
         colour: (k, 3, d, h, w) float32 that the sources show there, 0..1.
         seen: (k, d, h, w) bool, whether they do.
         around: (3, h, w) float32 colours where no source shows anything.
@@ -67,16 +55,16 @@ def brought_together(
     Returns:
         (k, 3, d, h, w) float32, bicubic, about 0..1; 0 where the source does not show the point.
     """
-    blend, shown, is_shown = first_blend(colour, seen, surface.likeliest, around, weight)
+    blend, shown, is_shown = first_blend(colour, seen, likeliest, around, weight)
     target, shift = luma(blend), np.zeros((*is_shown.shape, 2), np.float32)
     for k in range(len(shown)):
         _align(target, np.where(is_shown[k], luma(shown[k]), target), is_shown[k], shift[k])
-    _fit_depth(*surface, is_shown, weight, shift)
+    _fit_depth(where.motions, where.rays, where.label, where.inverse, likeliest, is_shown, weight, shift)
     moved, filled = np.empty_like(colour), np.empty((*around.shape[1:], 4), np.float32)
     for k in range(len(colour)):
         for d in range(colour.shape[2]):
             _fill(colour[k, :, d], seen[k, d], around, filled)
-            _move(filled.reshape(-1), filled.shape, seen[k, d], shift[k], moved[k, :, d])
+            _move(where, k, d, filled.reshape(-1), filled.shape, seen[k], shift[k], moved[k])
     return moved
 
 
@@ -189,14 +177,51 @@ def _fill(colour, seen, around, filled):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _move(filled, size, seen, shift, moved):  # type: ignore[no-untyped-def]
-    """Write the colours (3, h, w) beside all pixels that a source shows; 0 for others."""
-    rows, columns = seen.shape
+def _move(where, k, d, filled, size, seen, shift, moved):  # type: ignore[no-untyped-def]
+    """Write the colours (3, d, h, w) beside all pixels that source k shows at a depth; 0 for others."""
+    image = where.images[where.chosen[k]]
+    pixels, channels = image.reshape(-1), image.shape[2]
+    beside, below = np.uint64(channels), np.uint64(image.shape[1] * channels)
+    rows, columns = seen.shape[1:]
     for r in range(rows):
         for c in range(columns):
-            if not seen[r, c]:
-                moved[0, r, c], moved[1, r, c], moved[2, r, c] = _ZERO, _ZERO, _ZERO
+            if not seen[d, r, c]:
+                moved[0, d, r, c], moved[1, d, r, c], moved[2, d, r, c] = _ZERO, _ZERO, _ZERO
+                continue
+            q = where.inverse[d, r, c]
+            # Where a pixel has no other surface, its other depths are the first one again.
+            if d > 0 and q == where.inverse[0, r, c]:
+                for i in range(3):
+                    moved[i, d, r, c] = moved[i, 0, r, c]
                 continue
             pixel, down, right = _inside(size, np.float32(c) + shift[r, c, 0], np.float32(r) + shift[r, c, 1])
             found = bicubic(filled, size, pixel, down, right)
-            moved[0, r, c], moved[1, r, c], moved[2, r, c] = found
+            motion = where.motions[where.label[r, c], k]
+            u, v, scale = _place(motion, where.rays, r, c, shift[r, c], q)
+            nearer = q * scale * (_ONE + where.hiding[0]) + where.hiding[1]
+            is_inside, pixel, down, right = corner(image.shape, u, v)
+            asks_moving = channels > MOVING and where.label[r, c] == 0
+            # A place in front of which the source has another surface, or that it lacks, tells nothing.
+            if is_inside and shows(
+                pixels, pixel * beside, beside, below, weights_of(down, right), nearer, asks_moving
+            ):
+                there = bicubic(pixels, image.shape, pixel, down, right)
+                for i in range(3):
+                    moved[i, d, r, c] = _HALF * (found[i] + there[i])
+            else:
+                moved[0, d, r, c], moved[1, d, r, c], moved[2, d, r, c] = found
+
+
+@njit(inline="always")
+def _place(motion, rays, r, c, shift, inverse):  # type: ignore[no-untyped-def]
+    """Column and row of a source, and its scale 1/z, where it has what a view has beside a pixel.
+
+    Behind the source the column is far outside.
+    """
+    x = rays[r, c, 0] + shift[0] * (rays[0, 1, 0] - rays[0, 0, 0])
+    y = rays[r, c, 1] + shift[1] * (rays[1, 0, 1] - rays[0, 0, 1])
+    z = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] + inverse * motion[2, 3]
+    scale = _ONE / max(z, _NEAREST_Z)
+    u = (motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] + inverse * motion[0, 3]) * scale
+    v = (motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] + inverse * motion[1, 3]) * scale
+    return (u if z > _NEAREST_Z else _OUTSIDE), v, scale
