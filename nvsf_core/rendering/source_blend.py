@@ -18,8 +18,8 @@ from nvsf_core.rendering.sources import SeenPoints, Sources, kernel_inputs, look
 from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 
 _TRUST_PX = 2.0
-"""Over this distance from a return the trust in the LiDAR's depth falls to 1/e: beside returns the images'
-depth maps are better, which have learned from the returns of all scans."""
+"""Over this distance from a return the trust in the LiDAR's depth falls to 1/e: farther away the images'
+depth maps are better, which know the returns of all scans."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ _SHRUNK, _LEAST_NEW, _MOST_BEYOND = 4, 0.001, 6
 """At so small a size, one pixel of so many in a row, a further image must show this share of a view anew; so
 many are added at most."""
 _LEAST_SHARE = 0.5
-"""Share of the maps, by weight, that make a surface."""
+"""Share of the maps that know a pixel, by weight, that must agree on its front surface."""
 _SPECKLE = 0.5
 """Share of its support that the front of a single pixel keeps, as the other surface there."""
 _DISTANCE_FLOOR_M = 0.5
@@ -77,10 +77,12 @@ class ViewDepth:
     """What the recorded images' depth maps show in a view."""
 
     inverse: Tensor
-    """(2, H, W) float32, 1/m, positive: the front surface and the best supported other one. Where no image
-    shows the front, that of the nearest pixel with a static one; where there is no other, the front again."""
+    """(2, H, W) float32, 1/m, positive: the front surface, smoothed, and the best supported other one. Where
+    no image shows the front, that of the nearest pixel with a static one; where there is no other, the front
+    again. A single pixel's front is the median around it, its other surface what the maps have there."""
     support: Tensor
-    """(2, H, W) float32, 0..1: weight of the maps that agree on each; 0 where no image shows it."""
+    """(2, H, W) float32, 0..1: weight of the maps that agree on each, before it is smoothed; 0 where no image
+    shows it."""
     label: Tensor
     """(H, W) uint8: the moving object that the front shows, as an index of the motions that were given."""
     glimpsed: Tensor

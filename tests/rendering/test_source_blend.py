@@ -108,6 +108,20 @@ def test_the_likeliest_depth_lies_between_planes_and_takes_none_of_another_surfa
     assert float(mass) == pytest.approx(0.65)
 
 
+def test_the_lidar_tells_the_depth_at_its_returns_and_the_maps_tell_it_beside_them() -> None:
+    # Its one return lies in front of the wall that one map of three shows.
+    nearer, maps = np.array([[0.01, 0.01, 0.8 * WALL_M]], np.float32), wall_maps()
+    maps.inverse[[0, 3]] = 0.0
+    one = view(nearer, depths=maps)
+    shown = render_view(one).range_m * CAMERA.rays(CAMERA.pixels())[..., 2]
+    own = np.unravel_index(int(one.gap_px.argmin()), one.gap_px.shape)
+    np.testing.assert_allclose(shown[own], 0.8 * WALL_M, rtol=0.01)
+    assert one.surfaces is not None
+    beside = ((one.gap_px >= 2.0) & (one.surfaces.support[0] > 0.0)).numpy()
+    assert beside.mean() > 0.9
+    np.testing.assert_allclose(shown[beside], WALL_M, rtol=0.01)
+
+
 @pytest.mark.parametrize("points", [NOTHING, wall_points()])
 def test_a_view_shows_the_wall_where_the_depths_of_images_are_known(points: np.ndarray) -> None:
     shown = render_view(view(points, depths=wall_maps()))

@@ -20,6 +20,7 @@ from nvsf_core.rendering.view_depth_maps import (
     baseline_sources,
     camera_distance_m,
     covering_sources,
+    depth_in_view,
     image_motions,
     images_beyond,
     images_near,
@@ -158,6 +159,40 @@ def facing(label: int = 0) -> ViewDepth:
         torch.full((2, 32, 64), 1.0 / WALL_M), torch.ones(2, 32, 64),
         torch.full((32, 64), label, dtype=torch.uint8), torch.zeros(32, 64, dtype=torch.bool),
     )  # fmt: skip
+
+
+def wall_maps(count: int) -> np.ndarray:
+    """(k, H, W) float32, 1/m: the wall without the post, as all of k images at one place have it."""
+    return np.full((count, 32, 64), 1.0 / WALL_M, np.float32)
+
+
+def test_a_surface_that_fewer_than_half_of_the_maps_have_is_passed_over() -> None:
+    for wrong, is_front in ((2, False), (3, True)):
+        maps = wall_maps(5)
+        maps[:wrong, 8:24, 16:48] = 1.0 / POST_M
+        near = near_maps(pose(0.0), np.stack([pose(0.0)] * 5), maps, np.zeros(maps.shape, np.int16))
+        found = depth_in_view(CAMERA, near, None)
+        middle = (0, slice(10, 22), slice(20, 44))
+        torch.testing.assert_close(
+            found.inverse[middle], torch.full((12, 24), 1.0 / (POST_M if is_front else WALL_M))
+        )
+        torch.testing.assert_close(found.support[middle], torch.full((12, 24), 0.6))
+
+
+def test_a_single_pixel_takes_the_depth_around_it_and_keeps_its_own_as_the_other_surface() -> None:
+    maps = wall_maps(2)
+    maps[:, 10, 30] = 1.0 / POST_M
+    near = near_maps(pose(0.0), np.stack([pose(0.0)] * 2), maps, np.zeros(maps.shape, np.int16))
+    found = depth_in_view(CAMERA, near, None)
+    expected = torch.full((32, 64), 1.0 / WALL_M)
+    torch.testing.assert_close(found.inverse[0], expected)
+    own = (1, 10, 30)
+    assert float(found.inverse[own]) == np.float32(1.0 / POST_M) and float(found.support[own]) == 0.5
+    elsewhere = torch.ones((32, 64), dtype=torch.bool)
+    elsewhere[10, 30] = False
+    # Bit for bit: kernels look the other surface up only where it is another one.
+    assert torch.equal(found.inverse[1][elsewhere], found.inverse[0][elsewhere])
+    assert not found.support[1][elsewhere].any()
 
 
 def test_sources_are_those_that_see_most_together_with_the_nearest_among_them() -> None:

@@ -3,7 +3,8 @@
 An inverse depth q that is wrong by e moves what source k shows by about e b_k, with b_k the derivative of
 its place by q: images before and after a view move apart. Errors of poses move each image alone. What the
 images show is therefore first brought to one picture, by local least squares (Lucas and Kanade 1981), and
-this picture to where q + e has it, with e fitted to all images' shifts (ridge regression).
+this picture to where q + e has it, with e fitted to all images' shifts (ridge regression). What is moved so is
+then read once more, in the source itself at the moved place: reading twice blurs.
 """
 
 import numpy as np
@@ -45,7 +46,8 @@ def brought_together(
     between which single pixels of a wrong depth vanish; and what it has at the moved place, which is sharper.
 
     Args:
-        where: k source images, and d points of each pixel.
+        where: k source images, and the d points of each pixel of a view of at least 2 x 2 pixels: its rays
+            are those of neighbouring pixels, its inverse depths (d, h, w).
         likeliest: (h, w) int64, which of the d is the likeliest.
         colour: (k, 3, d, h, w) float32 that the sources show there, 0..1.
         seen: (k, d, h, w) bool, whether they do.
@@ -178,7 +180,20 @@ def _fill(colour, seen, around, filled):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _move(where, k, d, filled, size, seen, shift, moved):  # type: ignore[no-untyped-def]
-    """Write the colours (3, d, h, w) beside all pixels that source k shows at a depth; 0 for others."""
+    """Write the colours of source k beside all pixels that it shows at depth d; 0 for others.
+
+    Each is the mean of what it shows there, moved, and of what it has at the moved place.
+
+    Args:
+        where: As of `brought_together`.
+        k: Number of the source.
+        d: Of the depth; those of depth 0 are written first.
+        filled: Its colours at depth d as `_fill` gives them, flat.
+        size: Their shape (h, w, 4).
+        seen: (d, h, w) bool.
+        shift: (h, w, 2) in pixels.
+        moved: (3, d, h, w), which is written.
+    """
     image = where.images[where.chosen[k]]
     pixels, channels = image.reshape(-1), image.shape[2]
     beside, below = np.uint64(channels), np.uint64(image.shape[1] * channels)
@@ -214,9 +229,9 @@ def _move(where, k, d, filled, size, seen, shift, moved):  # type: ignore[no-unt
 
 @njit(inline="always")
 def _place(motion, rays, r, c, shift, inverse):  # type: ignore[no-untyped-def]
-    """Column and row of a source, and its scale 1/z, where it has what a view has beside a pixel.
+    """Column, row and 1/z in a source of the point that a view has `shift` pixels beside (r, c).
 
-    Behind the source the column is far outside.
+    It has the inverse depth of the pixel itself. Behind the source the column is far outside.
     """
     x = rays[r, c, 0] + shift[0] * (rays[0, 1, 0] - rays[0, 0, 0])
     y = rays[r, c, 1] + shift[1] * (rays[1, 0, 1] - rays[0, 0, 1])

@@ -50,3 +50,9 @@ def test_noise_of_a_surface_is_averaged_and_an_edge_stays_sharp() -> None:
     errors = np.abs(found / truth - 1.0)
     assert errors.mean() < 0.4 * np.abs(noise).mean()
     assert errors[:, 15:19].max() < 0.03
+
+
+def test_surfaces_of_two_objects_close_together_are_not_averaged() -> None:
+    inverse, label = road(), STATIC.copy()
+    inverse[:, 20:], label[:, 20:] = 1.03 * inverse[:, 20:], 1
+    np.testing.assert_allclose(smoothed(inverse, label)[0], inverse, rtol=1e-6)

@@ -111,9 +111,42 @@ def test_the_smallest_windows_pass() -> None:
         rays=np.ascontiguousarray(whole.rays[pixels]), label=np.ascontiguousarray(whole.label[pixels]),
         inverse=np.ascontiguousarray(whole.inverse[(slice(None), *pixels)]),
     )  # fmt: skip
-    small.images[..., :3] = 0.25
-    colour = np.full((2, 3, 1, 2, 2), 0.25, np.float32)
-    seen = np.ones((2, 1, 2, 2), np.bool_)
+    colour, seen = look_up_points(small)
+    assert len(np.unique(colour[0, 0])) == 4 and seen.all()
     likeliest = np.ascontiguousarray(LIKELIEST[pixels])
     found = brought_together(small, likeliest, colour, seen, colour[0, :, 0], WEIGHT)
     np.testing.assert_allclose(found, colour, atol=1e-6)
+
+
+def test_a_moved_colour_is_the_mean_of_what_is_moved_and_of_what_is_read_again() -> None:
+    where = wall((-0.5, 0.5), (0.0, 0.0), (0.0, 0.0))
+    colour, seen = look_up_points(where)
+    around = np.full((3, ROWS, COLUMNS), 0.5, np.float32)
+    darker = where._replace(images=where.images * np.float32([0.5, 0.5, 0.5, 1.0, 1.0]))
+    found = brought_together(darker, LIKELIEST, colour, seen, around, WEIGHT)
+    np.testing.assert_allclose(inner(found), 0.75 * inner(colour), atol=1e-3)
+
+
+def test_each_depth_is_moved_by_itself() -> None:
+    where = wall((0.5, 1.0), (0.0, 0.0), (0.0, 0.0))
+    other = where.inverse.copy()
+    other[:, :, 40:] = 0.5 / DEPTH_M
+    both = where._replace(inverse=np.concatenate([where.inverse, other]))
+    colour, seen = look_up_points(both)
+    around = np.full((3, ROWS, COLUMNS), 0.5, np.float32)
+    found = brought_together(both, LIKELIEST, colour, seen, around, WEIGHT)
+    assert np.array_equal(found[:, :, 1, :, :40], found[:, :, 0, :, :40])
+    far = (1, slice(None), 1, slice(8, -8), slice(45, 60))
+    np.testing.assert_allclose(found[far], colour[far], atol=2e-3)
+    assert np.abs(colour[far] - picture()[:, 8:-8, 45:60]).mean() > 0.1
+
+
+def test_a_moving_object_is_read_where_its_own_motion_puts_it() -> None:
+    still, moving = wall((0.5, 1.0), (0.0, 0.0), (0.0, 0.0)), wall((0.5, 0.5), (0.0, 0.0), (0.0, 0.0))
+    shows_object = np.ones((2, ROWS, COLUMNS, 1), np.float32)
+    where = still._replace(
+        images=np.concatenate([moving.images, shows_object], axis=-1),
+        motions=np.concatenate([still.motions, moving.motions]), label=np.ones_like(still.label),
+    )  # fmt: skip
+    _, found = together(where)
+    np.testing.assert_allclose(inner(found), np.stack([inner(picture())] * 2), atol=0.02)
