@@ -187,8 +187,8 @@ class AbstractDrive(ABC):
         """(4, 4) pose frame to world when a camera's image was taken; by default the frame's own pose."""
         return pose
 
-    def image_time_s(self, camera: str, frame: int) -> float | None:
-        """Seconds from the section's first frame to an image; None = it was taken at its frame's instant."""
+    def image_delay_s(self, camera: str, frame: int) -> float | None:
+        """Seconds from a frame's instant to an image of it; None = images have no times of their own."""
         return None
 
     def boxes(self) -> Boxes:

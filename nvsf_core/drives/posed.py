@@ -162,10 +162,10 @@ class AbstractPosedDrive(AbstractDrive):
         found = np.where(wanted > frames[-1], seconds[-1] + period_s * (wanted - frames[-1]), found)
         return spaced_times(found - found[0], period_s, self.times_source)
 
-    def image_time_s(self, camera: str, frame: int) -> float | None:
-        """Seconds from the section's first frame to the image, where images have times of their own."""
-        moment_s, first_s = self.image_seconds(camera).get(frame), self.instant_s(self.frames[0])
-        return None if moment_s is None or first_s is None else moment_s - first_s
+    def image_delay_s(self, camera: str, frame: int) -> float | None:
+        """Seconds from the instant of a frame's pose to the image, where images have times of their own."""
+        moment_s, instant_s = self.image_seconds(camera).get(frame), self.instant_s(frame)
+        return None if moment_s is None or instant_s is None else moment_s - instant_s
 
     def instant_s(self, frame: int) -> float | None:
         """The instant of a frame's pose on the drive's clock; None if the drive has no such frame."""

@@ -53,6 +53,8 @@ class CameraRow:
     camera: str
     camera_to_world: np.ndarray | None
     """(4, 4) float64 of the stored image (rectified if perspective), or None if the frame has no pose."""
+    time_s: float
+    """Seconds since the section's first frame: the image's own time, or its frame's if it has none."""
     image_valid: bool
     """The image is readable and of the calibrated size, and its frame has a pose."""
     reason: str
@@ -104,7 +106,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
     for index, frame in enumerate(source.frames):
         progress(f"reading frame {frame}, {index} of {len(times.time_s)} done")
         frames.append(_frame_row(source, facts, frame, float(times.time_s[index])))
-        images += [_camera_row(source, facts, name, frame) for name in calibration.cameras]
+        images += [_camera_row(source, facts, name, frames[-1]) for name in calibration.cameras]
     _require_something(source, facts, frames, images)
     labelled = source.boxes()
     scene_to_world = _scene_to_world(frames)
@@ -157,8 +159,8 @@ def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: flo
     )
 
 
-def _camera_row(source: AbstractDrive, facts: DriveFacts, camera: str, frame: int) -> CameraRow:
-    pose = facts.poses.get(frame)
+def _camera_row(source: AbstractDrive, facts: DriveFacts, camera: str, row: FrameRow) -> CameraRow:
+    frame, pose = row.frame, facts.poses.get(row.frame)
     reasons = [] if pose is not None else [f"no pose in {facts.poses_place.name}"]
     checksum, to_world = "", None
     mounted = facts.calibration.cameras[camera]
@@ -178,6 +180,7 @@ def _camera_row(source: AbstractDrive, facts: DriveFacts, camera: str, frame: in
         frame=frame,
         camera=camera,
         camera_to_world=to_world,
+        time_s=row.time_s + (source.image_delay_s(camera, frame) or 0.0),
         image_valid=not reasons,
         reason="; ".join(reasons),
         checksum=checksum,

@@ -36,6 +36,8 @@ class CameraRecording:
     training_time_s: np.ndarray
     """(n,) instants of the training images."""
     recorded_frame: np.ndarray
-    """(m,) frame numbers with an image, held-out ones included."""
+    """(m,) frame numbers with an image, held-out ones included, ascending."""
+    recorded_time_s: np.ndarray
+    """(m,) instants of these images, seconds since the first frame; an image may have a time of its own."""
     in_lidar: np.ndarray
     """(4, 4) mounting: camera to the drive's LiDAR frame."""

@@ -19,7 +19,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="3",
+    version="4",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -50,7 +50,7 @@ UNDISTORTED = Stage(
     group="prepare",
     inputs=("frames",),
     description="Camera frames as pinhole images: perspective as rectified, fisheye undistorted, with masks.",
-    version="1",
+    version="2",
     run=_later("undistorted", "run"),
     estimate_bytes=_later("sizes", "undistorted_bytes"),
 )

@@ -12,7 +12,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
-from nvsf_core.geometry.se3 import poses_in
+from nvsf_core.geometry.se3 import invert_pose, poses_in
 from nvsf_core.reporting.previews import path_preview
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.runner.heartbeat import sparse
@@ -29,7 +29,7 @@ FRAME_COLUMNS = (
     "reason",
     "checksum",
 )
-CAMERA_COLUMNS = ("frame", "camera", "camera_to_world", "image_valid", "reason", "checksum")
+CAMERA_COLUMNS = ("frame", "camera", "time_s", "camera_to_world", "image_valid", "reason", "checksum")
 BOX_COLUMNS = ("frame", "object_id", "label", "dynamic", "box_to_world")
 
 _SECONDS_PER_LINE = 2.0
@@ -69,6 +69,10 @@ def _write(folder: Path, drive: Drive) -> None:
         "period_assumed": drive.times.is_assumed,
         "time_source": drive.times.source,
         "cameras": {name: camera.facts() for name, camera in drive.calibration.cameras.items()},
+        "camera_in_lidar": {
+            name: (invert_pose(drive.calibration.lidar_to_pose) @ camera.to_pose).reshape(-1).tolist()
+            for name, camera in drive.calibration.cameras.items()
+        },
         "notes": list(drive.notes),
     }
     if drive.sensor != HDL_64E.name:  # KITTI's own needs no word

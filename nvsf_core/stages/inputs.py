@@ -111,18 +111,19 @@ def _read_cameras(
     folder = store.require("undistorted") / "images.zarr"
     row_of = {row["frame"]: row for row in rows}
     found = {}
-    for name, facts in read_attrs(folder)["cameras"].items():
-        names = [f"{name}_{part}" for part in ("rgb", "valid", "frame", "camera_to_world")]
-        rgb, valid, frame, pose = (read_arrays(folder, *names)[key] for key in names)
+    attrs = read_attrs(folder)
+    for name, facts in attrs["cameras"].items():
+        names = [f"{name}_{part}" for part in ("rgb", "valid", "frame", "time_s", "camera_to_world")]
+        rgb, valid, frame, time_s, pose = (read_arrays(folder, *names)[key] for key in names)
         used = np.array([row_of[number]["split"] == "train" for number in frame.tolist()], np.bool_)
         if not used.any():
             continue
         local = poses_in(scene_to_world, pose[used])
-        lidar_to_world = np.array(row_of[int(frame[0])]["lidar_to_world"], np.float64).reshape(4, 4)
         found[name] = CameraRecording(
             training=CameraImages(pinhole_of(facts), rgb[used], local, np.flatnonzero(valid.reshape(-1))),
-            training_time_s=np.array([row_of[number]["time_s"] for number in frame[used].tolist()]),
+            training_time_s=time_s[used],
             recorded_frame=frame,
-            in_lidar=np.linalg.inv(lidar_to_world) @ pose[0],
+            recorded_time_s=time_s,
+            in_lidar=np.array(attrs["camera_in_lidar"][name], np.float64).reshape(4, 4),
         )
     return found

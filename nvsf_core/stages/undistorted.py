@@ -44,6 +44,7 @@ def run(task: Task) -> StageOutput:
         arrays[f"{camera}_rgb"] = images
         arrays[f"{camera}_valid"] = valid
         arrays[f"{camera}_frame"] = np.array(numbers, np.int64)
+        arrays[f"{camera}_time_s"] = np.array([row["time_s"] for row in own], np.float64)
         poses = np.array([row["camera_to_world"] for row in own], np.float64)
         arrays[f"{camera}_camera_to_world"] = poses.reshape(-1, 4, 4)
         facts[camera] = _facts(view, calibration["kind"])
@@ -56,7 +57,8 @@ def run(task: Task) -> StageOutput:
             Check(name=f"{camera}_shows_something", passed=bool(valid.any()), detail=detail, blocking=True)
         )
         output.checks.append(_structure_check(camera, images, valid, numbers))
-    write_arrays(task.folder / "images.zarr", arrays, {"cameras": facts})
+    mountings = {name: drive["camera_in_lidar"][name] for name in facts}
+    write_arrays(task.folder / "images.zarr", arrays, {"cameras": facts, "camera_in_lidar": mountings})
     output.metadata["cameras"] = len(facts)
     output.metadata["images_left_out"] = len(rows) - len(usable)
     return output

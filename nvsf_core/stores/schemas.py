@@ -76,6 +76,7 @@ CONTRACT: tuple[FileSpec, ...] = (
         _columns(
             ("frame", "i8", "1", "frame number"),
             ("camera", "string", "", "`image_00` to `image_03`"),
+            ("time_s", "f8", "s", "since the first frame: the image's own time, where images have times"),
             ("camera_to_world", "list<f8>", "m", f"rectified camera (raw for a fisheye); {_POSE}"),
             ("image_valid", "bool", "", "whether the image can be used"),
             ("reason", "string", "", "why not"),
@@ -154,9 +155,11 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
             Entry(f"{CAMERA}_valid", "bool", ("height", "width"), "", "the lens sees it", optional=True),
             Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "frame number", optional=True),
+            Entry(f"{CAMERA}_time_s", "f8", ("images",), "s", "since the first frame", optional=True),
             Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
         ),
-        "cameras: name to fx, fy, cx, cy, width, height (pixels), kind",
+        "cameras: name to fx, fy, cx, cy, width, height (pixels), kind; camera_in_lidar: name to 16 numbers, "
+        "4x4 row by row, m",
     ),
     FileSpec(
         "mesh", "mesh/mesh.zarr", "zarr", "The baseline's Poisson mesh; empty where none could be made.",

@@ -3,8 +3,8 @@
 An inverse depth q that is wrong by e moves what source k shows by about e b_k, with b_k the derivative of
 its place by q: images before and after a view move apart. Errors of poses move each image alone. What the
 images show is therefore first brought to one picture, by local least squares (Lucas and Kanade 1981), and
-this picture to where q + e has it, with e fitted to all images' shifts (ridge regression). What is moved so is
-then read once more, in the source itself at the moved place: reading twice blurs.
+this picture to where q + e has it, with e fitted to all images' shifts (ridge regression). What is moved
+so is then read once more, in the source itself at the moved place: reading twice blurs.
 """
 
 import numpy as np

@@ -139,7 +139,10 @@ def _image(
     except DataError as error:
         left_out.append(f"image {camera} {frame}: {error}")
         return 0
-    target.write_image(camera, frame, rgb, source.image_time_s(camera, frame))
+    delay_s = source.image_delay_s(camera, frame)
+    # Nominal instants, too, where the recorded ones were refused: poses and images are on one clock.
+    instant_s = float(facts.times.time_s[frame - source.scene.first_frame])
+    target.write_image(camera, frame, rgb, None if delay_s is None else instant_s + delay_s)
     return 1
 
 

@@ -48,16 +48,26 @@ class View:
 
 
 def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | None:
-    """The view of the held-out frames, for each sensor those that it recorded; None if there are none."""
+    """The view of the held-out frames, for each sensor those that it recorded; None if there are none.
 
-    def plan_of(recorded: np.ndarray) -> ViewPlan | None:
-        wanted = np.searchsorted(recording.posed_frame, [one for one in test_frames if one in recorded])
+    Images are asked for at their own times.
+    """
+
+    def plan_of(recorded: np.ndarray, time_s: np.ndarray | None = None) -> ViewPlan | None:
+        wanted = np.array([one for one in test_frames if one in recorded], np.int64)
         if len(wanted) == 0:
             return None
-        return ViewPlan(HELD_OUT, recording.posed_frame[wanted], recording.posed_time_s[wanted], None)
+        if time_s is None:
+            found_s = recording.posed_time_s[np.searchsorted(recording.posed_frame, wanted)]
+        else:
+            found_s = time_s[np.searchsorted(recorded, wanted)]
+        return ViewPlan(HELD_OUT, wanted, found_s, None)
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
-    planned = {name: plan_of(camera.recorded_frame) for name, camera in recording.cameras.items()}
+    planned = {
+        name: plan_of(camera.recorded_frame, camera.recorded_time_s)
+        for name, camera in recording.cameras.items()
+    }
     images = {name: plan for name, plan in planned.items() if plan is not None}
     plan = scanned
     if plan is None and images:

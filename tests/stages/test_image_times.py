@@ -1,0 +1,115 @@
+"""Images that were taken at times of their own: they are shown where and when they were taken."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.plain.layout import PlainLayout
+from nvsf_core.drives.plain.writer import (
+    write_cameras,
+    write_description,
+    write_image_times,
+    write_plain_image,
+    write_poses,
+)
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.recording.drive import Recording
+from nvsf_core.stages import plan_run, run_named_stage
+from nvsf_core.stages.imports.convert import import_drive
+from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.views.view import held_out_view, reference_poses, to_world
+
+FRAMES, TEST, PERIOD_S = 10, (7, 9), 0.1
+DELAY_S = 0.025
+CAMERA = Pinhole(fx=20.0, fy=20.0, cx=15.5, cy=11.5, width=32, height=24)
+MOUNTING = np.array([[0.0, 0.0, 1.0, 0.3], [-1.0, 0.0, 0.0, 0.1], [0.0, -1.0, 0.0, -0.2], [0, 0, 0, 1]])
+
+
+def place(time_s: float) -> np.ndarray:
+    """The LiDAR's pose: it drives 15 m/s, and after .4 s 5 m/s."""
+    pose = np.eye(4)
+    pose[0, 3] = 15.0 * min(time_s, 0.4) + 5.0 * max(time_s - 0.4, 0.0)
+    return pose
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SceneEntry:
+    """A plain drive of one camera, whose images are later than their frames, each by another delay."""
+    layout = PlainLayout(tmp_path_factory.mktemp("times") / "drive")
+    write_description(layout, "VLP-16")
+    moments = np.arange(FRAMES) * PERIOD_S
+    write_poses(layout, range(FRAMES), moments.tolist(), [place(one) for one in moments])
+    write_cameras(layout, {"front": (CAMERA, MOUNTING)})
+    rng = np.random.default_rng(0)
+    for frame in range(FRAMES):
+        write_plain_image(layout, "front", frame, rng.integers(0, 255, (24, 32, 3), np.uint8))
+    write_image_times(
+        layout, "front", {frame: frame * PERIOD_S + (1 + frame % 2) * DELAY_S for frame in range(FRAMES - 1)}
+    )
+    return SceneEntry(
+        name="times", root=layout.root, sequence="there", kind="plain", first_frame=0, last_frame=FRAMES - 1,
+        test_frames=TEST,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recording(scene: SceneEntry, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    run = plan_run(scene, tmp_path_factory.mktemp("home"), recipe="smoke")
+    for stage in ("frames", "sweeps", "undistorted", "evidence"):
+        run_named_stage(stage, run, lambda line: None)
+    return read_recording(run.store)
+
+
+def test_the_mounting_has_none_of_the_cars_motion_in_it(recording: Recording) -> None:
+    np.testing.assert_allclose(recording.cameras["front"].in_lidar, MOUNTING, atol=1e-9)
+
+
+def test_images_have_their_own_times(recording: Recording) -> None:
+    camera = recording.cameras["front"]
+    own_s = [k * PERIOD_S + (1 + k % 2) * DELAY_S for k in range(FRAMES - 1)]
+    # The last one has no time, and is taken to be of its frame's instant.
+    np.testing.assert_allclose(camera.recorded_time_s, [*own_s, (FRAMES - 1) * PERIOD_S], atol=1e-9)
+    trained = [k for k in range(FRAMES) if k not in TEST]
+    np.testing.assert_allclose(camera.training_time_s, camera.recorded_time_s[trained])
+
+
+def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Recording) -> None:
+    view = held_out_view(recording, TEST)
+    assert view is not None
+    plan = view.images["front"]
+    assert plan.frame.tolist() == list(TEST)
+    taken_s = [TEST[0] * PERIOD_S + 2 * DELAY_S, TEST[1] * PERIOD_S]
+    np.testing.assert_allclose(plan.time_s, taken_s, atol=1e-9)
+    shown = to_world(recording, reference_poses(recording, plan) @ recording.cameras["front"].in_lidar)
+    np.testing.assert_allclose(shown, [place(one) @ MOUNTING for one in taken_s], atol=1e-6)
+
+
+def test_an_import_keeps_poses_and_images_on_one_clock_where_times_are_refused(
+    scene: SceneEntry, tmp_path: Path
+) -> None:
+    layout = PlainLayout(scene.root)
+    moments = np.arange(FRAMES) * PERIOD_S
+    # A pause of a quarter of an hour: the times of the frames are replaced by nominal ones.
+    paused = np.where(np.arange(FRAMES) < 5, moments, moments + 900.0)
+    copy = PlainLayout(tmp_path / "paused")
+    for file in layout.root.rglob("*"):
+        if file.is_file():
+            to = copy.root / file.relative_to(layout.root)
+            to.parent.mkdir(parents=True, exist_ok=True)
+            to.write_bytes(file.read_bytes())
+    write_poses(copy, range(FRAMES), paused.tolist(), [place(one) for one in moments])
+    write_image_times(copy, "front", {frame: float(paused[frame]) + 0.04 for frame in range(FRAMES - 1)})
+    done = import_drive(
+        replace(scene, root=copy.root, test_frames=()), tmp_path / "out", progress=lambda line: None
+    )
+    found = PlainLayout(done.folder)
+    image_s, pose_s = (
+        {row[0]: float(row[1]) for row in map(str.split, file.read_text().replace(",", " ").splitlines()[1:])}
+        for file in (found.image_times_path("front"), found.poses_path)
+    )
+    assert len(image_s) == FRAMES - 1 and max(pose_s.values()) < 10.0
+    for frame, moment_s in image_s.items():
+        assert moment_s == pytest.approx(pose_s[frame] + 0.04, abs=1e-6)
