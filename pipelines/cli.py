@@ -157,12 +157,12 @@ def import_(source: Path, out: Path, layout: str, first: int | None, last: int |
         named: `kind`, `sequence` and `lidar`.
     """  # noqa: D301  as of `view`
     from nvsf_core.drives.detect import kind_of, whole_drive
-    from nvsf_core.stages.imports.convert import import_drive, span_of
+    from nvsf_core.stages.imports.convert import import_drive
     from nvsf_core.stages.runner.heartbeat import sparse
     from nvsf_core.stages.runner.run import say_on_stderr
 
     kind = named["kind"] or kind_of(source)
-    scene = span_of(whole_drive(source, kind, named["sequence"], named["lidar"]), first, last)
+    scene = whole_drive(source, kind, named["sequence"], named["lidar"], first, last)
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
         click.echo(line)

@@ -56,7 +56,7 @@ def _views(views: Sequence[ViewEntry], begin: int, end: int) -> tuple[ViewEntry,
     """The views with those of their frames that a part has; without any, a view is not of the part."""
     found = []
     for view in views:
-        if view.frames == "all":
+        if view.frames == "all" or view.rate_hz is not None:
             found.append(view)
             continue
         own = tuple(frame for frame in view.frames if not isinstance(frame, str) and begin <= frame <= end)

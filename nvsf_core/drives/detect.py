@@ -1,6 +1,7 @@
 """Which format a recording on disk is of, and which frames it has."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from nvsf_core.drives.drive import drive_of
@@ -39,23 +40,27 @@ def kind_of(source: Path) -> str:
     )
 
 
-def whole_drive(source: Path, kind: str, sequence: str = "", lidar: str | None = None) -> SceneEntry:
-    """An entry of all frames that a recording has.
+def whole_drive(
+    source: Path, kind: str, sequence: str = "", lidar: str | None = None,
+    first: int | None = None, last: int | None = None,
+) -> SceneEntry:  # fmt: skip
+    """An entry of all frames that a recording has, or of some.
 
     Args:
         source: Its root, as in a catalogue.
         kind: Its format.
         sequence: Its name there; empty = the only one.
         lidar: The sensor's name, or `found`; None = as the recording says.
+        first: First frame; None = the first there is.
+        last: Last frame; None = the last there is.
 
     Raises:
-        DataError: There is no such sequence, several and none is named, or no frame.
+        DataError: There is no such sequence, several and none is named, no frame, or not those asked for.
     """
     name = _NOT_IN_NAMES.sub("_", sequence or source.stem).strip("_") or "drive"
     chosen = sequence or _only_sequence(source, kind) or name
-    first, last = _WHOLE
     entry = SceneEntry(
-        name=name[:60], root=source.absolute(), sequence=chosen, first_frame=first, last_frame=last,
+        name=name[:60], root=source.absolute(), sequence=chosen, first_frame=_WHOLE[0], last_frame=_WHOLE[1],
         test_frames=(), kind=kind, lidar=lidar,
     )  # fmt: skip
     try:
@@ -64,11 +69,10 @@ def whole_drive(source: Path, kind: str, sequence: str = "", lidar: str | None =
         raise DataError(f"{source}: cannot be read ({error.strerror}); check its permissions") from error
     if recorded is None:
         raise DataError(f"{source}, sequence {chosen}: expected scans or images, found none")
-    first, last = recorded
-    return SceneEntry(
-        name=name[:60], root=source.absolute(), sequence=chosen, first_frame=first, last_frame=last,
-        test_frames=(), kind=kind, lidar=lidar,
-    )  # fmt: skip
+    begin, end = recorded[0] if first is None else first, recorded[1] if last is None else last
+    if not recorded[0] <= begin <= end <= recorded[1]:
+        raise DataError(f"expected frames within {recorded[0]} to {recorded[1]}, found {begin} to {end}")
+    return replace(entry, first_frame=begin, last_frame=end)
 
 
 def _only_sequence(source: Path, kind: str) -> str:

@@ -166,6 +166,10 @@ class ViewEntry:
         if self.rate_hz is not None:
             require_range("rate_hz", self.rate_hz, 0.1, 1000.0, "a second")
         require_range("speed", self.speed, 0.01, 100.0, "seconds of the drive in one of the sensors'")
+        if self.times_s is not None and any(b <= a for a, b in itertools.pairwise(self.times_s)):
+            raise DataError(
+                f"times_s: expected ascending times, each once, found {self.times_s!r:.200}; sort them"
+            )
         instants = self.frames if self.times_s is None else self.times_s
         if instants != "all" and len(set(instants)) != len(instants):
             raise DataError(f"frames: expected each frame or time once, found {instants!r:.200}")

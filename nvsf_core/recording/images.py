@@ -34,7 +34,8 @@ class CameraRecording:
     training: CameraImages
     """At least one image."""
     training_time_s: np.ndarray
-    """(n,) instants of the training images."""
+    """(n,) instants of the training images' frames: by them an image's scan is found, and which images of
+    several cameras belong together."""
     recorded_frame: np.ndarray
     """(m,) frame numbers with an image, held-out ones included, ascending."""
     recorded_time_s: np.ndarray

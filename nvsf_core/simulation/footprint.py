@@ -13,6 +13,8 @@ from nvsf_core.simulation.scene_model import RayRenderer
 
 _SHARES = np.array([0.5, 0.125, 0.125, 0.125, 0.125], np.float32)
 _SAME_RETURN_M = 0.5
+_LEAST_SHINE = np.float32(1e-3)
+"""Of a drive without intensities all is 0: what ends somewhere is still stronger than what does not."""
 
 
 # Wide: four of them are columns of the rays.
@@ -51,7 +53,7 @@ def render_beams(
     far_m = np.where(known, range_m, 0.0)
     # Of each ray the energy of all that end where it ends; the strongest of these groups returns.
     same = known[:, None] & known[None] & (np.abs(far_m[:, None] - far_m[None]) < _SAME_RETURN_M)
-    energy = (same * (weight * shine)[None]).sum(axis=1)
+    energy = (same * (weight * np.maximum(shine, _LEAST_SHINE))[None]).sum(axis=1)
     best = energy.argmax(axis=0)
     chosen = np.take_along_axis(same, best[None, None], axis=0)[0]
     group = chosen * weight

@@ -1,16 +1,17 @@
 """Keeps a stated number of versions of each data set: the oldest beyond NVSF_KEEP_VERSIONS are removed.
 
-Counted apart for each view, recipe and seed of training: the newest of what a report shows or `nvsf join`
-looks for is always there. Called once a new version is published, never before.
+Counted apart for each view, what it asks for, recipe and seed of training: the newest of what a report shows
+or `nvsf join` looks for is always there. Called once a new version is published, never before.
 """
 
+import json
 import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, count_of, sound_manifest
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, asked_of, count_of, sound_manifest
 from nvsf_core.stages.runner.locks import free_lock
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Outcome, Progress
@@ -37,8 +38,8 @@ _TOLD = (
     "field_metrics", SEAL,
 )  # fmt: skip
 """Entries of a removed version's manifest that its note keeps, for the page of versions."""
-_Origin = tuple[str, int]
-"""Name of the recipe and seed of training."""
+_Origin = tuple[str, int, str]
+"""Name of the recipe, seed of training, and what the view asks for: views of one name may differ."""
 
 
 def tidy_versions(store: SceneStore, outcome: Outcome, progress: Progress) -> None:
@@ -104,6 +105,11 @@ def _keep(store: SceneStore, number: int | None, own: Collection[str], progress:
             forget_removal(store, place)
 
 
+def in_order(store: SceneStore, view: str) -> list[Version]:
+    """The versions of a view, the oldest first."""
+    return _in_order(store, view, [one for one in versions_of(store) if one.view == view], ())
+
+
 def _in_order(store: SceneStore, view: str, versions: list[Version], own: Collection[str]) -> list[Version]:
     """The versions of a view, the oldest first: as it was written down, then by their times, then `own`."""
     known = _written_order(store, view)
@@ -148,7 +154,9 @@ def _origin(folder: Path) -> _Origin | None:
     manifest = sound_manifest(folder) or {}
     recipe, seed = manifest.get("recipe"), manifest.get("seed")
     name = recipe.get("name") if isinstance(recipe, dict) else None
-    return (name, seed) if isinstance(name, str) and isinstance(seed, int) else None
+    if not isinstance(name, str) or not isinstance(seed, int):
+        return None
+    return name, seed, json.dumps(asked_of(manifest), sort_keys=True)
 
 
 def _remove(store: SceneStore, version: Version, rule: str) -> None:

@@ -19,7 +19,7 @@ from nvsf_core.stages.flow import FIELD
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.kept_versions import keep_newest
 from nvsf_core.stages.novel_views import asks_images, render_view_arrays, with_images
-from nvsf_core.stages.runner.locks import LOCKS, file_lock
+from nvsf_core.stages.runner.locks import LOCKS, file_lock, output_locks
 from nvsf_core.stages.runner.run import (
     SceneRun,
     find_scene,
@@ -103,24 +103,27 @@ def render_view(
     write_demo_where_absent(entry, say)
     for name in _BEFORE:
         run_named_stage(name, run, say)
-    if target is not None:
-        try:
-            with new_folder(target) as folder:
-                _write(run, asked, folder, say)
-        except OSError as error:
-            why = error.strerror or error
-            raise DataError(f"out: cannot write {target} ({why}); check space and rights") from error
-        return target
-    task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
-    location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
-    lock = file_lock(place / LOCKS / entry.name / f"{location}.lock", say, f"{location} of another run")
-    with reading_versions(place, [entry.name], say), lock:
-        if not is_there(task, location):
-            with run.store.publish(location) as folder:
-                _write(run, asked, folder, say)
-                carry_pin(run.store.path(location), folder)
-    keep_newest(run.store, [location], say)
-    return run.store.path(location)
+    # Nobody replaces what is read below; the field's place depends on recipe and seed.
+    read = [*_BEFORE[:-1], FIELD.location(run.config)]
+    with output_locks(place / LOCKS / entry.name, None, read, say):
+        if target is not None:
+            try:
+                with new_folder(target) as folder:
+                    _write(run, asked, folder, say)
+            except OSError as error:
+                why = error.strerror or error
+                raise DataError(f"out: cannot write {target} ({why}); check space and rights") from error
+            return target
+        task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
+        location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
+        lock = file_lock(place / LOCKS / entry.name / f"{location}.lock", say, f"{location} of another run")
+        with reading_versions(place, [entry.name], say), lock:
+            if not is_there(task, location):
+                with run.store.publish(location) as folder:
+                    _write(run, asked, folder, say)
+                    carry_pin(run.store.path(location), folder)
+        keep_newest(run.store, [location], say)
+        return run.store.path(location)
 
 
 def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None:

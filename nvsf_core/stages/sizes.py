@@ -223,6 +223,7 @@ def _view_bytes(path: Path, exports: tuple[str, ...]) -> int:
 
 def _image_bytes(arrays: Mapping[str, np.ndarray]) -> int:
     """Of all images, depths and instances as they are in memory: a PNG takes less."""
-    kinds = ("_rgb", "_range_m", "_instance")
-    own = [one for name, one in arrays.items() if name.startswith("image_") and name.endswith(kinds)]
+    cameras = [name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb")]
+    names = [f"{camera}_{kind}" for camera in cameras for kind in ("rgb", "range_m", "instance")]
+    own = [arrays[name] for name in names if name in arrays]
     return sum(math.prod(one.shape) * one.itemsize for one in own)

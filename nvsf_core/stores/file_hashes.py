@@ -24,7 +24,7 @@ TICK_NS = 2_000_000_000
 """Longest tick of a disk's clock: two seconds, of FAT; others count nanoseconds or a few milliseconds."""
 _BLOCK_BYTES = 4 << 20
 _LARGEST_BYTES = 1 << 30
-"""Larger files count by their size alone: no reader of a drive opens one."""
+"""Larger files, as long bags, count by size and time of their last change: to read them takes long."""
 _ENTRY_LENGTH = 6
 
 
@@ -64,15 +64,17 @@ class FileHashes:
                 self._remember()
 
     def hash_of(self, path: Path) -> str:
-        """SHA-256 of a file's bytes; of what is no regular file, or too large, its kind and size.
+        """SHA-256 of a file's bytes; of no regular file its kind and size, of a large one its size and time.
 
         Raises:
             OSError: It is absent or cannot be read.
             TimeIsUpError: It would have to be read, and the time is up.
         """
         before = path.stat()
-        if not stat.S_ISREG(before.st_mode) or before.st_size > _LARGEST_BYTES:
+        if not stat.S_ISREG(before.st_mode):
             return f"kind {stat.S_IFMT(before.st_mode):o}, {before.st_size} bytes"
+        if before.st_size > _LARGEST_BYTES:
+            return f"{before.st_size} bytes, changed at {before.st_mtime_ns} ns"
         name = str(path.absolute())
         known = self._new.get(name) or (None if self.read_anew else self._known.get(name))
         if known is not None and _is_believed(known, before):

@@ -230,7 +230,7 @@ CONTRACT: tuple[FileSpec, ...] = (
         "train_seconds, peak_memory_mb, scene_to_world (4 x 4, row by row), scene_rate and path_rate "
         "(seconds of the scene and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or "
         "null), sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m "
-        "(of the drive's scans), cameras_like (cameras of other intrinsics: whose place they have), "
+        "(of the training scans), cameras_like (cameras of other intrinsics: whose place they have), "
         "camera_models, camera_in_lidar, instances (objects, labelled or found to move: the values of "
         "`<camera>_instance`)",
     ),

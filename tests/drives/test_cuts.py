@@ -50,6 +50,12 @@ def test_views_go_to_the_parts_that_have_their_frames():
         cut_scene(_scene(0, 100, cut_frames=40, views=(ViewEntry(name="at", times_s=(1.0,)),)))
 
 
+def test_a_view_of_a_rate_is_of_every_part():
+    views = (ViewEntry(name="fast", rate_hz=20.0, frames=()),)
+    parts = cut_scene(_scene(0, 100, cut_frames=40, overlap_frames=10, views=views))
+    assert [[view.name for view in part.views] for part in parts] == [["fast"]] * 3
+
+
 def test_a_catalogue_lists_the_parts(tmp_path):
     entry = '[[scene]]\nname = "a"\nroot = "d"\nsequence = "s"\nfirst_frame = 0\nlast_frame = 99\n'
     text = entry + "test_frames = [5]\ncut_frames = 60\n"

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.ros import write_mcap
-from nvsf_core.stages.imports.convert import import_drive, span_of
+from nvsf_core.stages.imports.convert import import_drive
 from tests.drives.copies import assert_same_drive, data_set, scene_at, tiny_scene
 from tests.drives.kitti.raw_writer import write_raw
 
@@ -65,7 +66,7 @@ def test_an_imported_drive_of_kitti360s_layout_is_the_recorded_one(root, recorde
 
 @pytest.mark.parametrize("layout", ["plain", "kitti360"])
 def test_a_part_of_a_drive_is_imported_under_its_own_numbers(root, recorded, tmp_path, layout):
-    part = span_of(tiny_scene(root / "demo"), 1, 2)
+    part = replace(tiny_scene(root / "demo"), first_frame=1, last_frame=2)
     done = import_drive(part, tmp_path / "part", layout=layout, progress=_silent)
     assert (done.scans, done.images, done.frames) == (2, 2, 2)
     scene = whole_drive(tmp_path / "part", layout)
@@ -74,7 +75,7 @@ def test_a_part_of_a_drive_is_imported_under_its_own_numbers(root, recorded, tmp
     assert sorted(found.facts().poses) == [1, 2]
     assert np.array_equal(found.read_scan(2).points, recorded.read_scan(2).points)
     with pytest.raises(DataError, match="expected frames within 0 to 3, found 1 to 9"):
-        span_of(tiny_scene(root / "demo"), 1, 9)
+        whole_drive(root / "demo", "kitti360", first=1, last=9)
 
 
 def test_kittis_odometry_tree_is_read_back(root, recorded):

@@ -72,8 +72,8 @@ def test_images_have_their_own_times(recording: Recording) -> None:
     own_s = [k * PERIOD_S + (1 + k % 2) * DELAY_S for k in range(FRAMES - 1)]
     # The last one has no time, and is taken to be of its frame's instant.
     np.testing.assert_allclose(camera.recorded_time_s, [*own_s, (FRAMES - 1) * PERIOD_S], atol=1e-9)
-    trained = [k for k in range(FRAMES) if k not in TEST]
-    np.testing.assert_allclose(camera.training_time_s, camera.recorded_time_s[trained])
+    trained = [k * PERIOD_S for k in range(FRAMES) if k not in TEST]
+    np.testing.assert_allclose(camera.training_time_s, trained, atol=1e-9, err_msg="those of their scans")
 
 
 def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Recording) -> None:

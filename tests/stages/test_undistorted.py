@@ -20,7 +20,8 @@ FISHEYE = {
     "kind": "fisheye", "width": 60, "height": 60, "xi": 2.2, "k1": 0.017, "k2": 1.65, "p1": 4e-4, "p2": 4e-4,
     "gamma1": 57.0, "gamma2": 57.0, "u0": 30.0, "v0": 30.0,
 }  # fmt: skip
-COLUMNS = ("frame", "camera", "camera_to_world", "image_valid", "reason", "checksum")
+COLUMNS = ("frame", "camera", "time_s", "camera_to_world", "image_valid", "reason", "checksum")
+MOUNTING = np.eye(4).ravel().tolist()
 
 
 def run(
@@ -38,9 +39,11 @@ def run(
             pose = np.eye(4)
             pose[0, 3] = 1000.0 + frame
             ok = frame not in invalid
-            rows.append(dict(zip(COLUMNS, (frame, name, pose.ravel().tolist(), ok, "", ""), strict=True)))
+            place = pose.ravel().tolist()
+            rows.append(dict(zip(COLUMNS, (frame, name, 0.1 * frame, place, ok, "", ""), strict=True)))
     with store.publish("frames") as folder:
-        (folder / "drive.json").write_text(json.dumps({"cameras": cameras}))
+        mountings = dict.fromkeys(cameras, MOUNTING)
+        (folder / "drive.json").write_text(json.dumps({"cameras": cameras, "camera_in_lidar": mountings}))
         write_rows(folder / "cameras.parquet", rows, COLUMNS)
     config = RunConfig(recipe=ResidualRecipe(name="quick"))
     with store.publish("undistorted") as folder:
@@ -84,7 +87,7 @@ def test_an_invalid_image_is_left_out_and_counted(tmp_path: Path) -> None:
 
 def test_a_drive_without_cameras_gives_an_empty_output(tmp_path: Path) -> None:
     output = run(tmp_path, {})
-    assert read_attrs(images(tmp_path)) == {"cameras": {}}
+    assert read_attrs(images(tmp_path)) == {"cameras": {}, "camera_in_lidar": {}}
     assert read_arrays(images(tmp_path)) == {}
     assert output.metadata["cameras"] == 0
 

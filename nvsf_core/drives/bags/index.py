@@ -118,6 +118,7 @@ def _index(path: Path, _files: tuple[tuple[Path, int, int], ...]) -> BagIndex:
                 f"{path}: ends after {sum(map(len, index.scans.values()))} scans ({error!s:.200}); `rosbag "
                 "reindex`, `mcap recover` or `ros2 bag reindex` mends what can be"
             ) from error
+    index.tree.settle()
     for messages in (*index.scans.values(), *index.images.values()):
         messages.sort(key=lambda one: one.stamp_s)
     return index
@@ -139,12 +140,12 @@ def _take(index: BagIndex, reader: Any, connection: Any, kept_ns: int, raw: byte
             index.infos[topic] = message
         elif kind == ODOMETRY:
             pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
-            index.tree.add(message.child_frame_id, message.header.frame_id, pose, stamp_s(message))
+            index.tree.add(message.child_frame_id, message.header.frame_id, pose, stamp_s(message), topic)
         else:
             for one in message.transforms:
                 pose = pose_of(one.transform.translation, one.transform.rotation)
                 moment_s = None if topic.endswith(_FOREVER) else stamp_s(one)
-                index.tree.add(one.child_frame_id, one.header.frame_id, pose, moment_s)
+                index.tree.add(one.child_frame_id, one.header.frame_id, pose, moment_s, topic)
     except Exception:  # counted and named; the other messages are read
         index.faults[topic] += 1
 

@@ -12,6 +12,10 @@ from nvsf_core.drives.posed import PosePath
 from nvsf_core.errors import DataError
 
 _LONGEST_CHAIN = 100
+_TRANSFORMS = "/tf"
+"""Topic of links that move, and of fixed ones that are repeated."""
+_WORLDS = ("earth", "map", "odom", "utm", "world")
+"""Usual names of frames that cars move in."""
 
 
 def plain_name(frame: str) -> str:
@@ -45,15 +49,40 @@ class TransformTree:
     fixed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
     """(child, parent) to child's frame in the parent's, (4, 4)."""
     moving: dict[tuple[str, str], dict[float, np.ndarray]] = field(default_factory=dict)
-    """(child, parent) to seconds and pose."""
+    """(child, parent) to seconds and pose, of one topic."""
+    _by_topic: dict[tuple[str, str], dict[str, dict[float, np.ndarray]]] = field(default_factory=dict)
 
-    def add(self, child: str, parent: str, pose: np.ndarray, time_s: float | None) -> None:
-        """Add a link; without a time it never moves."""
+    def add(self, child: str, parent: str, pose: np.ndarray, time_s: float | None, topic: str = "") -> None:
+        """Add a link.
+
+        Args:
+            child: Name of the frame.
+            parent: Name of the frame that it lies in.
+            pose: (4, 4) child's frame in the parent's, metres.
+            time_s: When; None = it never moves.
+            topic: Where it was read.
+        """
         link = (plain_name(child), plain_name(parent))
         if time_s is None:
             self.fixed[link] = pose
         else:
-            self.moving.setdefault(link, {})[time_s] = pose
+            self._by_topic.setdefault(link, {}).setdefault(topic, {})[time_s] = pose
+
+    def settle(self) -> None:
+        """Choose what moves, once all messages are added.
+
+        A link that several topics have, as two odometries, moves as one of them says: they drift apart.
+        Transforms come before odometries, then the topic with the most poses. What a node for fixed
+        transforms repeats on `/tf` is fixed; a car that stands all the time is not.
+        """
+        for link, topics in self._by_topic.items():
+            chosen = min(topics, key=lambda topic: (topic != _TRANSFORMS, -len(topics[topic]), topic))
+            poses = np.stack(list(topics[chosen].values()))
+            if chosen == _TRANSFORMS and link[1] not in _WORLDS and np.allclose(poses, poses[0]):
+                self.fixed.setdefault(link, poses[0])
+            else:
+                self.moving[link] = topics[chosen]
+        self._by_topic.clear()
 
     def _parents(self) -> dict[str, str]:
         """Child to parent; a moving link outdoes a fixed one of the same child."""

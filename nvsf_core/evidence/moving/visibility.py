@@ -136,7 +136,8 @@ def build_ground(point_m: np.ndarray) -> GroundMap:
     low, high = np.quantile(point_m[:, :2], [0.0005, 0.9995], axis=0)
     origin = np.floor(low / CELL_M) * CELL_M
     shape = np.maximum(np.ceil((high - origin) / CELL_M).astype(np.int64), 1)
-    shape = np.minimum(shape, int(_MOST_CELLS**0.5))
+    # A long narrow drive may have a long narrow map.
+    shape = np.minimum(shape, max(int(_MOST_CELLS**0.5), _MOST_CELLS // int(shape.min())))
     cell = np.floor((point_m[:, :2] - origin) / CELL_M).astype(np.int64)
     within = np.all((cell >= 0) & (cell < shape), axis=1)
     height = _percentile_by_cell(cell[within, 0] * shape[1] + cell[within, 1], point_m[within, 2], shape)

@@ -140,8 +140,9 @@ def _edge(grey: np.ndarray) -> np.ndarray:
 
 def _block_means(values: np.ndarray, returned: np.ndarray) -> np.ndarray:
     """(n, b) means over the returns in the blocks of patches (n, 8, 32); NaN for a block without one."""
-    count = len(values)
-    shape = (count, _SCAN_PATCH[0] // _SCAN_BLOCK[0], _SCAN_BLOCK[0], -1, _SCAN_BLOCK[1])
-    total = np.where(returned, values, 0.0).reshape(shape).sum(axis=(2, 4)).reshape(count, -1)
-    returns = returned.reshape(shape).sum(axis=(2, 4)).reshape(count, -1)
+    (high, wide), count = _SCAN_BLOCK, len(values)
+    down, along = _SCAN_PATCH[0] // high, _SCAN_PATCH[1] // wide
+    shape = (count, down, high, along, wide)
+    total = np.where(returned, values, 0.0).reshape(shape).sum(axis=(2, 4)).reshape(count, down * along)
+    returns = returned.reshape(shape).sum(axis=(2, 4)).reshape(count, down * along)
     return np.where(returns > 0, total / np.maximum(returns, 1), np.nan)

@@ -33,6 +33,8 @@ LITTLE_GUESSED, MUCH_GUESSED = 0.01, 0.25
 """A view of which at most so much is guessed may be as recorded; with more than that it must not be used."""
 STRANGE = 10.0
 """A cue beyond so many times the largest recorded value makes any view one to use with care."""
+_LEAST_STRANGE = 1e-3
+"""No smaller value is strange: beside scans that are all alike, as without intensity, any other would be."""
 
 
 class Trust(IntEnum):
@@ -120,7 +122,8 @@ def _verdict(view: str, sensor: str, values: Mapping[str, float], bands: Mapping
     guessed = values.get(GUESSED, 0.0)
     strange = [
         cue for cue in _all_cues(sensor)
-        if cue.name in bands and values.get(cue.name, 0.0) > STRANGE * bands[cue.name].high
+        if cue.name in bands
+        and values.get(cue.name, 0.0) > max(STRANGE * bands[cue.name].high, _LEAST_STRANGE)
     ]  # fmt: skip
     trust = Trust.WITH_CARE
     if math.isnan(ratio):

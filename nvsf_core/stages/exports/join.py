@@ -12,10 +12,11 @@ import numpy as np
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
-from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, damaged_data_set
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, asked_of, damaged_data_set
 from nvsf_core.stages.exports.one_drive import on_one_clock, with_shared_objects
 from nvsf_core.stages.exports.write import WHOLE, finish_data_set
-from nvsf_core.stores.scene_store import new_folder, published
+from nvsf_core.stages.kept_versions import in_order
+from nvsf_core.stores.scene_store import SceneStore, new_folder
 
 _COUNTS = ("n_frames", "n_defined")
 _COSTS = ("train_seconds", "parameters", "model_mb")
@@ -59,10 +60,12 @@ def join_data_sets(
     manifests = [_manifest(folder) for folder in folders]
     for (part, _), manifest in zip(parts, manifests, strict=True):
         differing = [key for key in _SAME if not _agree(manifest.get(key), manifests[0].get(key))]
+        if not _agree(_asked(manifest), _asked(manifests[0])):
+            differing.append("view")
         if differing:
             raise DataError(
                 f"{part.name}: expected the {differing[0]} of {parts[0][0].name}, found another; make all "
-                "parts' data sets by one recipe and seed"
+                "parts' data sets of one view, by one recipe and seed"
             )
     try:
         with new_folder(out) as folder:
@@ -71,6 +74,11 @@ def join_data_sets(
     except OSError as error:
         raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
     return out
+
+
+def _asked(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What a part's view asks for, but for its frames, which are the part's own."""
+    return {key: value for key, value in asked_of(manifest).items() if key != "frames"}
 
 
 def _agree(one: Any, other: Any) -> bool:
@@ -194,17 +202,16 @@ def newest_data_set(home: Path, scene: str, view: str, recipe: str | None, seed:
     Raises:
         DataError: There is none.
     """
-    found = []
-    for path in published(home / scene, f"dataset/{view}/*/{MANIFEST_NAME}"):
-        manifest = _manifest(path.parent)
+    for version in reversed(in_order(SceneStore(home, scene), view)):
+        if not (version.folder / MANIFEST_NAME).is_file():
+            continue
+        manifest = _manifest(version.folder)
         if manifest["seed"] == seed and recipe in (None, manifest["recipe"]["name"]):
-            found.append((path.stat().st_mtime_ns, path.parent))
-    if not found:
-        raise DataError(
-            f"expected a data set of view {view!r} of scene {scene}, recipe {recipe or 'any'}, seed {seed}, "
-            f"below {home}, found none; `nvsf train {scene}` makes it"
-        )
-    return max(found)[1]
+            return version.folder
+    raise DataError(
+        f"expected a data set of view {view!r} of scene {scene}, recipe {recipe or 'any'}, seed {seed}, "
+        f"below {home}, found none; `nvsf train {scene}` makes it"
+    )
 
 
 def _manifest(folder: Path) -> dict[str, Any]:

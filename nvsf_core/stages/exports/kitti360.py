@@ -44,7 +44,8 @@ _LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 def write_kitti360(folder: Path, data: DataSet) -> None:
     """Write a data set as a KITTI-360 root of one sequence."""
     layout = DriveLayout(folder / FOLDER, data.sequence)
-    cameras = {name: camera for name, camera in data.cameras.items() if name in CAMERAS}
+    names = _names(data.cameras)
+    cameras = {name: data.cameras[own] for name, own in names.items()}
     _write_calibration(layout, cameras)
     pose_to_world = data.lidar_to_world @ invert_pose(_LIDAR_TO_POSE)
     write_frame_poses(layout.poses_path, data.numbers, pose_to_world, rows=3)
@@ -70,11 +71,20 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
                     place = layout.velodyne_dir / name / f"{number:010d}.bin"
                     place.parent.mkdir(parents=True, exist_ok=True)
                     place.write_bytes(values.tobytes())
-        for name in cameras:
-            image = data.image(name, index)
+        for name, own in names.items():
+            image = data.image(own, index)
             write_image(layout.image_path(name, number), image.rgb)
             if image.object_id is not None:
                 write_numbers(layout.instance_path(name, number), _renumbered(image.object_id, objects))
+
+
+def _names(cameras: Mapping[str, CameraRecord]) -> dict[str, str]:
+    """Name in the layout to the camera's own; where all have other names, of the first four."""
+    own = [name for name in cameras if name in CAMERAS]
+    if own:
+        return {name: name for name in own}
+    flat = [name for name, camera in cameras.items() if isinstance(camera.model, Pinhole)]
+    return dict(zip(CAMERAS, flat, strict=False))
 
 
 def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:

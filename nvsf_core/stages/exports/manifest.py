@@ -51,6 +51,12 @@ def count_of(manifest: Mapping[str, Any], kind: str) -> int:
     return len(rows) if isinstance(rows, list) else 0
 
 
+def asked_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What a manifest's view asks for: its entry without the formats that it is written in."""
+    view = manifest.get("view")
+    return {key: value for key, value in view.items() if key != "exports"} if isinstance(view, dict) else {}
+
+
 def is_sealed(folder: Path) -> bool:
     """Whether a data set's manifest carries its own digest."""
     try:

@@ -51,8 +51,9 @@ def _later_s(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
 
 
 def _seconds(manifest: Mapping[str, Any]) -> dict[int, float]:
-    """Time of each frame; of its scan where there is one."""
-    return {row["number"]: row["time_s"] for kind in ("images", "scans") for row in manifest[kind]}
+    """Time of each frame that has one; of its scan where there is one."""
+    rows = [row for kind in ("images", "scans") for row in manifest[kind] if "time_s" in row]
+    return {row["number"]: row["time_s"] for row in rows}
 
 
 def with_shared_objects(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -159,18 +159,3 @@ def _write_log(folder: Path, scene: SceneEntry, layout: str, target: AbstractTar
         f"first_frame = {scene.first_frame}", f"last_frame = {scene.last_frame}", f"test_frames = {test}", "",
     ]  # fmt: skip
     (folder / "scenes.toml").write_text("\n".join(lines), encoding="utf-8")
-
-
-def span_of(scene: SceneEntry, first: int | None, last: int | None) -> SceneEntry:
-    """The scene with other first and last frames.
-
-    Raises:
-        DataError: They lie outside of the recorded ones.
-    """
-    begin = scene.first_frame if first is None else first
-    end = scene.last_frame if last is None else last
-    if not scene.first_frame <= begin <= end <= scene.last_frame:
-        raise DataError(
-            f"expected frames within {scene.first_frame} to {scene.last_frame}, found {begin} to {end}"
-        )
-    return replace(scene, first_frame=begin, last_frame=end)

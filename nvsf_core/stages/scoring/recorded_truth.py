@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.drive import Recorded, drive_of
 from nvsf_core.drives.entries import ViewEntry
-from nvsf_core.drives.kitti360.images import read_image
+from nvsf_core.drives.kitti360.images import read_image_bytes
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.view_images import TrueImages
@@ -30,7 +31,7 @@ def recorded_truth(task: Task, path: Path, view: ViewEntry) -> Iterator[TrueImag
         DataError: A folder or a file is absent, or is no image of its camera's size.
     """
     calibrations = read_document(task.store.require("frames") / "drive.json")["cameras"]
-    shown = read_attrs(path).get("cameras", [])
+    shown, drive = read_attrs(path).get("cameras", []), drive_of(task.scene)
     for camera, files in truth_files(task.scene, view).items():
         if camera not in shown:
             task.progress(
@@ -41,7 +42,11 @@ def recorded_truth(task: Task, path: Path, view: ViewEntry) -> Iterator[TrueImag
         row = np.flatnonzero(np.isin(frames, list(files)))
         width, height = int(calibrations[camera]["width"]), int(calibrations[camera]["height"])
         undistorter, _ = camera_of(camera, calibrations[camera])
-        images = [read_image(files[frame], width, height) for frame in frames[row].tolist()]
+        # By the drive's own reader, which takes out what the flow has no model of.
+        images = [
+            drive.parse_image(camera, Recorded(file, read_image_bytes(file, width, height)), width, height)
+            for file in (files[frame] for frame in frames[row].tolist())
+        ]
         valid = read_arrays(task.store.require("undistorted") / "images.zarr", f"{camera}_valid")
         yield TrueImages(
             camera=camera, row=row, frame=frames[row], valid=valid[f"{camera}_valid"],

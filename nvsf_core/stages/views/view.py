@@ -191,7 +191,10 @@ def _sweep_facts(recording: Recording, view: View) -> dict[str, Any]:
     own = view.sweeps.is_recorded_sensor
     lasers = recording.lidar.evidence.lasers if own else np.arange(table.laser_count)
     a = sweeps.arrays
-    noise_m = measured_range_noise_m(a["range_m"], a["laser"], a["firing"], a["offsets"])
+    trained = np.repeat(sweeps.is_training, np.diff(a["offsets"]))
+    noise_m = measured_range_noise_m(
+        a["range_m"], np.where(trained, a["laser"], -1), a["firing"], a["offsets"]
+    )
     return {
         "sweep_period_s": view.sweeps.sweep_s(sweeps.period_s),
         "grid_lasers": np.asarray(lasers).astype(int).tolist(),

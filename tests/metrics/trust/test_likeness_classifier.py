@@ -49,3 +49,9 @@ def test_too_few_patches_tell_nothing_and_a_nan_is_refused() -> None:
     assert np.isnan(distinguished(np.zeros((3, 2)), np.zeros((100, 2))))
     with pytest.raises(DataError, match="finite features, 1 are not"):
         distinguished(np.full((20, 1), 0.0), np.r_[np.nan, np.zeros(19)][:, None])
+
+
+@pytest.mark.parametrize("lasers", [0, 6, 16])
+def test_scans_of_few_lasers_or_without_returns_have_no_patch(lasers: int) -> None:
+    nothing = np.zeros((lasers, 128), np.float32)
+    assert scan_features(nothing, nothing).shape == (0, 6)

@@ -1,6 +1,7 @@
 """Each format, read back by another reader than its writer."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -187,3 +188,14 @@ def test_kitti360_numbers_an_object_alike_in_boxes_and_images() -> None:
     assert found[26_007] // 1000 != 26
     with pytest.raises(DataError, match="at most 1000 objects of the class 'car'"):
         object_numbers(dict.fromkeys(range(1001), "car"))
+
+
+def test_kitti360_has_the_images_of_cameras_of_other_names(tmp_path: Path) -> None:
+    data = small.data_set()
+    named = replace(
+        data, cameras={"front": data.cameras["image_00"]},
+        image=lambda camera, index: data.image({"front": "image_00"}[camera], index),
+    )  # fmt: skip
+    write_kitti360(tmp_path, named)
+    layout = DriveLayout(tmp_path / "kitti360", data.sequence)
+    assert all(layout.image_path("image_00", number).is_file() for number in data.numbers)

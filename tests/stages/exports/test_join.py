@@ -1,6 +1,7 @@
 """Data sets of a cut drive's parts become one: each frame once, of the part whose it is."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -138,6 +139,28 @@ def test_parts_of_two_seeds_are_not_joined_and_nothing_is_left_behind(tmp_path):
     with pytest.raises(DataError, match=r"expected a data set of view 'left'.*seed 3"):
         newest_data_set(tmp_path, "long_000", "left", None, 3)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["long_000", "long_001"]
+
+
+def test_parts_whose_views_ask_for_other_things_are_not_joined(tmp_path):
+    parts = parts_of("long", cut_scene(ENTRY))
+    asked = _manifest()["view"]
+    others = [{**asked, "frames": [1]}, {**asked, "shift_m": [0.0, 3.0, 0.0], "frames": [9]}]
+    folders = [_made(tmp_path, part, k, view=others[k]) for k, (part, _) in enumerate(parts)]
+    with pytest.raises(DataError, match="long_001: expected the view of long_000"):
+        join_data_sets("long", parts, folders, tmp_path / "joined")
+
+
+def test_the_newest_is_the_last_of_the_order_that_was_noted_whatever_the_files_times_say(tmp_path):
+    ((part, _), *_) = parts_of("long", cut_scene(ENTRY))
+    newer = _made(tmp_path, part, 0)
+    older = newer.parent / "manual-01"
+    shutil.copytree(newer, older)
+    os.utime(older / "manifest.json", (2e9, 2e9))
+    assert newest_data_set(tmp_path, part.name, "left", None, 0) == older
+    order = tmp_path / part.name / "dataset/.order/left.json"
+    order.parent.mkdir()
+    order.write_text(json.dumps({"versions": ["manual-01", "manual-00"]}))
+    assert newest_data_set(tmp_path, part.name, "left", None, 0) == newer
 
 
 def test_a_version_that_is_being_deleted_is_not_the_newest(tmp_path):
