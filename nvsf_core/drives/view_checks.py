@@ -11,7 +11,7 @@ from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.kitti360.frames import FrameTimes
 from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
-from nvsf_core.errors import DataError
+from nvsf_core.errors import DataError, NvsfError
 
 _SLACK_S = 1e-6
 """Times may lie outside the drive by this rounding error."""
@@ -81,6 +81,16 @@ def moments_s(view: ViewEntry, frames: Sequence[int] | np.ndarray, frame_time_s:
     return np.asarray(found, np.float64)
 
 
+def _posed(drive: AbstractDrive, frames: np.ndarray) -> np.ndarray:
+    """(m,) bool: which frames (m,) have a pose; all, where the stage `frames` will say what is wrong."""
+    try:
+        poses = drive.facts().poses
+    except (NvsfError, OSError):
+        return np.ones(len(frames), np.bool_)
+    found = np.isin(frames, list(poses))
+    return found if found.any() else np.ones(len(frames), np.bool_)
+
+
 def require_views(scene: SceneEntry) -> None:
     """Refuse views that ask for times, frames or cameras that the scene's drive does not have.
 
@@ -105,10 +115,11 @@ def require_views(scene: SceneEntry) -> None:
     except (DataError, OSError):
         return  # the stage `frames` reports what is wrong with the drive
     frames, end_s = np.arange(scene.first_frame, scene.last_frame + 1), float(times.time_s[-1])
+    posed = _posed(drive, frames)
     for view in scene.views:
         where = f"scene {scene.name}, view {view.name}"
         try:
-            moments = moments_s(view, frames, times.time_s)
+            moments = moments_s(view, frames[posed], times.time_s[posed])
             if scene.compensate:
                 _require_sweeps_within(view, moments, drive, times)
         except DataError as error:

@@ -159,6 +159,7 @@ def test_a_scene_has_data_once_a_scan_or_an_image_of_its_section_is_there(tmp_pa
         (VIEW + "frames = [3, 4.5]\n", "frames: expected .*moments between frames are `times_s`"),
         (VIEW + "frames = [3020.5]\n", r"found \[3020.5\]; moments between frames are `times_s`"),
         (VIEW + "frames = [3]\ntimes_s = [0.1]\n", "expected `frames` or `times_s`, found both"),
+        (VIEW + "times_s = [0.2, 0.1]\n", "times_s: expected ascending times"),
         (VIEW + "times_s = 0.1\n", "times_s: expected a tuple of seconds"),
         (VIEW + 'frozen_at_s = "now"\n', "frozen_at_s: expected seconds"),
         (SCENE + '[[view]]\nname = "v"\nshift_m = [1.0]\n', "shift_m"),

@@ -1,4 +1,4 @@
-"""Images that were taken at times of their own: they are shown where and when they were taken."""
+"""Images that were taken at times of their own: they are shown where they were taken."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -76,13 +76,16 @@ def test_images_have_their_own_times(recording: Recording) -> None:
     np.testing.assert_allclose(camera.training_time_s, trained, atol=1e-9, err_msg="those of their scans")
 
 
-def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Recording) -> None:
+def test_held_out_images_are_shown_where_they_were_taken_and_what_moves_as_in_training_images(
+    recording: Recording,
+) -> None:
     view = held_out_view(recording, TEST)
     assert view is not None
     plan = view.images["front"]
     assert plan.frame.tolist() == list(TEST)
     taken_s = [TEST[0] * PERIOD_S + 2 * DELAY_S, TEST[1] * PERIOD_S]
-    np.testing.assert_allclose(plan.time_s, taken_s, atol=1e-9)
+    np.testing.assert_allclose(plan.moments_s, taken_s, atol=1e-9)
+    np.testing.assert_allclose(plan.time_s, np.array(TEST) * PERIOD_S, atol=1e-9)
     shown = to_world(recording, reference_poses(recording, plan) @ recording.cameras["front"].in_lidar)
     np.testing.assert_allclose(shown, [place(one) @ MOUNTING for one in taken_s], atol=1e-6)
 

@@ -17,6 +17,7 @@ from assets.metadata import exported_folders
 from nvsf_core.errors import DataError
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import _records
+from nvsf_core.stages.exports.manifest import write_manifest
 from nvsf_core.stages.flow import WORK_MODULES
 from nvsf_core.stages.runner.stage import Outcome
 from nvsf_core.stages.runner.verify import Verdict, verify_scene
@@ -28,7 +29,7 @@ from nvsf_core.stages.versions import (
     versions_of,
 )
 from nvsf_core.stages.versions_page import write_versions_page
-from nvsf_core.stores.documents import write_document
+from nvsf_core.stores.documents import read_document, write_document
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept, removal_of, removals
 from pipelines.cli import main
 from tests.stages.test_dataset import _task
@@ -108,6 +109,20 @@ def test_the_newest_ones_are_kept_and_the_others_are_noted(
     again: list[str] = []
     assert _make(home, 0, again).skipped, "what was removed is not made anew"
     assert _labels(home) == ["W2", "W3"] and any(f"delete {notes[0].note}" in line for line in again)
+
+
+def test_a_version_that_asks_for_something_else_is_another_views(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(KEEP_VARIABLE, "1")
+    _make(home, 0)
+    folder = _folder(home, "W0", "shift_1m")
+    manifest = read_document(folder / "manifest.json")
+    manifest.pop("manifest_sha256")
+    write_manifest(folder, {**manifest, "view": {**manifest["view"], "shift_m": [0.0, 2.0, 0.0]}})
+    _make(home, 1)
+    _make(home, 2)
+    assert _labels(home, "shift_1m") == ["W0", "W2"] and _labels(home) == ["W2"]
 
 
 def test_what_copies_and_clocks_do_to_times_does_not_decide_which_is_the_oldest(

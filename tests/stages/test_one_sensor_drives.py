@@ -249,3 +249,13 @@ def test_a_fast_view_is_refused_only_where_sweeps_would_reach_beyond_the_path(
     with pytest.raises(DataError, match=r"view fast: .* a sweep goes on for 0\.5 s"):
         require_views(replace(scene_of(drive), views=fast))
     require_views(replace(scene_of(camera_only.home.parent / "drive"), views=fast))
+
+
+def test_a_frame_without_a_pose_is_refused_before_anything_is_trained(drive: Path, tmp_path: Path) -> None:
+    shutil.copytree(drive, tmp_path / "drive")
+    poses = DriveLayout(tmp_path / "drive", DEMO_SEQUENCE).poses_path
+    lines = [line for line in poses.read_text().splitlines() if line.split()[0] != "3"]
+    poses.write_text("\n".join(lines) + "\n")
+    views = (ViewEntry(name="last", frames=(1, 3)),)
+    with pytest.raises(DataError, match=r"view last: .*expected frames with a pose, found none for \[3\]"):
+        require_views(replace(scene_of(tmp_path / "drive"), views=views))

@@ -48,6 +48,10 @@ _NEW_GATE_M = 2.2
 """Metres per frame that an object seen in one scan may have moved."""
 _GATE_M = 0.8
 """Metres per frame that an object may be away from its prediction."""
+_FASTEST_M_S = 45.0
+"""A first step longer than `_MOST_COST` is believed up to this speed, if the next scan goes on with it."""
+_ALIKE_SIZE = 1.5
+"""Such steps are between clusters whose sizes differ by at most this factor."""
 _MOST_COST = 1.6
 _SIZE_COST_M = 0.3
 _LONGEST_GAP_FRAMES = 3.5
@@ -193,16 +197,17 @@ def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: 
     `density`, from `laser_density`, scales the number of returns that a track needs.
     """
     tracks: list[Track] = []
-    for clusters in clusters_by_scan:
+    for scan, clusters in enumerate(clusters_by_scan):
         if not clusters:
             continue
+        later = next((one for one in clusters_by_scan[scan + 1 :] if one), [])
         now_s = min(cluster.time_s for cluster in clusters)
         alive = [t for t in tracks if now_s - t.clusters[-1].time_s < _LONGEST_GAP_FRAMES * frame_s]
         options = sorted(
             (cost, i, k)
             for i, track in enumerate(alive)
             for k, cluster in enumerate(clusters)
-            if (cost := _cost(track, cluster, frame_s)) < _MOST_COST
+            if (cost := _cost(track, cluster, frame_s, later)) < _MOST_COST
         )
         used_tracks, used_clusters = set(), set()
         for _, i, k in options:
@@ -215,18 +220,44 @@ def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: 
     return [track for track in tracks if _has_moved(track, frame_s, density)]
 
 
-def _cost(track: Track, cluster: Cluster, frame_s: float) -> float:
-    """Distance from the prediction plus a cost of a changed size; infinite outside the gate."""
+def _cost(track: Track, cluster: Cluster, frame_s: float, later: list[Cluster]) -> float:
+    """Distance from the prediction plus a cost of a changed size; infinite outside the gate.
+
+    `later` are the clusters of the next scan that has any.
+    """
     last = track.clusters[-1]
     frames = (cluster.time_s - last.time_s) / frame_s
     if frames <= 0.0:
         return np.inf
     distance = float(np.linalg.norm(cluster.centre_m - track.predict(cluster.time_s)))
-    gate = (_NEW_GATE_M if len(track.clusters) == 1 else _GATE_M) * max(frames, 1.0)
-    if distance > gate:
-        return np.inf
+    is_new = len(track.clusters) == 1
+    gate = (_NEW_GATE_M if is_new else _GATE_M) * max(frames, 1.0)
     ratio = max(cluster.size_m, 0.1) / max(last.size_m, 0.1)
-    return distance / max(frames, 1.0) + _SIZE_COST_M * abs(float(np.log(ratio)))
+    cost = distance / max(frames, 1.0) + _SIZE_COST_M * abs(float(np.log(ratio)))
+    if distance <= gate and cost < _MOST_COST:
+        return cost
+    farthest_m = _FASTEST_M_S * (cluster.time_s - last.time_s)
+    if is_new and distance < farthest_m and _is_followed(last, cluster, later, frame_s):
+        # After all slower ones, the nearer first.
+        return _MOST_COST - 1e-6 * (farthest_m - distance)
+    return np.inf
+
+
+def _is_followed(first: Cluster, second: Cluster, later: list[Cluster], frame_s: float) -> bool:
+    """Whether a cluster of the next scan lies where the step from the first to the second goes on to."""
+    velocity = (second.centre_m - first.centre_m) / (second.time_s - first.time_s)
+
+    def goes_on(third: Cluster) -> bool:
+        after_s = third.time_s - second.time_s
+        away_m = float(np.linalg.norm(third.centre_m - second.centre_m - velocity * after_s))
+        return after_s > 0.0 and away_m <= _GATE_M * max(after_s / frame_s, 1.0) and _are_alike(second, third)
+
+    return _are_alike(first, second) and any(map(goes_on, later))
+
+
+def _are_alike(one: Cluster, other: Cluster) -> bool:
+    small, large = sorted((max(one.size_m, 0.1), max(other.size_m, 0.1)))
+    return large <= _ALIKE_SIZE * small
 
 
 def _has_moved(track: Track, frame_s: float, density: float) -> bool:

@@ -50,18 +50,19 @@ class View:
 def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | None:
     """The view of the held-out frames, for each sensor those that it recorded; None if there are none.
 
-    Images are asked for at their own times.
+    Images are asked for where they were taken, at their own times; what moves is where it is at the frame's,
+    as in the training images.
     """
 
     def plan_of(recorded: np.ndarray, time_s: np.ndarray | None = None) -> ViewPlan | None:
         wanted = np.array([one for one in test_frames if one in recorded], np.int64)
         if len(wanted) == 0:
             return None
-        if time_s is None:
-            found_s = recording.posed_time_s[np.searchsorted(recording.posed_frame, wanted)]
-        else:
-            found_s = time_s[np.searchsorted(recorded, wanted)]
-        return ViewPlan(HELD_OUT, wanted, found_s, None)
+        frame_s = recording.posed_time_s[np.searchsorted(recording.posed_frame, wanted)]
+        own_s = frame_s if time_s is None else time_s[np.searchsorted(recorded, wanted)]
+        return ViewPlan(
+            HELD_OUT, wanted, frame_s, None, path_time_s=None if np.array_equal(own_s, frame_s) else own_s
+        )
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {
