@@ -33,7 +33,7 @@ def cut_scene(entry: SceneEntry) -> tuple[SceneEntry, ...]:
             raise DataError(
                 f"view {view.name}: expected frames on the recorded path in a scene that is cut "
                 f"(cut_frames = {entry.cut_frames}), found a path or times of its "
-                "own; name one part in `scenes`"
+                "own; name scenes that are not cut in `scenes`, or give its frames a scene of their own"
             )
     count = entry.last_frame - entry.first_frame + 1
     length, overlap = min(entry.cut_frames, count), entry.overlap_frames
