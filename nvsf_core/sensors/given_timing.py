@@ -16,7 +16,7 @@ RING = "ring"
 """`ScanTiming.source` of lasers that the recording gives."""
 _LEAST_VOTES = 0.9
 """Least share of a ring's returns that must lie on its laser of the table."""
-_OUT_OF_TURN = 0.25
+_BESIDE_AZIMUTH = 0.25
 """Sweeps between when a return was fired and when its azimuth says so."""
 
 
@@ -62,7 +62,7 @@ def given_timing(
     )
 
 
-def share_out_of_turn(points_m: np.ndarray, fraction: np.ndarray) -> float:
+def share_beside_azimuth(points_m: np.ndarray, fraction: np.ndarray) -> float:
     """Share of returns that were not fired when a sensor that spins clockwise and is cut behind fires there.
 
     Such a sensor fires at azimuth a when -a / 2 pi of a sweep has passed since its pose's instant.
@@ -73,7 +73,7 @@ def share_out_of_turn(points_m: np.ndarray, fraction: np.ndarray) -> float:
     """
     azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64)
     apart = np.abs(fraction - sweep_fraction(azimuth_rad))
-    return float((apart > _OUT_OF_TURN).mean()) if len(apart) else 0.0
+    return float((apart > _BESIDE_AZIMUTH).mean()) if len(apart) else 0.0
 
 
 def _lasers(points_m: np.ndarray, table: LaserTable, ring: np.ndarray | None) -> tuple[np.ndarray, str, str]:

@@ -12,7 +12,7 @@ from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
 from nvsf_core.sensors.found_table import find_table
-from nvsf_core.sensors.given_timing import RING, given_timing, share_out_of_turn
+from nvsf_core.sensors.given_timing import RING, given_timing, share_beside_azimuth
 from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
 from nvsf_core.sensors.sensor_errors import learn_intensity_gain, learn_range_bias
@@ -32,7 +32,7 @@ SENSOR = HDL_64E
 _OWN_VEHICLE_CELLS = 2000
 _FINDING_SCANS = 5
 """Scans that an unknown sensor's lasers are found from."""
-_MOST_OUT_OF_TURN = 0.05
+_MOST_BESIDE_AZIMUTH = 0.05
 """Share of returns whose times may not fall with their azimuth; at the cut, a few do not."""
 
 _Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -327,7 +327,7 @@ def _checks(
     dull = [scan.row["frame"] for scan in scans if np.ptp(scan.intensity) == 0.0]
     shared = sum(_shared_cells(scan.timing, table.laser_count) for scan in scans)
     ordered = sum(scan.timing.source in (FILE_ORDER, RING) for scan in scans)
-    turned = float(np.mean([share_out_of_turn(scan.points_m, scan.timing.sweep_fraction) for scan in scans]))
+    turned = float(np.mean([share_beside_azimuth(scan.points_m, scan.timing.sweep_fraction) for scan in scans]))
     return [
         Check(
             name="every_return_has_a_ray", passed=finite and length_error < 1e-5, blocking=True,
@@ -338,7 +338,7 @@ def _checks(
             detail=f"{unknown} of {len(arrays['laser'])} returns without a laser; {attrs['laser_evidence']}",
         ),
         Check(
-            name="times_fall_with_the_azimuth", passed=turned <= _MOST_OUT_OF_TURN,
+            name="times_fall_with_the_azimuth", passed=turned <= _MOST_BESIDE_AZIMUTH,
             detail=f"{turned:.1%} of the returns have times more than a quarter of a sweep beside those of a "
             "sensor that spins clockwise and is cut behind the car: what returns and what moves is looked up "
             "by azimuth, and wrong for them; cut the scans behind the car, or leave their times out",
