@@ -327,7 +327,8 @@ def _checks(
     dull = [scan.row["frame"] for scan in scans if np.ptp(scan.intensity) == 0.0]
     shared = sum(_shared_cells(scan.timing, table.laser_count) for scan in scans)
     ordered = sum(scan.timing.source in (FILE_ORDER, RING) for scan in scans)
-    turned = float(np.mean([share_beside_azimuth(scan.points_m, scan.timing.sweep_fraction) for scan in scans]))
+    beside = [share_beside_azimuth(scan.points_m, scan.timing.sweep_fraction) for scan in scans]
+    apart = float(np.mean(beside))
     return [
         Check(
             name="every_return_has_a_ray", passed=finite and length_error < 1e-5, blocking=True,
@@ -338,8 +339,8 @@ def _checks(
             detail=f"{unknown} of {len(arrays['laser'])} returns without a laser; {attrs['laser_evidence']}",
         ),
         Check(
-            name="times_fall_with_the_azimuth", passed=turned <= _MOST_BESIDE_AZIMUTH,
-            detail=f"{turned:.1%} of the returns have times more than a quarter of a sweep beside those of a "
+            name="times_fall_with_the_azimuth", passed=apart <= _MOST_BESIDE_AZIMUTH,
+            detail=f"{apart:.1%} of the returns have times more than a quarter of a sweep beside those of a "
             "sensor that spins clockwise and is cut behind the car: what returns and what moves is looked up "
             "by azimuth, and wrong for them; cut the scans behind the car, or leave their times out",
         ),
