@@ -175,6 +175,13 @@ class AbstractDrive(ABC):
             DataError: It is damaged, or of another size.
         """
 
+    def rectified(self, camera: str, rgb: np.ndarray) -> np.ndarray:
+        """An image (h, w, 3) as its calibration describes it; by default it is recorded so.
+
+        `parse_image` has done this already.
+        """
+        return rgb
+
     def scan_name(self, frame: int) -> str:
         """What a frame's scan would be called, for messages."""
         return f"{frame:010d}.bin"

@@ -250,6 +250,10 @@ class BagDrive(AbstractPosedDrive):
                 f"{found.path}: wrong size, expected {width} x {height} as the camera info says, found "
                 f"{rgb.shape[1]} x {rgb.shape[0]}"
             )
+        return self.rectified(camera, rgb)
+
+    def rectified(self, camera: str, rgb: np.ndarray) -> np.ndarray:
+        """The image without the distortion that the flow has no model of."""
         return self._mounted[1][camera].rectified(rgb)
 
 

@@ -14,6 +14,8 @@ from nvsf_core.errors import DataError
 _LONGEST_CHAIN = 100
 _TRANSFORMS = "/tf"
 """Topic of links that move, and of fixed ones that are repeated."""
+_STILL = 1e-6
+"""Largest change, in metres and of a rotation's entries, of a link that is fixed."""
 _WORLDS = ("earth", "map", "odom", "utm", "world")
 """Usual names of frames that cars move in."""
 
@@ -78,7 +80,7 @@ class TransformTree:
         for link, topics in self._by_topic.items():
             chosen = min(topics, key=lambda topic: (topic != _TRANSFORMS, -len(topics[topic]), topic))
             poses = np.stack(list(topics[chosen].values()))
-            if chosen == _TRANSFORMS and link[1] not in _WORLDS and np.allclose(poses, poses[0]):
+            if chosen == _TRANSFORMS and link[1] not in _WORLDS and np.abs(poses - poses[0]).max() < _STILL:
                 self.fixed.setdefault(link, poses[0])
             else:
                 self.moving[link] = topics[chosen]

@@ -185,7 +185,10 @@ class PlainDrive(AbstractPosedDrive):
 
     def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
         """Decode an image and take out the distortion that the flow has no model of."""
-        rgb = decode_picture(found.path, found.data, width, height)
+        return self.rectified(camera, decode_picture(found.path, found.data, width, height))
+
+    def rectified(self, camera: str, rgb: np.ndarray) -> np.ndarray:
+        """The image without the distortion that the flow has no model of."""
         return self._mounted[1][camera].rectified(rgb)
 
     def boxes(self) -> Boxes:

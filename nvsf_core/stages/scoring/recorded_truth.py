@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.drive import Recorded, drive_of
+from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import ViewEntry
-from nvsf_core.drives.kitti360.images import read_image_bytes
+from nvsf_core.drives.kitti360.images import read_image
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.view_images import TrueImages
@@ -42,10 +42,8 @@ def recorded_truth(task: Task, path: Path, view: ViewEntry) -> Iterator[TrueImag
         row = np.flatnonzero(np.isin(frames, list(files)))
         width, height = int(calibrations[camera]["width"]), int(calibrations[camera]["height"])
         undistorter, _ = camera_of(camera, calibrations[camera])
-        # By the drive's own reader, which takes out what the flow has no model of.
         images = [
-            drive.parse_image(camera, Recorded(file, read_image_bytes(file, width, height)), width, height)
-            for file in (files[frame] for frame in frames[row].tolist())
+            drive.rectified(camera, read_image(files[frame], width, height)) for frame in frames[row].tolist()
         ]
         valid = read_arrays(task.store.require("undistorted") / "images.zarr", f"{camera}_valid")
         yield TrueImages(

@@ -50,3 +50,8 @@ def test_what_is_repeated_without_change_is_a_mounting_and_no_path() -> None:
 def test_a_car_that_stands_has_a_path() -> None:
     found = tree(*[("base", "odom", 2.0, 0.1 * k, "/tf") for k in range(3)])
     assert path_x_m(found, "base") == [2.0, 2.0, 2.0]
+
+
+def test_a_slow_car_far_from_its_maps_origin_has_a_path() -> None:
+    found = tree(*[("base", "local", 5e5 + 0.1 * k, 0.1 * k, "/tf") for k in range(3)])
+    assert path_x_m(found, "base") == [500_000.0, 500_000.1, 500_000.2]
