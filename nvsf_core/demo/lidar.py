@@ -15,6 +15,7 @@ from nvsf_core.demo.motion import FRAME_PERIOD_S
 from nvsf_core.demo.shapes import Kind, ShapeList, Shapes, cast_shapes, tile_cones, tile_index, tile_select
 from nvsf_core.demo.street import Material
 from nvsf_core.demo.world import DemoWorld
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import HDL_64E, LaserTable
 
 MAX_RANGE_M = 80.0
@@ -114,7 +115,9 @@ def exact_rays(
     )
 
 
-def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int) -> DemoScan:
+def simulate_scan(
+    world: DemoWorld, frame: int, lasers: np.ndarray, firings: int, clock: SweepClock | None = None
+) -> DemoScan:
     """Simulate the recorded scan of a frame.
 
     Args:
@@ -122,11 +125,13 @@ def simulate_scan(world: DemoWorld, frame: int, lasers: np.ndarray, firings: int
         frame: Number of the frame; the instant of its pose is frame x 0.1 s, when the lasers face forward.
         lasers: (L,) indices of the HDL-64E's lasers, from the top.
         firings: Firings a sweep, at most the 4000 steps of the encoder.
+        clock: When in the sweep each azimuth is measured; None = clockwise, cut behind.
     """
     rng = np.random.default_rng([world.seed, 1 + frame])
     theta, fraction = _firings(HDL_64E, lasers, firings, rng)
     origin, direction = _recorded_rays(HDL_64E, lasers, theta)
-    time_s = (frame + fraction.ravel()) * FRAME_PERIOD_S
+    elapsed = (clock or SweepClock()).elapsed(fraction)
+    time_s = (frame + elapsed.ravel()) * FRAME_PERIOD_S
     tiles = tile_index(len(lasers), firings, 8)
     pose = world.lidar_to_street(time_s)
     hit = _cast(world, HDL_64E, origin, direction, theta.ravel(), time_s, tiles, pose, None, _OWN_VEHICLE)

@@ -182,8 +182,9 @@ def _unit_gaps(sweeps: Sweeps, prior: DropPrior, surfels: Surfels) -> np.ndarray
     is_met = np.zeros((len(scans), len(lasers), GAP_CELLS), bool)
     for number, scan in enumerate(scans):
         rays = sweep_rays(
-            sweeps.table, lasers, GAP_CELLS, sweeps.trajectory, float(prior.time_s[scan]), sweeps.period_s
-        )
+            sweeps.table, lasers, GAP_CELLS, sweeps.trajectory, float(prior.time_s[scan]), sweeps.period_s,
+            clock=sweeps.clock_near(float(prior.time_s[scan])),
+        )  # fmt: skip
         rendered = reproject_rays(
             surfels, rays.origin_m, rays.direction, np.ones(len(rays.laser), np.float32),
             most=EvidenceSpec().lidar_candidates, far_m=float(sweeps.table.max_range_m),

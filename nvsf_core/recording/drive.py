@@ -15,6 +15,7 @@ from nvsf_core.kernels.scan_lookup import BESIDE, EMPTY, SAME, Lasers, SweepGrid
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.sensors.bonnet import Bonnet
 from nvsf_core.sensors.sweep import SweepRays, Trajectory
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import LaserTable
 
 _MOMENTS = 256
@@ -43,6 +44,26 @@ class Sweeps:
     def returns_of(self, scan: int) -> slice:
         """Slice of a scan's returns in the flat arrays."""
         return slice(int(self.arrays["offsets"][scan]), int(self.arrays["offsets"][scan + 1]))
+
+    def fired_s(self, scan: int) -> np.ndarray:
+        """(m,) float64 instants of a scan's returns, seconds since the first frame."""
+        part = self.returns_of(scan)
+        elapsed = self.arrays.get("elapsed", self.arrays["sweep_fraction"])[part]
+        fired_s: np.ndarray = float(self.arrays["time_s"][scan]) + elapsed.astype(np.float64) * self.period_s
+        return fired_s
+
+    def clock_of(self, scan: int) -> SweepClock:
+        """When in a scan's sweep each azimuth was measured."""
+        return SweepClock.stored(self.arrays.get("sweep_clock"), scan)
+
+    def clock_near(self, time_s: float) -> SweepClock:
+        """The clock of the scan that is nearest to an instant, for sweeps of the recording sensor.
+
+        Like its pose, a held-out scan's clock is part of what is asked for.
+        """
+        if "sweep_clock" not in self.arrays:
+            return SweepClock()
+        return self.clock_of(int(np.abs(self.arrays["time_s"] - time_s).argmin()))
 
     def is_of_world(self, chosen: slice = slice(None)) -> np.ndarray:
         """(m,) bool: whether chosen returns show the world, within the sensor's range.
@@ -88,15 +109,16 @@ def training_returns(sweeps: Sweeps) -> TimedReturns:
     """The training scans' returns, own vehicle included, for finding moving objects."""
     a, lengths = sweeps.arrays, np.diff(sweeps.arrays["offsets"])
     kept = np.repeat(sweeps.is_training, lengths)
-    lag_s = a["sweep_fraction"][kept].astype(np.float64) * sweeps.period_s
+    training = np.flatnonzero(sweeps.is_training).tolist()
     return TimedReturns(
         point_m=a["origin_m"][kept] + a["direction"][kept] * a["range_m"][kept, None],
         recorded_m=a["points_m"][kept],
         laser=a["laser"][kept],
         is_own_vehicle=a["is_own_vehicle"][kept] | a["is_mirrored"][kept],
-        time_s=np.repeat(a["time_s"], lengths)[kept] + lag_s,
+        time_s=np.concatenate([np.zeros(0), *(sweeps.fired_s(scan) for scan in training)]),
         offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
         scan_time_s=a["time_s"][sweeps.is_training],
+        clocks=tuple(sweeps.clock_of(scan) for scan in training),
         trajectory=sweeps.trajectory,
         period_s=sweeps.period_s,
         table=sweeps.table,
@@ -123,6 +145,8 @@ class RecordedSweeps:
 
     unit_gaps: np.ndarray | None = None
     """(lasers, cells) bool, see `find_unit_gaps`; None where they are not known."""
+    clocks: tuple[SweepClock, ...] = ()
+    """(n,) when in each scan's sweep an azimuth was measured; empty = as by `SweepClock()`."""
 
     def hit_prior_at(self, points_m: np.ndarray, scans: np.ndarray) -> np.ndarray:
         """Share (r,) float32 of the scans that looked at points (r, 3) float32, scene-local, with a return.
@@ -177,7 +201,8 @@ class RecordedSweeps:
 
     def _sweep(self, scan: int, range_m: np.ndarray) -> SweepGrid:
         moments = (np.arange(_MOMENTS) + 0.5) / _MOMENTS - 0.5
-        rotation, position = self.trajectory.at(self.prior.time_s[scan] + moments * self.period_s)
+        elapsed = self.clocks[scan].elapsed(moments) if self.clocks else moments
+        rotation, position = self.trajectory.at(self.prior.time_s[scan] + elapsed * self.period_s)
         fraction = self.prior.fraction[scan][: self.prior.firings_of(scan)]
         return SweepGrid(rotation, position, fraction, range_m, self.intensity[scan])
 
@@ -236,6 +261,7 @@ def recorded_sweeps(sweeps: Sweeps, evidence: SceneEvidence) -> RecordedSweeps:
     return RecordedSweeps(
         prior, evidence.lasers.astype(np.int64), ranges, shine, sweeps.trajectory, sweeps.table,
         sweeps.period_s, sweeps.elevation_correction_rad, evidence.unit_gaps,
+        tuple(sweeps.clock_of(scan) for scan in np.flatnonzero(sweeps.is_training).tolist()),
     )  # fmt: skip
 
 

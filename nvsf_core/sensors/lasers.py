@@ -1,17 +1,14 @@
-"""Recovers from a scan which laser measured each return, in which firing, and when.
+"""Recovers from a scan which laser measured each return, and in which firing.
 
 KITTI's files do not store it. They hold one laser after the other from the top, azimuth ascending within
 each, so the next laser begins where the azimuth wraps. All lasers fire together on the encoder's lattice, so
 each laser's columns, shifted by its own constant, give the firings of the sweep.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.beam_table import encoder_angle, wrap_angle
-from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.sensors.tables import LaserTable
 
 FILE_ORDER = "file_order"
@@ -25,44 +22,6 @@ _LOST_GAP = 2.5
 """Gaps longer than so many usual ones are lost firings; where a sweep begins, 1.6 is normal."""
 _LATTICE_RESIDUAL_STEPS = 0.15
 """Largest mean distance from the lattice: 0.02 in real scans, 0.25 where there is no lattice."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanTiming:
-    """Lasers, firings and times of one scan of N returns."""
-
-    laser: np.ndarray
-    """(N,) int16, 0 on top, -1 unknown."""
-    firing: np.ndarray
-    """(N,) int16, number within the sweep by time, -1 unknown."""
-    firings: int
-    """Number of firings in the sweep, 0 unknown."""
-    sweep_fraction: np.ndarray
-    """(N,) float64 in [-0.5, 0.5): sweeps after the pose's instant, by firing or else by azimuth."""
-    source: str
-    """How lasers were recovered: `file_order`, `beam_table` or `unknown`."""
-    evidence: str
-    """Why, in words and numbers."""
-
-
-def recover_timing(points_m: np.ndarray, table: LaserTable) -> ScanTiming:
-    """Lasers, firings and times of one scan (N, 3) in file order, metres in the sensor's frame.
-
-    Raises:
-        ShapeError: Points are not (N, 3).
-    """
-    laser, source, evidence = recover_lasers(points_m, table)
-    firing, firing_azimuth_rad, said = recover_firings(points_m, laser, table)
-    azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64)
-    azimuth_rad = np.where(firing >= 0, firing_azimuth_rad[firing], azimuth_rad) if said else azimuth_rad
-    return ScanTiming(
-        laser=laser,
-        firing=firing,
-        firings=len(firing_azimuth_rad),
-        sweep_fraction=sweep_fraction(azimuth_rad),
-        source=source,
-        evidence=f"{evidence}; {said or 'firings unknown, times from the azimuth'}",
-    )
 
 
 def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, str, str]:

@@ -1,7 +1,8 @@
 """Ego-motion: when and from where each ray of a rotating sensor was fired.
 
-The sensor rotates clockwise; a frame's pose is its pose when the laser faces forward. A return at azimuth a
-in (-pi, pi] is measured s = -a / 2 pi of a sweep later, s in [-0.5, 0.5). Between two poses the sensor moves
+Unless its clock says otherwise, a sensor rotates clockwise and is cut behind; a frame's pose is its pose when
+the laser faces forward. A return at azimuth a in (-pi, pi] is measured s = -a / 2 pi of a sweep later, s in
+[-0.5, 0.5). Between two poses the sensor moves
 at a constant twist (rotation and translation together).
 """
 
@@ -22,11 +23,12 @@ from nvsf_core.sensors.beam_table import (
     turn_up,
     wrap_angle,
 )
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import LaserTable
 
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
-    """Sweeps after the pose's instant, in [-0.5, 0.5), at which azimuths (...) are measured: -a / 2 pi."""
+    """-a / 2 pi of azimuths (...), in [-0.5, 0.5): where in a sweep that is cut behind they are measured."""
     fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
     return fraction
 
@@ -174,7 +176,9 @@ class SweepRays:
     azimuth_rad: np.ndarray
     """(r,) encoder's angle in (-pi, pi]."""
     fraction: np.ndarray
-    """(r,) time after the pose's instant, in sweeps, -0.5..0.5."""
+    """(r,) -azimuth / 2 pi of the firing, -0.5..0.5."""
+    elapsed: np.ndarray
+    """(r,) time after the pose's instant, in sweeps."""
     recorded_origin_m: np.ndarray
     """(r, 3) metres, sensor's frame at firing time, as in files. Moved along the ray by the laser's range
     bias: origin + true range * direction is the recorded point."""
@@ -197,6 +201,7 @@ def sweep_rays(
     *,
     mount: np.ndarray | None = None,
     phase: float = 0.5,
+    clock: SweepClock | None = None,
 ) -> SweepRays:
     """All rays of one sweep.
 
@@ -209,10 +214,12 @@ def sweep_rays(
         period_s: Duration of a sweep.
         mount: (4, 4) pose of the simulated sensor in the recording sensor's frame; None = the same pose.
         phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
+        clock: When in the sweep each azimuth is measured; None = clockwise, cut behind.
     """
     azimuth, fraction = firing_grid(table, firings, phase)
+    elapsed = fraction if clock is None else clock.elapsed(fraction)
     # All lasers fire together: the sensor's pose is computed once a firing, not once a ray.
-    rotation, position = trajectory.at(time_s + fraction * period_s)
+    rotation, position = trajectory.at(time_s + elapsed * period_s)
     lasers = lasers.astype(np.int64)
     azimuth = azimuth[lasers]
     fired = sensor_rays(table, azimuth, lasers[:, None])
@@ -227,6 +234,7 @@ def sweep_rays(
         laser=laser,
         azimuth_rad=azimuth.reshape(-1),
         fraction=np.tile(fraction, len(lasers)),
+        elapsed=np.tile(elapsed, len(lasers)),
         recorded_origin_m=fired_origin + table.range_bias_m[laser, None] * recorded_direction,
         recorded_direction=recorded_direction,
         origin_m=origin,

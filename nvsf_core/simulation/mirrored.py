@@ -122,7 +122,7 @@ def _mirrored_length_m(
     sweeps = lidar.sweeps
     distance_m, point_m, onward = bonnet.reflect(rays.recorded_origin_m[ray], rays.recorded_direction[ray])
     point_m, onward = turn_up(point_m, onward, rays.azimuth_rad[ray], sweeps.elevation_correction_rad)
-    fired_s = time_s + rays.fraction[ray] * sweeps.period_s
+    fired_s = time_s + rays.elapsed[ray] * sweeps.period_s
     origin_m, direction = sweeps.trajectory.move_rays(point_m, onward, fired_s)
     seen = render_in_chunks(
         renderer, origin_m.astype(np.float32), direction.astype(np.float32), np.ones(len(ray), np.float32),

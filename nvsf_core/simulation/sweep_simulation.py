@@ -68,7 +68,7 @@ def simulate_sweep(
     points, intensity, laser = sweep.scan(returns)
     pano = LinearPano(reference_quirks=True)
     pano_range, pano_intensity = pano.project(points, intensity)
-    fired_s = plan.fired_s(time_s, rays.fraction, lidar.sweeps.period_s)
+    fired_s = plan.fired_s(time_s, rays.elapsed, lidar.sweeps.period_s)
     support = support_of_sweep(lidar, rays, rendered, fired_s, lookups, is_own_unit=plan.is_recorded_sensor)
     return SimulatedSweep(
         points, intensity, laser, pano_range, pano_intensity, sweep.pano_hit(pano), sweep.grid(),
@@ -118,8 +118,9 @@ def fire_sweep(
     rays = sweep_rays(
         plan.table, lasers, firings, plan.path or sweeps.trajectory, plan.moment_s(time_s),
         plan.sweep_s(sweeps.period_s) * plan.path_rate, mount=plan.mount, phase=phase,
+        clock=sweeps.clock_near(near_s) if plan.is_recorded_sensor else None,
     )  # fmt: skip
-    fired_s = plan.fired_s(time_s, rays.fraction, sweeps.period_s)
+    fired_s = plan.fired_s(time_s, rays.elapsed, sweeps.period_s)
     is_in_place = plan.is_recorded_sensor and plan.mount is None and plan.is_as_recorded
     if is_in_place:
         hit_prior = evidence.prior.hit_prior_of_sweep(lasers, rays.fraction[:firings], near).reshape(-1)
@@ -168,7 +169,7 @@ def render_along(
         origin_m: (r, 3) scene-local, metres.
         direction: (r, 3) unit, scene-local axes.
         laser: (r,) row of the recording sensor's table; -1 = unknown.
-        fraction: (r,) time after the pose's instant, in sweeps.
+        fraction: (r,) -azimuth / 2 pi of the rays' firings, -0.5..0.5.
     """
     assert model.lidar is not None
     sweeps, evidence = lidar.sweeps, lidar.evidence
@@ -176,7 +177,8 @@ def render_along(
     hit_prior = evidence.prior.hit_prior(
         known, fraction, evidence.prior.nearest_scans(time_s, model.prior_scans)
     )
-    columns = (origin_m, direction, hit_prior, time_s + fraction.astype(np.float64) * sweeps.period_s)
+    elapsed = sweeps.clock_near(time_s).elapsed(fraction.astype(np.float64))
+    columns = (origin_m, direction, hit_prior, time_s + elapsed * sweeps.period_s)
     rendered = render_in_chunks(model.lidar, *columns)
     rendered = by_lasers(rendered, laser, sweeps.table, as_recorded=model.as_recorded)
     if model.unobserved is not None:

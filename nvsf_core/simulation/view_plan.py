@@ -123,15 +123,15 @@ class SweepPlan(ViewPlan):
         """Duration of a sweep on the sensor's clock; `recorded_s`, 0 without compensation, is the drive's."""
         return recorded_s if self.period_s is None or recorded_s == 0.0 else self.period_s
 
-    def fired_s(self, time_s: float, fraction: np.ndarray, recorded_s: float) -> np.ndarray:
+    def fired_s(self, time_s: float, elapsed: np.ndarray, recorded_s: float) -> np.ndarray:
         """(r,) instants of the scene at which rays are fired.
 
         Args:
             time_s: The sweep's instant.
-            fraction: (r,) sweeps after it.
+            elapsed: (r,) sweeps after it.
             recorded_s: Duration of a recorded sweep.
         """
-        return np.asarray(time_s + fraction * (self.sweep_s(recorded_s) * self.scene_rate))
+        return np.asarray(time_s + elapsed * (self.sweep_s(recorded_s) * self.scene_rate))
 
 
 def recorded_sweep(table: LaserTable, time_s: float, mount: np.ndarray | None = None) -> SweepPlan:

@@ -12,9 +12,9 @@ from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
 from nvsf_core.sensors.found_table import find_table
-from nvsf_core.sensors.given_timing import RING, given_timing, share_beside_azimuth
-from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, ScanTiming, recover_timing
+from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
+from nvsf_core.sensors.scan_timing import RING, ScanTiming, scan_timing
 from nvsf_core.sensors.sensor_errors import learn_intensity_gain, learn_range_bias
 from nvsf_core.sensors.sweep import Trajectory, compensate, trajectory_of
 from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, SENSOR_TABLES, LaserTable, sensor_table, table_facts
@@ -32,8 +32,8 @@ SENSOR = HDL_64E
 _OWN_VEHICLE_CELLS = 2000
 _FINDING_SCANS = 5
 """Scans that an unknown sensor's lasers are found from."""
-_MOST_BESIDE_AZIMUTH = 0.05
-"""Share of returns whose times may not fall with their azimuth; at the cut, a few do not."""
+_MOST_BESIDE_CLOCK = 0.05
+"""Share of returns whose times may not follow their azimuth; at the cut, a few do not."""
 
 _Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Origins, directions and ranges of one scan's returns, as `compensate` gives them."""
@@ -71,6 +71,7 @@ def run(task: Task) -> StageOutput:
     # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
     rays = _placed(task, table, scans, trajectory_of(posed, scene_to_world), period_s, correction_rad)
     arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, scene_to_world))
+    arrays |= _recorded_times(scans)
     arrays |= _mirrored(table, scans)
     arrays |= _laser_errors(table, scans, arrays)
     evidence = found + _evidence(scans, sources)
@@ -106,10 +107,7 @@ def _read_scans(
     scans = []
     for row, one in zip(rows, read, strict=True):
         points_m = np.ascontiguousarray(one.points[:, :3])
-        if one.ring is None and one.offset_s is None:
-            timing = recover_timing(points_m, table)
-        else:
-            timing = given_timing(points_m, table, ring=one.ring, offset_s=one.offset_s, period_s=period_s)
+        timing = scan_timing(points_m, table, ring=one.ring, offset_s=one.offset_s, period_s=period_s)
         scans.append(_Scan(row, points_m, one.points[:, 3].copy(), timing))
     return table, found, scans
 
@@ -137,7 +135,7 @@ def _placed(
     say = sparse(task.progress)
     rays: list[_Rays] = []
     for scan in scans:
-        time_s = scan.row["time_s"] + scan.timing.sweep_fraction * period_s
+        time_s = scan.row["time_s"] + scan.timing.elapsed * period_s
         rays.append(
             compensate(
                 table, scan.points_m, scan.timing.laser, time_s, trajectory,
@@ -197,6 +195,16 @@ def _arrays(scans: list[_Scan], rays: list[_Rays], own: OwnVehicle) -> dict[str,
         "is_own_vehicle": _joined([own.is_own(scan.points_m) for scan in scans], np.bool_),
         "own_vehicle_range_m": own.range_m,
         "own_vehicle_intensity": own.intensity,
+    }
+
+
+def _recorded_times(scans: list[_Scan]) -> dict[str, np.ndarray]:
+    """When returns were measured and the scans' clocks; nothing where their azimuths tell all of it."""
+    if all(np.array_equal(scan.timing.elapsed, scan.timing.sweep_fraction) for scan in scans):
+        return {}
+    return {
+        "elapsed": _joined([scan.timing.elapsed for scan in scans], np.float32),
+        "sweep_clock": np.array([scan.timing.clock for scan in scans], np.float64),
     }
 
 
@@ -327,8 +335,7 @@ def _checks(
     dull = [scan.row["frame"] for scan in scans if np.ptp(scan.intensity) == 0.0]
     shared = sum(_shared_cells(scan.timing, table.laser_count) for scan in scans)
     ordered = sum(scan.timing.source in (FILE_ORDER, RING) for scan in scans)
-    beside = [share_beside_azimuth(scan.points_m, scan.timing.sweep_fraction) for scan in scans]
-    apart = float(np.mean(beside))
+    apart = float(np.mean([scan.timing.share_beside_clock for scan in scans]))
     return [
         Check(
             name="every_return_has_a_ray", passed=finite and length_error < 1e-5, blocking=True,
@@ -339,10 +346,10 @@ def _checks(
             detail=f"{unknown} of {len(arrays['laser'])} returns without a laser; {attrs['laser_evidence']}",
         ),
         Check(
-            name="times_fall_with_the_azimuth", passed=apart <= _MOST_BESIDE_AZIMUTH,
-            detail=f"{apart:.1%} of the returns have times more than a quarter of a sweep beside those of a "
-            "sensor that spins clockwise and is cut behind the car: what returns and what moves is looked up "
-            "by azimuth, and wrong for them; cut the scans behind the car, or leave their times out",
+            name="times_follow_the_azimuth", passed=apart <= _MOST_BESIDE_CLOCK,
+            detail=f"{apart:.1%} of the returns have times that are not a spinning sensor's: what scans "
+            "recorded beside a ray, and what moves, is looked up by azimuth, and wrong for them; correct the "
+            "times, or leave them out",
         ),
         Check(
             name="scans_are_in_file_order", passed=ordered == len(scans),

@@ -57,6 +57,7 @@ _SAME: dict[str, tuple[str, ...]] = {"i8": ("f8",), "f8": ("i8",)}
 _SUPPORT = "what recorded data know of it: 0 = guessed, 1 = extrapolated, 2 = seen"
 _POSE = "4x4, row by row; an empty list where there is none"
 
+_CLOCK = "spin, cut, lag: see `SweepClock`; absent = clockwise, cut behind"
 CONTRACT: tuple[FileSpec, ...] = (
     FileSpec(
         "frames", "frames/frames.parquet", "parquet", "One row a frame of the section.",
@@ -104,8 +105,13 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("points_m", "f4", ("returns", 3), "m", "as recorded: sensor frame, file order"),
             Entry("intensity", "f4", ("returns",), "1", "0 to 1"),
             Entry("laser", "i2", ("returns",), "1", "0 = top; -1 = unknown"),
-            Entry("firing", "i2", ("returns",), "1", "index within the sweep, by time; -1 = unknown"),
-            Entry("sweep_fraction", "f4", ("returns",), "turn", "after the pose's instant, -0.5 to 0.5"),
+            Entry("firing", "i2", ("returns",), "1", "index, clockwise from behind; -1 = unknown"),
+            Entry("sweep_fraction", "f4", ("returns",), "turn", "-azimuth / 2 pi of the firing, -0.5 to 0.5"),
+            Entry(
+                "elapsed", "f4", ("returns",), "turn",
+                "sweeps after the pose's instant, as recorded; absent = `sweep_fraction`", optional=True,
+            ),
+            Entry("sweep_clock", "f8", ("scans", 3), "1", _CLOCK, optional=True),
             Entry("origin_m", "f4", ("returns", 3), "m", "of the ray, scene-local"),
             Entry("direction", "f4", ("returns", 3), "1", "of the ray, unit length, scene-local axes"),
             Entry("range_m", "f4", ("returns",), "m", "along that ray, without its laser's bias"),
@@ -207,6 +213,7 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry("ray_offsets", "i8", ("scans+1",), "1", "recorded rays of scan k", optional=True),
             Entry("ray_range_m", "f4", ("rays",), "m", "along recorded rays; inf = no answer", optional=True),
             Entry("ray_intensity", "f4", ("rays",), "1", "along recorded rays", optional=True),
+            Entry("sweep_clock", "f8", ("scans", 3), "1", _CLOCK, optional=True),
             Entry("grid_firings", "i8", ("scans",), "1", "of scan k: the others are padding", optional=True),
             Entry("grid_range_m", "f4", ("scans", "lasers", "firings"), "m", "free of noise", optional=True),
             Entry("grid_hit", "f4", ("scans", "lasers", "firings"), "1", "probability", optional=True),

@@ -16,7 +16,8 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.sensors.beam_table import encoder_angle, recorded_ray_of_points, turn_up
-from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
+from nvsf_core.sensors.lasers import FILE_ORDER
+from nvsf_core.sensors.scan_timing import scan_timing
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -237,7 +238,7 @@ def recorded_to_world(world, points_m, time_s):
 
 def test_recorded_ground_returns_land_on_the_road_by_the_ingest_rules(world):
     scan = simulate_scan(world, 5, np.arange(64), 525)
-    fraction = recover_timing(scan.points_m, HDL_64E).sweep_fraction
+    fraction = scan_timing(scan.points_m, HDL_64E).sweep_fraction
     time_s = 0.5 + fraction * 0.1
     assert np.abs(time_s - scan.time_s).max() < 1e-6
     street = in_street(world, recorded_to_world(world, scan.points_m.astype(float), time_s))
@@ -256,7 +257,7 @@ def test_recorded_ranges_are_the_worlds_along_the_ingested_rays(world):
     # Through the project's own ingest: lasers and times from the file alone, motion from the frames' poses.
     frame, times_s = 5, np.arange(12) * 0.1
     scan = simulate_scan(world, frame, np.arange(64), 1050)
-    timing = recover_timing(scan.points_m, HDL_64E)
+    timing = scan_timing(scan.points_m, HDL_64E)
     assert timing.source == FILE_ORDER and np.array_equal(timing.laser, scan.laser)
     origin, direction, range_m = recorded_ray_of_points(HDL_64E, scan.points_m, timing.laser)
     theta = encoder_angle(HDL_64E, scan.points_m, timing.laser)

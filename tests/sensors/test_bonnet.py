@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.drives.kitti360.scans import parse_scan, read_scan_bytes
 from nvsf_core.sensors.bonnet import Bonnet, ScanReturns, below_road, fit_bonnet
-from nvsf_core.sensors.lasers import recover_timing
+from nvsf_core.sensors.scan_timing import scan_timing
 from nvsf_core.sensors.tables import HDL_64E
 from tests.sensors.bonnet_street import SHAPE, WALL_M, scan_of_street
 
@@ -67,7 +67,7 @@ def test_returns_below_the_road_that_no_mirror_explains_make_no_bonnet() -> None
 def test_a_real_car_mirrors_what_lies_below_the_road() -> None:
     files = sorted(REAL.rglob("velodyne_points/data/*.bin"))
     scans = [parse_scan(path, read_scan_bytes(path)).points[:, :3] for path in (files[5], files[20])]
-    returns = [ScanReturns(points_m, recover_timing(points_m, HDL_64E).laser) for points_m in scans]
+    returns = [ScanReturns(points_m, scan_timing(points_m, HDL_64E).laser) for points_m in scans]
     bonnet = fit_bonnet(HDL_64E, returns)
     assert bonnet is not None and -0.9 < bonnet.shape[0] < -0.5
     below = sum(int(below_road(one.points_m).sum()) for one in returns)

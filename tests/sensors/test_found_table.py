@@ -9,8 +9,8 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.found_table import find_table
-from nvsf_core.sensors.given_timing import RING, given_timing
-from nvsf_core.sensors.lasers import FILE_ORDER, recover_timing
+from nvsf_core.sensors.lasers import FILE_ORDER
+from nvsf_core.sensors.scan_timing import RING, scan_timing
 from nvsf_core.sensors.tables import ATTRIBUTE, HDL_64E, recorded_table, table_facts
 from tests.conftest import SHARED
 
@@ -41,7 +41,7 @@ def test_the_32_lasers_of_a_scan_in_file_order_are_found(found):
 
 
 def test_scans_are_timed_by_a_found_table_as_by_the_known_one(found, scans):
-    timing, known = (recover_timing(scans[1].points_m, table) for table in (found.table, HDL_64E))
+    timing, known = (scan_timing(scans[1].points_m, table) for table in (found.table, HDL_64E))
     assert timing.source == FILE_ORDER
     assert np.array_equal(timing.laser, known.laser // 2) and timing.firings == known.firings
     apart = np.mod(timing.sweep_fraction - known.sweep_fraction + 0.5, 1.0) - 0.5
@@ -55,15 +55,15 @@ def test_rings_in_any_order_and_times_are_used(found, scans):
     made = find_table([(points_m, ring)]).table
     assert np.degrees(np.abs(made.elevation_rad - found.table.elevation_rad)).max() < 0.02
     offset_s = one.time_s[order] - 0.4
-    timing = given_timing(points_m, made, ring=ring, offset_s=offset_s, period_s=0.1)
+    timing = scan_timing(points_m, made, ring=ring, offset_s=offset_s, period_s=0.1)
     assert timing.source == RING and np.array_equal(timing.laser, one.laser[order])
-    assert np.allclose(timing.sweep_fraction, 10.0 * offset_s)
+    assert np.allclose(timing.elapsed, 10.0 * offset_s) and timing.share_beside_clock == 0.0
 
 
 def test_rings_that_are_not_lasers_are_not_believed(scans):
     one = scans[0]
     ring = np.arange(len(one.points_m)) % 32
-    timing = given_timing(one.points_m, HDL_64E, ring=ring, offset_s=None, period_s=0.1)
+    timing = scan_timing(one.points_m, HDL_64E, ring=ring)
     assert timing.source == FILE_ORDER and "not believed" in timing.evidence
 
 

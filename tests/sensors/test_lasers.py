@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from nvsf_core.sensors.beam_table import wrap_angle
-from nvsf_core.sensors.lasers import BEAM_TABLE, FILE_ORDER, UNKNOWN, recover_lasers, recover_timing
+from nvsf_core.sensors.lasers import BEAM_TABLE, FILE_ORDER, UNKNOWN, recover_lasers
+from nvsf_core.sensors.scan_timing import scan_timing
 from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.sensors.tables import HDL_64E, VLP_16
 
@@ -12,7 +13,7 @@ from nvsf_core.sensors.tables import HDL_64E, VLP_16
 )
 def test_a_real_scan_is_64_lasers_in_file_order_that_share_their_firings(scene, least, most, real_scans):
     for scan in real_scans(scene, 13):
-        timing = recover_timing(scan[:, :3], HDL_64E)
+        timing = scan_timing(scan[:, :3], HDL_64E)
         assert timing.source == FILE_ORDER
         assert "64 turns" in timing.evidence
         assert least <= timing.firings <= most
@@ -40,7 +41,7 @@ def test_a_shuffled_scan_is_assigned_by_the_beam_table(real_scans):
 @pytest.mark.parametrize("lasers", [range(64), range(0, 64, 8)])
 def test_lasers_and_firings_of_a_simulated_scan_are_found_again(firings, lasers, simulated_scan):
     points, laser, firing = simulated_scan(HDL_64E, np.array(lasers), firings)
-    timing = recover_timing(points, HDL_64E)
+    timing = scan_timing(points, HDL_64E)
     assert timing.source == FILE_ORDER
     np.testing.assert_array_equal(timing.laser, laser)
     assert timing.firings == firings
@@ -49,7 +50,7 @@ def test_lasers_and_firings_of_a_simulated_scan_are_found_again(firings, lasers,
 
 def test_time_grows_with_the_firing_and_is_shared_by_all_lasers(simulated_scan):
     points, _, _ = simulated_scan(HDL_64E, np.arange(64), 500)
-    timing = recover_timing(points, HDL_64E)
+    timing = scan_timing(points, HDL_64E)
     by_firing = [np.unique(timing.sweep_fraction[timing.firing == k]) for k in range(500)]
     assert all(len(times) == 1 for times in by_firing)
     times = np.concatenate(by_firing)
@@ -61,7 +62,7 @@ def test_time_grows_with_the_firing_and_is_shared_by_all_lasers(simulated_scan):
 def test_a_lost_packet_leaves_the_later_firings_where_they_were(simulated_scan):
     points, _, firing = simulated_scan(HDL_64E, np.arange(64), 2172)
     kept = (firing < 1000) | (firing >= 1006)
-    timing = recover_timing(points[kept], HDL_64E)
+    timing = scan_timing(points[kept], HDL_64E)
     assert timing.firings == 2172
     assert "6 of them lost" in timing.evidence
     np.testing.assert_array_equal(timing.firing, firing[kept])
@@ -72,7 +73,7 @@ def test_off_the_lattice_firings_come_from_the_spacing(simulated_scan):
     angle = 0.5 * HDL_64E.step_rad * np.random.default_rng(0).uniform(-1, 1, 500)[firing]
     cos, sin = np.cos(angle), np.sin(angle)
     x, y, z = points.T
-    timing = recover_timing(np.stack([cos * x - sin * y, sin * x + cos * y, z], 1), HDL_64E)
+    timing = scan_timing(np.stack([cos * x - sin * y, sin * x + cos * y, z], 1), HDL_64E)
     assert "no encoder lattice" in timing.evidence
     assert timing.firings == 500
     apart = np.abs((timing.firing - firing + 250) % 500 - 250)
@@ -82,17 +83,17 @@ def test_off_the_lattice_firings_come_from_the_spacing(simulated_scan):
 
 def test_a_sensor_that_is_not_the_tables_stays_unknown(simulated_scan):
     points, _, _ = simulated_scan(VLP_16, np.arange(16), 500)
-    timing = recover_timing(points, HDL_64E)
+    timing = scan_timing(points, HDL_64E)
     assert timing.source == UNKNOWN
     assert (timing.laser == -1).all()
     assert (timing.firing == -1).all()
     assert timing.firings == 0
     own = sweep_fraction(np.arctan2(points[:, 1], points[:, 0]))
     np.testing.assert_allclose(timing.sweep_fraction, own, atol=1e-6)
-    assert recover_timing(points, VLP_16).source == FILE_ORDER
+    assert scan_timing(points, VLP_16).source == FILE_ORDER
 
 
 def test_an_empty_scan_is_unknown():
-    timing = recover_timing(np.zeros((0, 3), np.float32), HDL_64E)
+    timing = scan_timing(np.zeros((0, 3), np.float32), HDL_64E)
     assert timing.source == UNKNOWN
     assert len(timing.sweep_fraction) == 0

@@ -14,6 +14,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts
 from nvsf_core.kernels.visibility import look_back
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import LaserTable
 
 CELL_M = 1.0
@@ -65,6 +66,8 @@ class TimedReturns:
     """The sensor."""
     elevation_correction_rad: float
     """Angle by which rays were turned up."""
+    clocks: tuple[SweepClock, ...] = ()
+    """(n,) when in each scan's sweep an azimuth was measured; empty = as by `SweepClock()`."""
 
     def __post_init__(self) -> None:
         """Check that the arrays belong together.
@@ -259,7 +262,8 @@ def _to_sensor(returns: TimedReturns) -> np.ndarray:
     """Poses scene to sensor (n, k, 3, 4) float32 at k moments of each sweep."""
     moments = _MOMENTS if returns.period_s > 0 else 1
     fraction = (np.arange(moments) + 0.5) / moments - 0.5
-    time_s = returns.scan_time_s[:, None] + fraction * returns.period_s
+    elapsed = np.array([clock.elapsed(fraction) for clock in returns.clocks]) if returns.clocks else fraction
+    time_s = returns.scan_time_s[:, None] + elapsed * returns.period_s
     rotation, position_m = returns.trajectory.at(time_s.ravel())
     inverse = invert_pose(pose_from_parts(rotation, position_m))[:, :3]
     return inverse.reshape(returns.scan_count, moments, 3, 4).astype(np.float32)

@@ -73,5 +73,4 @@ def returns_of_scan(sweeps: Sweeps, scan: int) -> tuple[np.ndarray, np.ndarray]:
     a, part = sweeps.arrays, sweeps.returns_of(scan)
     seen = sweeps.is_of_world(part)
     points = a["origin_m"][part][seen] + a["direction"][part][seen] * a["range_m"][part][seen, None]
-    fired_s = float(a["time_s"][scan]) + a["sweep_fraction"][part][seen].astype(np.float64) * sweeps.period_s
-    return points, fired_s
+    return points, sweeps.fired_s(scan)[seen]

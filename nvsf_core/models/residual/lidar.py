@@ -127,7 +127,7 @@ def _returned_rays(lidar: LidarRecording, scan: int, near_scans: np.ndarray) -> 
         sweeps.even_intensity(part)[kept],
         lidar.evidence.prior.hit_prior(a["laser"][part][kept], fraction, near_scans),
     )  # fmt: skip
-    return rays, float(a["time_s"][scan]) + fraction.astype(np.float64) * sweeps.period_s
+    return rays, sweeps.fired_s(scan)[kept]
 
 
 def _dropped_rays(lidar: LidarRecording, number: int, near_scans: np.ndarray) -> tuple[LidarRays, np.ndarray]:
@@ -142,7 +142,8 @@ def _dropped_rays(lidar: LidarRecording, number: int, near_scans: np.ndarray) ->
     when = prior.fraction[number][firing].astype(np.float64)
     shift = (table.phase_steps - table.firing_shift_steps)[laser] * table.step_rad
     origin, direction = corrected_rays(table, -2.0 * np.pi * when + shift, laser)
-    fired_s = prior.time_s[number] + when * sweeps.period_s
+    scan = int(np.flatnonzero(sweeps.is_training)[number])
+    fired_s = prior.time_s[number] + sweeps.clock_of(scan).elapsed(when) * sweeps.period_s
     origin, direction = sweeps.trajectory.move_rays(origin, direction, fired_s)
     nothing = np.zeros(len(laser), np.float32)
     hit_prior = prior.hit_prior(laser, when, near_scans)

@@ -13,6 +13,7 @@ from nvsf_core.numerics import probability_logit
 from nvsf_core.sensors.beam_table import turn_up
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
+from nvsf_core.sensors.sweep_clock import SweepClock
 
 _SAME_M, _SAME_SHARE = 0.2, 0.01
 """Two ranges are of the same surface if they differ by less than 0.2 m plus 1 % of the range."""
@@ -32,6 +33,8 @@ class RecordedPanos:
     """Of the sensor."""
     period_s: float
     """Of a sweep; 0 where all rays are fired at once."""
+    clocks: tuple[SweepClock, ...]
+    """(n,) when in each scan's sweep an azimuth is measured."""
     turn_up_rad: float
     """Angle by which recorded directions are turned up on their way into the world."""
 
@@ -103,7 +106,9 @@ def _to_scene(
     azimuth = np.arctan2(direction[0, :, 1], direction[0, :, 0])
     points = direction[row, column] * range_m[:, None]
     up, _ = turn_up(points, points, azimuth[column], panos.turn_up_rad)
-    rotation, position = panos.trajectory.at(time_s + sweep_fraction(azimuth) * panos.period_s)
+    clock = panos.clocks[int(np.abs(panos.time_s - time_s).argmin())]
+    elapsed = clock.elapsed(sweep_fraction(azimuth))
+    rotation, position = panos.trajectory.at(time_s + elapsed * panos.period_s)
     found: np.ndarray = np.einsum("nij,nj->ni", rotation[column], up) + position[column]
     return found
 
@@ -113,7 +118,8 @@ def _cells_in(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cells (n,) int64 of a recorded scan towards scene-local points (n, 3), -1 outside, and their ranges."""
     centre = np.arctan2(*np.swapaxes(pano.directions()[0, :, 1::-1], 0, 1))
-    rotation, position = panos.trajectory.at(panos.time_s[scan] + sweep_fraction(centre) * panos.period_s)
+    elapsed = panos.clocks[scan].elapsed(sweep_fraction(centre))
+    rotation, position = panos.trajectory.at(panos.time_s[scan] + elapsed * panos.period_s)
     column = np.full(len(world), pano.width // 2)
     for _ in range(2):
         # Azimuth and the sensor's pose at that azimuth depend on each other; two passes are enough.

@@ -11,6 +11,8 @@ from nvsf_core.drives.view_entry import MEASURED, ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.sensors.sweep import sweep_fraction
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
 from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ImageRecord, ScanRecord
@@ -79,8 +81,7 @@ class RenderedView:
             own = slice(int(a["offsets"][index]), int(a["offsets"][index + 1]))
             rows = np.concatenate([a["points_m"][own], a["intensity"][own, None]], axis=1).astype(np.float32)
             ring = a["laser"][own] if "laser" in a else np.zeros(len(rows))
-            # A sensor spins clockwise: a return at azimuth a comes -a / 2 pi of a sweep after the stamp.
-            fraction = -np.arctan2(rows[:, 1].astype(np.float64), rows[:, 0]) / (2.0 * np.pi)
+            fraction = sweep_fraction(np.arctan2(rows[:, 1].astype(np.float64), rows[:, 0]))
             support = a["support"][own] if "support" in a else None
         else:
             grid = {name: a[name][index] for name in GRID_ARRAYS}
@@ -94,9 +95,10 @@ class RenderedView:
             firings = int(a["grid_firings"][index]) if "grid_firings" in a else grid[GRID_ARRAYS[0]].shape[1]
             fraction = (column + 0.5) / firings - 0.5
             support = a["grid_support"][index].reshape(-1)[ray] if "grid_support" in a else None
+        elapsed = SweepClock.stored(a.get("sweep_clock"), index).elapsed(fraction)
         return ScanRecord(
             number=self.numbers[index], rows=rows, ring=ring.astype("<u2"),
-            offset_s=(fraction * period_s).astype("<f4"), support=support, stamp_s=float(self.stamp_s[index]),
+            offset_s=(elapsed * period_s).astype("<f4"), support=support, stamp_s=float(self.stamp_s[index]),
             time_s=float(a["time_s"][index]), lidar_to_world=a["lidar_to_world"][index],
         )  # fmt: skip
 

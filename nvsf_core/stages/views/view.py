@@ -19,6 +19,7 @@ from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.simulation.scan import measured_range_noise_m
 from nvsf_core.simulation.view_plan import SweepPlan, ViewPlan, plan_sweeps, plan_view
 from nvsf_core.stages.runner.stage import Task
@@ -162,7 +163,16 @@ def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
 def placed(recording: Recording, view: View) -> dict[str, np.ndarray]:
     """Arrays of the data contract on a view's instants and poses."""
     poses = to_world(recording, reference_poses(recording, view.plan))
-    return plan_arrays(view.plan) | {"lidar_to_world": poses}
+    return plan_arrays(view.plan) | {"lidar_to_world": poses} | _clocks(recording, view)
+
+
+def _clocks(recording: Recording, view: View) -> dict[str, np.ndarray]:
+    """The clocks of a view's sweeps, where the recording sensor has one that is not the usual."""
+    if recording.lidar is None or view.sweeps is None or not view.sweeps.is_recorded_sensor:
+        return {}
+    sweeps = recording.lidar.sweeps
+    clocks = [sweeps.clock_near(time_s) for time_s in view.plan.near.tolist()]
+    return {} if set(clocks) <= {SweepClock()} else {"sweep_clock": np.array(clocks, np.float64)}
 
 
 def view_attrs(recording: Recording, view: View, *, by_images: bool = False) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import numpy as np
 from nvsf_core.models.residual.pano_neighbours import RecordedPanos, ask_neighbours
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_clock import SweepClock
 
 PANO = LinearPano(reference_quirks=True)
 STEP_M, RADIUS_M = 1.0, 15.0
@@ -18,7 +19,7 @@ def drive() -> RecordedPanos:
     found = [_wall(pose[:3, 3]) for pose in poses]
     trajectory = Trajectory(TIMES_S, poses, np.eye(4))
     ranges, shines = (np.stack(images).astype(np.float32) for images in zip(*found, strict=True))
-    return RecordedPanos(TIMES_S, ranges, shines, trajectory, 0.0, 0.0)
+    return RecordedPanos(TIMES_S, ranges, shines, trajectory, 0.0, (SweepClock(),) * len(TIMES_S), 0.0)
 
 
 def _wall(centre_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

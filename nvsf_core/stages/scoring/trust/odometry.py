@@ -11,8 +11,9 @@ from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.trust.path_error import step_error_m
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.sensors.sweep import sweep_fraction
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.stages.scoring.lidar import part
-from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.arrays import holds_array, read_arrays
 
 _LEAST_SCANS = 8
 """Fewer tell nothing: KISS-ICP needs some scans to learn how the sensor moves."""
@@ -38,7 +39,11 @@ def odometry_errors(path: Path, sweeps: Sweeps) -> tuple[Measure, Measure]:
     if len(steps_s) + 1 < _LEAST_SCANS or not ((steps_s > 0) & (steps_s < _LARGEST_STEP * step_s)).all():
         reason = absent(f"a path needs {_LEAST_SCANS} or more consecutive scans; ask for all frames")
         return reason, reason
-    rendered = [_timed(a["points_m"][part(a["offsets"], i)]) for i in range(len(a["frame"]))]
+    clocks = read_arrays(path, "sweep_clock")["sweep_clock"] if holds_array(path, "sweep_clock") else None
+    rendered = [
+        _timed(a["points_m"][part(a["offsets"], i)], SweepClock.stored(clocks, i))
+        for i in range(len(a["frame"]))
+    ]
     try:
         mine = _error(rendered, a["lidar_to_world"])
     except (DataError, MissingLibraryError) as error:
@@ -46,7 +51,9 @@ def odometry_errors(path: Path, sweeps: Sweeps) -> tuple[Measure, Measure]:
     rows = np.flatnonzero(np.isin(sweeps.arrays["frame"], a["frame"]))
     if len(rows) < _LEAST_SCANS:
         return mine, absent("too few of these frames were recorded")
-    recorded = [_timed(sweeps.arrays["points_m"][sweeps.returns_of(k)]) for k in rows.tolist()]
+    recorded = [
+        _timed(sweeps.arrays["points_m"][sweeps.returns_of(k)], sweeps.clock_of(k)) for k in rows.tolist()
+    ]
     try:
         return mine, _error(recorded, sweeps.arrays["lidar_to_world"][rows])
     except DataError as error:
@@ -58,6 +65,6 @@ def _error(scans: Sequence[tuple[np.ndarray, np.ndarray]], poses: np.ndarray) ->
     return Measure(step_error_m(estimated[_SETTLED:], poses[_SETTLED:]), len(poses) - 1 - _SETTLED)
 
 
-def _timed(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _timed(points_m: np.ndarray, clock: SweepClock) -> tuple[np.ndarray, np.ndarray]:
     """Points and when in the sweep their azimuths are measured."""
-    return points_m, sweep_fraction(np.arctan2(points_m[:, 1], points_m[:, 0]))
+    return points_m, clock.elapsed(sweep_fraction(np.arctan2(points_m[:, 1], points_m[:, 0])))

@@ -42,6 +42,7 @@ from nvsf_core.metrics.trust.scan_statistics import (
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
+from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import LaserTable
 from nvsf_core.simulation.raydrop import rays_return
 from nvsf_core.simulation.view_plan import table_of
@@ -186,9 +187,10 @@ class RecordedScans:
         mount = poses_in(reference, scan.lidar_to_world)
         mounted = Trajectory(path.times_s, path.lidar_to_world @ mount, sweeps.trajectory.scene_to_world)
         is_own = scan.table.name == self.sensor
-        azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
+        clock = sweeps.clock_near(scan.moment_s) if is_own else SweepClock()
+        elapsed = clock.elapsed(sweep_fraction(np.arctan2(points_m[:, 1], points_m[:, 0])))
         origin_m, direction, range_m = compensate(
-            scan.table, points_m, laser, scan.moment_s + sweep_fraction(azimuth_rad) * scan.sweep_s, mounted,
+            scan.table, points_m, laser, scan.moment_s + elapsed * scan.sweep_s, mounted,
             elevation_correction_rad=sweeps.elevation_correction_rad if is_own else None,
         )  # fmt: skip
         return np.asarray(origin_m + direction * range_m[:, None])
