@@ -19,7 +19,9 @@ import torch
 from nvsf_core.thread_count import thread_count
 
 MOST_VIEWS = 8
-"""Most views that are rendered at once: an image of full size takes up to a GB."""
+"""Most views that are rendered at once."""
+_BYTES_A_PIXEL, _BYTES_AT_ONCE = 400, 4 << 30
+"""Memory that rendering an image takes beside what the drive takes, and that all at once may take."""
 _Part = TypeVar("_Part")
 
 
@@ -53,6 +55,11 @@ def in_parts(work: Callable[[int], _Part], parts: int, at_once: int | None = Non
             return work(part)
 
     return list(_pool(threads).map(one, range(parts)))
+
+
+def images_at_once(pixels: int) -> int:
+    """Most images of so many pixels that are rendered at once, by memory: one of 8 million takes 3 GB."""
+    return max(1, min(MOST_VIEWS, _BYTES_AT_ONCE // (_BYTES_A_PIXEL * pixels)))
 
 
 def other_threads(most: int) -> ThreadPoolExecutor:

@@ -142,13 +142,17 @@ def inverse_depth(
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
     """Indices of the (at most) `most` cameras nearest to a view, the nearest first; ties keep their order.
 
+    Those that look more than 90 degrees away from where the view looks come after all others: where a road is
+    driven there and back, they are near and show nothing of it.
+
     Args:
         target_pose: (4, 4) camera to scene-local frame, of the view.
         source_poses: (k, 4, 4) camera to scene-local frame.
         most: Largest number of indices.
     """
     distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
-    return [int(i) for i in np.argsort(distances, kind="stable")[:most]]
+    looks_away = source_poses[:, :3, 2] @ target_pose[:3, 2] < 0.0
+    return [int(i) for i in np.lexsort((distances, looks_away))[:most]]
 
 
 def view_depth(

@@ -262,13 +262,16 @@ def _inverted(motions: np.ndarray) -> np.ndarray:
 def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:
     """Images at several distances from an image: near ones look alike, far ones tell depths apart.
 
+    Images that look more than 90 degrees away from it are not chosen.
+
     Args:
         poses: (j, 4, 4) camera to scene-local frame of all images.
         own: Number of the image.
         known: Numbers of the images to choose from.
         most: How many are chosen.
     """
-    left = [number for number in known if number != own]
+    looks_alike = poses[:, :3, 2] @ poses[own][:3, 2] >= 0.0
+    left = [number for number in known if number != own and looks_alike[number]]
     chosen: list[int] = []
     for step in range(min(most, len(left))):
         away_m = np.linalg.norm(poses[left][:, :3, 3] - poses[own][:3, 3], axis=1)

@@ -23,6 +23,10 @@ _LOST_GAP = 2.5
 _LATTICE_RESIDUAL_STEPS = 0.15
 """Largest mean distance from the lattice: 0.02 in real scans, 0.25 where there is no lattice."""
 
+_MOST_TIMES_USUAL = 4
+"""Of a sensor whose encoder is not known, a rotation may have so many times its usual firings: makers let the
+user choose a slower rotation, or more columns."""
+
 
 def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, str, str]:
     """Laser of each return (N,) int16, how it was recovered, and why; as `ScanTiming` has them.
@@ -90,13 +94,20 @@ def recover_firings(
         silent = len(columns) - len(seen)
         return firing, azimuth_rad, f"{said}, {silent} of them lost" if silent else said
     count = _firings_by_spacing(theta_steps * table.step_rad, ids)
-    if count > table.lattice_steps:
-        said = f"{count} firings by the returns' spacing, more than the encoder's {table.lattice_steps} steps"
+    if count > _most_firings(table):
+        said = f"{count} firings by the returns' spacing, {table.name} has at most {_most_firings(table)}"
         return firing, np.zeros(0), f"firings unknown: {said}"
     gone_by_turns = (np.pi - wrap_angle(shifted)) / (2.0 * np.pi)
     firing[known] = np.floor(gone_by_turns * count).astype(np.int64) % count
     azimuth_rad = np.pi - (np.arange(count) + 0.5) * (2.0 * np.pi / count)
     return firing, azimuth_rad, f"no encoder lattice; {count} firings by the returns' spacing"
+
+
+def _most_firings(table: LaserTable) -> int:
+    """Most firings that a sweep may have: the encoder's steps, where they are known."""
+    if table.lattice_steps > table.firings_per_turn:
+        return table.lattice_steps
+    return _MOST_TIMES_USUAL * table.firings_per_turn
 
 
 def _mend_seam(

@@ -71,7 +71,7 @@ def scan_timing(
     laser, source, evidence = _lasers(points_m, table, ring)
     firing, firing_azimuth_rad, said = recover_firings(points_m, laser, table)
     azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64)
-    if said:
+    if len(firing_azimuth_rad):
         azimuth_rad = np.where(firing >= 0, firing_azimuth_rad[firing], azimuth_rad)
     fraction = sweep_fraction(azimuth_rad)
     elapsed, clock, words = fraction, SweepClock(), "times from the azimuth"

@@ -39,7 +39,7 @@ def render_beams(
 
     Returns:
         Range of the strongest return (mean of its rays, metres), its hit probability (likewise), and its
-        intensity, the sum of its rays' shares.
+        intensity, the sum of its rays' shares; what else is known of a ray is that of the beam's axis.
     """
     parts = [
         render_in_chunks(render, origin_m, one, hit_prior, time_s)
@@ -66,6 +66,8 @@ def render_beams(
             np.float32
         ),
         intensity=(chosen * _SHARES[:, None] * shine).sum(axis=0).astype(np.float32),
+        hit_prior=parts[0].hit_prior,
+        on_object=parts[0].on_object,
     )
 
 

@@ -44,7 +44,7 @@ def measured_when_stationary(
     Args:
         rendered: Of r rays of a sweep of the recording sensor.
         laser: (r,) row of the sensor's table.
-        fraction: (r,) time after the sweep's pose, in sweeps.
+        fraction: (r,) -azimuth / 2 pi of the rays' firings, -0.5..0.5.
         lidar: The recording.
         instant_s: Time of the sweep's pose.
         leave_out: Index of a training scan that is not used.

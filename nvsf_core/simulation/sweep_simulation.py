@@ -185,7 +185,12 @@ def render_along(
         rendered = ask_unobserved(rendered, model.unobserved, *columns, laser, sweeps.table)
     if model.as_recorded:
         return rendered
-    return measured_when_stationary(rendered, known, fraction, lidar, time_s)
+    measured = measured_when_stationary(rendered, known, fraction, lidar, time_s)
+    # What stationary scans measured is known by laser.
+    names = ("range_m", "hit", "intensity")
+    return RenderedRays(
+        *(np.where(laser >= 0, getattr(measured, name), getattr(rendered, name)) for name in names)
+    )
 
 
 def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:

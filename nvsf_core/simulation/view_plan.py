@@ -217,9 +217,17 @@ def plan_sweeps(
         recorded_table: The sensor that recorded the drive.
         sensor: A known sensor's name or one of one's own; None = the one that recorded the drive.
         has_footprint: Whether its beams have the width of its table.
+
+    Raises:
+        DataError: Beams are to have a width, and that of the recording sensor is not known.
     """
     is_recorded = sensor is None or sensor == recorded_table.name
     table = recorded_table if is_recorded else table_of(sensor, recorded_table)
+    if has_footprint and table.divergence_mrad == 0.0:
+        raise DataError(
+            f"view {view.name}: footprint: the beam width of {table.name} is not known; give it as "
+            "`divergence_mrad` of a [[sensor]] of your own, or leave `footprint` out"
+        )
     same = {one.name: getattr(view, one.name) for one in fields(ViewPlan)}
     period_s = None if table.rate_hz is None else 1.0 / table.rate_hz
     return SweepPlan(

@@ -119,6 +119,12 @@ def test_the_two_nearest_sources_are_chosen() -> None:
     assert nearest_sources(pose(0.0), places) == [1, 2]
 
 
+def test_sources_that_look_the_other_way_come_last() -> None:
+    places = np.stack([pose(x) for x in (0.5, 1.0, 5.0, 9.0)])
+    places[:2, :3, :3] = np.diag([-1.0, 1.0, -1.0])
+    assert nearest_sources(pose(0.0), places, 3) == [2, 3, 0]
+
+
 def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(ShapeError, match="source images"):
         nothing = np.zeros((0, 64, 128, 3), np.uint8)

@@ -319,6 +319,9 @@ def test_depths_are_found_with_images_at_growing_distances() -> None:
     chosen = baseline_sources(poses, 0, list(range(len(poses))), 4)
     assert poses[chosen][:, 2, 3].tolist() == [0.75, 1.5, 3.0, 6.0]
     assert baseline_sources(poses[:3], 0, [0, 1, 2], 4) == [2, 1]
+    poses[1::2, :3, :3] = np.diag([-1.0, 1.0, -1.0])
+    chosen = baseline_sources(poses, 0, list(range(len(poses))), 4)
+    assert len(chosen) == 4 and all(number % 2 == 0 for number in chosen), "what looks back shows nothing"
 
 
 def test_ranks_are_dense_at_first_and_reach_far() -> None:

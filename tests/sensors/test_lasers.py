@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from nvsf_core.sensors.beam_table import wrap_angle
+from nvsf_core.sensors.beam_table import sensor_rays, wrap_angle
 from nvsf_core.sensors.lasers import BEAM_TABLE, FILE_ORDER, UNKNOWN, recover_lasers
 from nvsf_core.sensors.scan_timing import scan_timing
 from nvsf_core.sensors.sweep import sweep_fraction
-from nvsf_core.sensors.tables import HDL_64E, VLP_16
+from nvsf_core.sensors.tables import HDL_64E, OS1_64, VLP_16, LaserTable
 
 
 @pytest.mark.parametrize(
@@ -97,3 +97,24 @@ def test_an_empty_scan_is_unknown():
     timing = scan_timing(np.zeros((0, 3), np.float32), HDL_64E)
     assert timing.source == UNKNOWN
     assert len(timing.sweep_fraction) == 0
+
+
+def even_scan(table: LaserTable, firings: int) -> np.ndarray:
+    """(N, 3) points 10 m away, laser after laser, of firings that lie between the table's usual ones."""
+    azimuth = np.tile((np.arange(firings) + 0.5) * (2.0 * np.pi / firings), (table.laser_count, 1))
+    origin, direction = sensor_rays(table, azimuth, np.arange(table.laser_count)[:, None])
+    return (origin + 10.0 * direction).reshape(-1, 3)
+
+
+@pytest.mark.parametrize(("table", "firings"), [(VLP_16, 3616), (OS1_64, 2048)])
+def test_a_sensor_with_more_firings_than_usual_is_timed(table: LaserTable, firings: int) -> None:
+    timing = scan_timing(even_scan(table, firings), table)
+    assert timing.firings == pytest.approx(firings, rel=0.02) and (timing.firing >= 0).all()
+
+
+def test_a_scan_with_far_too_many_firings_is_timed_by_its_azimuths() -> None:
+    points = even_scan(VLP_16, 9000)
+    timing = scan_timing(points, VLP_16)
+    own = sweep_fraction(np.arctan2(points[:, 1], points[:, 0]))
+    np.testing.assert_allclose(timing.sweep_fraction, own, atol=1e-6)
+    assert timing.firings == 0 and "at most" in timing.evidence

@@ -54,7 +54,7 @@ def test_a_beam_at_an_edge_gives_the_range_of_its_stronger_side_and_a_thin_ray_i
         near = direction[:, 1] > 2e-4  # a post begins a little to the left of the ray's axis
         return RenderedRays(
             np.where(near, 5.0, 20.0).astype(np.float32), np.ones(len(near), np.float32),
-            np.where(near, 0.9, 0.05).astype(np.float32),
+            np.where(near, 0.9, 0.05).astype(np.float32), hit_prior,
         )  # fmt: skip
 
     ahead = np.array([[1.0, 0.0, 0.0]], np.float32)
@@ -64,3 +64,4 @@ def test_a_beam_at_an_edge_gives_the_range_of_its_stronger_side_and_a_thin_ray_i
     assert wide.range_m[0] == 5.0 and wide.hit[0] == pytest.approx(1.0)
     assert wide.intensity[0] == pytest.approx(0.125 * 0.9), "an eighth of the light falls on the post"
     assert thin.range_m[0] == 20.0 and thin.hit[0] == pytest.approx(1.0)
+    assert wide.hit_prior is not None and wide.hit_prior.tolist() == [1.0], "who corrects hits asks for it"

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
-from nvsf_core.evidence.moving.path_fitting import Path, carry_on, solve_path
+from nvsf_core.evidence.moving.path_fitting import LONGEST_FRAME_S, Path, carry_on, solve_path
 from nvsf_core.evidence.moving.visibility import (
     SEED,
     STATIC,
@@ -48,13 +48,15 @@ _NEW_GATE_M = 2.2
 """Metres per frame that an object seen in one scan may have moved."""
 _GATE_M = 0.8
 """Metres per frame that an object may be away from its prediction."""
+_HARD_M_S2 = 4.0
+"""Braking, or a bend."""
 _FASTEST_M_S = 45.0
 """A first step longer than `_MOST_COST` is believed up to this speed, if the next scan goes on with it."""
 _ALIKE_SIZE = 1.5
 """Such steps are between clusters whose sizes differ by at most this factor."""
 _MOST_COST = 1.6
 _SIZE_COST_M = 0.3
-_LONGEST_GAP_FRAMES = 3.5
+_LONGEST_GAP_FRAMES, _LONGEST_GAP_SCANS = 3.5, 1.5
 _LEAST_SCANS = 3
 _LEAST_MOVED_M = 0.5
 _LEAST_SPEED_M = 0.04
@@ -191,18 +193,25 @@ class Track:
         return last[-1].centre_m + velocity * (time_s - last[-1].time_s)
 
 
-def link_tracks(clusters_by_scan: list[list[Cluster]], frame_s: float, density: float = 1.0) -> list[Track]:
+def link_tracks(
+    clusters_by_scan: list[list[Cluster]], frame_s: float, density: float = 1.0, *, scan_step_s: float = 0.0
+) -> list[Track]:
     """Join clusters scan by scan, greedily by cost, and keep the tracks that have moved.
 
-    `density`, from `laser_density`, scales the number of returns that a track needs.
+    Args:
+        clusters_by_scan: Of the scans, ascending in time.
+        frame_s: Seconds from frame to frame of the recording.
+        density: From `laser_density`: scales the number of returns that a track needs.
+        scan_step_s: Seconds from scan to scan, where more frames are held out than between most scans.
     """
+    longest_s = max(_LONGEST_GAP_FRAMES * frame_s, _LONGEST_GAP_SCANS * scan_step_s)
     tracks: list[Track] = []
     for scan, clusters in enumerate(clusters_by_scan):
         if not clusters:
             continue
         later = next((one for one in clusters_by_scan[scan + 1 :] if one), [])
         now_s = min(cluster.time_s for cluster in clusters)
-        alive = [t for t in tracks if now_s - t.clusters[-1].time_s < _LONGEST_GAP_FRAMES * frame_s]
+        alive = [t for t in tracks if now_s - t.clusters[-1].time_s < longest_s]
         options = sorted(
             (cost, i, k)
             for i, track in enumerate(alive)
@@ -231,7 +240,7 @@ def _cost(track: Track, cluster: Cluster, frame_s: float, later: list[Cluster]) 
         return np.inf
     distance = float(np.linalg.norm(cluster.centre_m - track.predict(cluster.time_s)))
     is_new = len(track.clusters) == 1
-    gate = (_NEW_GATE_M if is_new else _GATE_M) * max(frames, 1.0)
+    gate = (_NEW_GATE_M if is_new else _gate_m_a_frame(frame_s)) * max(frames, 1.0)
     ratio = max(cluster.size_m, 0.1) / max(last.size_m, 0.1)
     cost = distance / max(frames, 1.0) + _SIZE_COST_M * abs(float(np.log(ratio)))
     if distance <= gate and cost < _MOST_COST:
@@ -246,13 +255,19 @@ def _cost(track: Track, cluster: Cluster, frame_s: float, later: list[Cluster]) 
 def _is_followed(first: Cluster, second: Cluster, later: list[Cluster], frame_s: float) -> bool:
     """Whether a cluster of the next scan lies where the step from the first to the second goes on to."""
     velocity = (second.centre_m - first.centre_m) / (second.time_s - first.time_s)
+    gate_m = _gate_m_a_frame(frame_s)
 
     def goes_on(third: Cluster) -> bool:
         after_s = third.time_s - second.time_s
         away_m = float(np.linalg.norm(third.centre_m - second.centre_m - velocity * after_s))
-        return after_s > 0.0 and away_m <= _GATE_M * max(after_s / frame_s, 1.0) and _are_alike(second, third)
+        return after_s > 0.0 and away_m <= gate_m * max(after_s / frame_s, 1.0) and _are_alike(second, third)
 
     return _are_alike(first, second) and any(map(goes_on, later))
+
+
+def _gate_m_a_frame(frame_s: float) -> float:
+    """`_GATE_M`, and what braking or a bend adds where frames are rarer than of a sensor of 10 Hz."""
+    return _GATE_M + _HARD_M_S2 * frame_s * max(0.0, frame_s - LONGEST_FRAME_S)
 
 
 def _are_alike(one: Cluster, other: Cluster) -> bool:
@@ -303,7 +318,9 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     clusters = [
         cluster_scan(scan, returns, above_ground, range_m, spacing_rad) for scan in range(returns.scan_count)
     ]
-    paths = [start_path(track) for track in link_tracks(clusters, returns.frame_s, density)]
+    step_s = float(np.median(np.diff(returns.scan_time_s)))
+    tracks = link_tracks(clusters, returns.frame_s, density, scan_step_s=step_s)
+    paths = [start_path(track) for track in tracks]
 
     def follow(number: int) -> None:
         solve_path(paths[number], returns)

@@ -330,11 +330,20 @@ _LEAST_SIDE_M = 0.1
 
 def boxes_on_way(one: ObjectEvidence) -> np.ndarray:
     """(k, 4, 4) from the unit cube, +-0.5, to the scene-local frame, metres, at each time of its path."""
-    path = one.path
-    away_m = path.pose[-1, :3] - path.pose[0, :3]
-    ahead = path.turn_to_object(away_m[None], path.pose[:1, 3])[0, :2]
-    boxes: np.ndarray = path.matrix_at(path.time_s) @ smallest_box(one.rays.point_m(one.rays.is_hit), ahead)
+    box = smallest_box(one.rays.point_m(one.rays.is_hit), way_ahead(one.path))
+    boxes: np.ndarray = one.path.matrix_at(one.path.time_s) @ box
     return boxes
+
+
+def way_ahead(path: MovingObject) -> np.ndarray:
+    """(2,) x and y of the direction of travel in the object's own frame, of any length.
+
+    It is the sum of the path's steps as the object itself makes them: of one that turned, the way from first
+    to last tells nothing.
+    """
+    yaw_rad = 0.5 * (path.pose[:-1, 3] + path.pose[1:, 3])
+    steps_m = path.turn_to_object(np.diff(path.pose[:, :3], axis=0), yaw_rad)
+    return np.asarray(steps_m.sum(axis=0)[:2])
 
 
 def smallest_box(point_m: np.ndarray, ahead: np.ndarray) -> np.ndarray:

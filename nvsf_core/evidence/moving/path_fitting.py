@@ -162,7 +162,10 @@ def solve_path(path: Path, returns: TimedReturns) -> None:
     # In both directions: a partial view matches a fuller one well, but not the other way round.
     i, k = np.concatenate([i, k]), np.concatenate([k, i])
     pairs = register(clouds, i, k, path.pose[k, :3] - path.pose[i, :3])
-    time_frames = (path.time_s - path.time_s[0]) / returns.frame_s
+    if len(pairs.first) == 0:
+        # Nothing tells how its clouds fit each other: it stays where its clusters are.
+        return
+    time_frames = (path.time_s - path.time_s[0]) / min(returns.frame_s, LONGEST_FRAME_S)
     path.pose = smooth_poses(path.pose, time_frames, pairs)
 
 
@@ -275,6 +278,9 @@ def _velocity(time_s: np.ndarray, position_m: np.ndarray) -> np.ndarray:
     return np.broadcast_to(np.asarray(slope, np.float64), position_m.shape)
 
 
+LONGEST_FRAME_S = 0.12
+"""What is known of motion a frame is of sensors of 10 Hz and more: things brake and turn no less because they
+are seen less often."""
 _STEPS = 8
 _JERK = np.array([0.03, 0.03, 0.009, 0.01])
 """Standard deviation of the acceleration of x, y, z (metres per frame^2) and yaw (radians per frame^2)."""

@@ -112,16 +112,18 @@ class TimedReturns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundMap:
-    """Height of the ground in square cells of one metre."""
+    """Height of the ground in square cells."""
 
     origin_m: np.ndarray
     """(2,) float64, lower corner in x and y, scene-local metres."""
     height_m: np.ndarray
     """(a, b) float32, scene-local z in metres, by x and y cell."""
+    cell_m: float = CELL_M
+    """Side of a cell."""
 
     def above(self, point_m: np.ndarray) -> np.ndarray:
         """Heights (N,) float32 metres of scene-local points (N, 3) above the ground of the nearest cell."""
-        column = np.floor((point_m[:, :2] - self.origin_m) / CELL_M).astype(np.int32)
+        column = np.floor((point_m[:, :2] - self.origin_m) / self.cell_m).astype(np.int32)
         column = np.clip(column, 0, np.array(self.height_m.shape) - 1)
         return (point_m[:, 2] - self.height_m[column[:, 0], column[:, 1]]).astype(np.float32)
 
@@ -137,11 +139,11 @@ def build_ground(point_m: np.ndarray) -> GroundMap:
     point_m = point_m[:: max(1, len(point_m) // _MOST_RETURNS)]
     # A few returns far off would make the map huge: beyond the extent of nearly all the border holds.
     low, high = np.quantile(point_m[:, :2], [0.0005, 0.9995], axis=0)
-    origin = np.floor(low / CELL_M) * CELL_M
-    shape = np.maximum(np.ceil((high - origin) / CELL_M).astype(np.int64), 1)
-    # A long narrow drive may have a long narrow map.
-    shape = np.minimum(shape, max(int(_MOST_CELLS**0.5), _MOST_CELLS // int(shape.min())))
-    cell = np.floor((point_m[:, :2] - origin) / CELL_M).astype(np.int64)
+    # A drive of some square kilometres has coarser cells, so that its map has a bounded size.
+    cell_m = CELL_M * max(1.0, float(np.ceil(np.sqrt(np.prod((high - low) / CELL_M) / _MOST_CELLS))))
+    origin = np.floor(low / cell_m) * cell_m
+    shape = np.maximum(np.ceil((high - origin) / cell_m).astype(np.int64), 1)
+    cell = np.floor((point_m[:, :2] - origin) / cell_m).astype(np.int64)
     within = np.all((cell >= 0) & (cell < shape), axis=1)
     height = _percentile_by_cell(cell[within, 0] * shape[1] + cell[within, 1], point_m[within, 2], shape)
     low = ndimage.percentile_filter(_filled(height), _MIRROR_PERCENTILE, 15, mode="nearest")
@@ -152,7 +154,7 @@ def build_ground(point_m: np.ndarray) -> GroundMap:
     height = ndimage.median_filter(height, 3, mode="nearest")
     around = ndimage.median_filter(height, 15, mode="nearest")
     height = np.where(height < around - _BELOW_NEIGHBOURS_M, around, height)
-    return GroundMap(origin, height.astype(np.float32))
+    return GroundMap(origin, height.astype(np.float32), cell_m)
 
 
 def _percentile_by_cell(cell: np.ndarray, z_m: np.ndarray, shape: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import torch
 from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.kernels.images.depth_splat import without_edges
-from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
+from nvsf_core.kernels.threads import images_at_once, in_parts
 from nvsf_core.models.residual.camera_examples import ShownCamera
 from nvsf_core.rendering.camera_view import camera_view
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
@@ -69,8 +69,8 @@ def image_depths(network: DepthNetwork, camera: ShownCamera) -> DepthMaps:
         sharp = sharpened(np.where(is_static, found, _UNKNOWN), own, lidar, sources, shown.pinhole)
         return np.where(is_static, sharp, np.where(mover > 0, found, _UNKNOWN)), mover
 
-    count = len(time_s)
-    inverse, mover = (np.stack(each) for each in zip(*in_parts(depth, count, MOST_VIEWS), strict=True))
+    count, at_once = len(time_s), images_at_once(shown.pinhole.width * shown.pinhole.height)
+    inverse, mover = (np.stack(each) for each in zip(*in_parts(depth, count, at_once), strict=True))
 
     def asked(number: int) -> np.ndarray:
         others = neighbours(number, ASKED)

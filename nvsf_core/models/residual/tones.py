@@ -11,6 +11,8 @@ from nvsf_core.recording.drive import Recording
 _QUANTILES = np.linspace(0.02, 0.98, 49)
 _LEAST, _MOST = 3.0, 250.0
 """Levels outside are cut off by the sensor."""
+_LEAST_USED = 0.5
+"""Share of the quantiles that must lie between: by night, a few lamps tell nothing of all the rest."""
 _THINNED = 4
 """Quantiles are of one pixel in so many rows and columns."""
 _SAME = 3.0
@@ -47,8 +49,8 @@ class ToneCurve:
 def tone_curve(rgb: np.ndarray, like: np.ndarray) -> ToneCurve | None:
     """The curve by which images look like those of a camera beside; None where they do already.
 
-    None, too, where nearly all is dark or glares, so that levels do not tell. Fitted to the logarithms of the
-    quantiles of all pixels, which need no correspondence: over a drive two cameras of a pair see the same.
+    None, too, where more than half is dark or glares, so that levels do not tell. Fitted to the logarithms of
+    the quantiles of all pixels, which need no correspondence: over a drive a pair of cameras sees the same.
 
     Args:
         rgb: (n, H, W, 3) uint8.
@@ -60,7 +62,7 @@ def tone_curve(rgb: np.ndarray, like: np.ndarray) -> ToneCurve | None:
             np.quantile(images[:, ::_THINNED, ::_THINNED, colour], _QUANTILES) for images in (rgb, like)
         )
         used = (np.minimum(own, other) > _LEAST) & (np.maximum(own, other) < _MOST)
-        if not used.any() or min(np.ptp(own[used]), np.ptp(other[used])) <= _SAME:
+        if used.mean() < _LEAST_USED or min(np.ptp(own[used]), np.ptp(other[used])) <= _SAME:
             return None
         exponent, offset = np.polyfit(np.log(own[used] / 255.0), np.log(other[used] / 255.0), 1)
         fits.append((float(np.exp(offset)), float(exponent)))

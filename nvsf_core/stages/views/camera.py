@@ -7,6 +7,7 @@ import numpy as np
 
 from nvsf_core.drives.view_parts import CameraEntry
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.threads import images_at_once
 from nvsf_core.models.baselines.copy_nearest import nearest_earlier
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.rendered import RenderedImage
@@ -39,7 +40,10 @@ def image_arrays(
         pinhole = recording.cameras[name].training.pinhole
         poses = _camera_poses(recording, name, plan)
         one = partial(_image, name, pinhole, poses, plan, render)
-        shown, seconds = render_all(task, one, len(poses), f"{plan.name}, {method}, {name}")
+        shown, seconds = render_all(
+            task, one, len(poses), f"{plan.name}, {method}, {name}",
+            at_once=images_at_once(pinhole.width * pinhole.height),
+        )  # fmt: skip
         arrays |= _arrays_of(name, plan, shown, to_world(recording, poses), seconds)
     return arrays
 
@@ -72,7 +76,10 @@ def other_image_arrays(
 
             return _stored(other.render(poses[number], one))
 
-        shown, seconds = render_all(task, image, len(poses), f"{view.name}, {method}, {name}")
+        shown, seconds = render_all(
+            task, image, len(poses), f"{view.name}, {method}, {name}",
+            at_once=images_at_once(other.pinhole.width * other.pinhole.height),
+        )  # fmt: skip
         arrays |= _arrays_of(name, view.plan, shown, to_world(recording, poses), seconds)
     return arrays
 

@@ -250,7 +250,7 @@ def _camera_model(facts: Mapping[str, Any]) -> Pinhole | MeiFisheye:
 
 
 def render_all(
-    task: Task, render: Callable[[int], _One], count: int, name: str
+    task: Task, render: Callable[[int], _One], count: int, name: str, *, at_once: int = MOST_VIEWS
 ) -> tuple[list[_One], np.ndarray]:
     """What `render` gives for the numbers 0 to `count` - 1, and the seconds (count,) that each took.
 
@@ -261,6 +261,7 @@ def render_all(
         render: Renders one.
         count: How many.
         name: Of view, method and sensor, for progress.
+        at_once: Most that are rendered at once.
     """
     started, done, lock = time.perf_counter(), 0, threading.Lock()
 
@@ -273,5 +274,5 @@ def render_all(
             task.progress(f"[{task.scene.name}] novel_views: {name} {done}/{count}, {seconds:.2f} s each")
         return found
 
-    found = in_parts(one, count, MOST_VIEWS)
+    found = in_parts(one, count, at_once)
     return found, np.full(count, (time.perf_counter() - started) / max(1, count))

@@ -45,3 +45,16 @@ def test_a_slow_object_keeps_its_scan_beside_a_fast_steps_offer() -> None:
     scans[3].append(cluster(3, 0.1, 0.6, 3.0, size_m=1.0))
     (track,) = link_tracks(scans, 0.1)
     assert len(track.clusters) == SCANS and abs(track.centres_m()[:, 1]).max() == 0.0
+
+
+def test_a_car_is_one_track_where_every_fourth_scan_is_for_training() -> None:
+    scans = [[cluster(k, 0.4, 4.0 * k)] for k in range(SCANS)]
+    (track,) = link_tracks(scans, 0.1, scan_step_s=0.4)
+    assert len(track.clusters) == SCANS
+
+
+def test_a_car_that_brakes_hard_is_one_track_at_two_scans_a_second() -> None:
+    time_s = 0.5 * np.arange(8)
+    x_m = 14.0 * time_s - 0.5 * 3.5 * time_s**2
+    (track,) = link_tracks([[cluster(k, 0.5, one)] for k, one in enumerate(x_m)], 0.5)
+    assert len(track.clusters) == len(time_s)

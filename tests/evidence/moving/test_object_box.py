@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.moving.object_evidence import smallest_box
+from nvsf_core.evidence.moving.object_evidence import MovingObject, smallest_box, way_ahead
 from nvsf_core.geometry.se3 import rotation_of
 
 
@@ -26,3 +26,18 @@ def test_one_point_has_a_box_that_is_not_flat() -> None:
     box = smallest_box(np.array([[1.0, 2.0, 3.0]]), np.array([1.0, 0.0]))
     np.testing.assert_allclose(np.linalg.norm(box[:3, :3], axis=0), 0.1)
     np.testing.assert_allclose(box[:3, 3], [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 60.0, 120.0, 180.0, 270.0])
+def test_the_box_of_a_car_that_turns_lies_along_it(turn_deg: float) -> None:
+    yaw_rad = np.linspace(0.0, np.radians(turn_deg), 30)
+    step_m = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
+    pose = np.zeros((30, 4))
+    pose[:, :2], pose[:, 3] = np.cumsum(step_m, axis=0), yaw_rad
+    path = MovingObject(
+        np.arange(30, dtype=np.int32), 0.1 * np.arange(30), pose, 0.1, np.zeros(3), np.zeros(3)
+    )
+    corners = np.random.default_rng(0).uniform(-0.5, 0.5, (2000, 3)) * (4.5, 1.8, 1.5)
+    box = smallest_box(corners, way_ahead(path))
+    np.testing.assert_allclose(np.linalg.norm(box[:3, :3], axis=0), (4.5, 1.8, 1.5), rtol=0.03)
+    assert box[0, 0] > 4.0, "its x axis looks ahead"

@@ -28,3 +28,15 @@ def test_what_stands_on_a_slope_is_above_it() -> None:
     )
     height = build_ground(np.concatenate([points, wall])).above(wall)
     assert height.min() > 0.25
+
+
+def test_a_drive_of_some_square_kilometres_has_ground_everywhere() -> None:
+    # Diagonally through six kilometres of hills; one metre cells of all of it would be 36 million.
+    generator = np.random.default_rng(2)
+    along = generator.uniform(0.0, 6000.0, 400_000)
+    beside = generator.uniform(-4.0, 4.0, 400_000)
+    height = 8.0 * np.sin(along / 400.0)
+    points = np.column_stack([along + beside, along - beside, height]).astype(np.float32)
+    ground = build_ground(points)
+    assert ground.height_m.size < 5_000_000
+    assert np.quantile(np.abs(ground.above(points)), 0.98) < 0.5

@@ -37,3 +37,11 @@ def test_images_without_contrast_tell_nothing() -> None:
     assert tone_curve(dark, images(0)) is None and tone_curve(images(0), dark) is None
     grey = np.full((2, 32, 32, 3), 100, np.uint8)
     assert tone_curve(grey, images(0)) is None
+
+
+def test_a_few_lamps_by_night_tell_nothing_of_all_the_rest() -> None:
+    night = np.zeros((2, 96, 128, 3), np.uint8)
+    left, right = night.copy(), night.copy()
+    left[:, :8], right[:, :7] = 120, 40
+    left[:, 8:12], right[:, 7:10] = 200, 90
+    assert tone_curve(left, right) is None and tone_curve(right, left) is None
