@@ -43,7 +43,8 @@ _USUAL_SPACING_RAD = 0.007
 """Angle between neighbouring lasers of the 64-laser sensor for which all numbers of returns are given."""
 _SEED_SHARE = 0.4
 _SEEDS_PER_STATIC = 2.0
-_LONGEST_M = 12.0
+_LONGEST_M = 20.0
+"""An articulated bus; what is longer is a wall or a hedge whose visible side changes."""
 _NEW_GATE_M = 2.2
 """Metres per frame that an object seen in one scan may have moved."""
 _GATE_M = 0.8

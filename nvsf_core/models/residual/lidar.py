@@ -98,8 +98,9 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
     joined = join_rays([rays for both in in_parts(rays_of, len(learned)) for rays in both])
     if len(evidence.lasers) == 0 or (evidence.lasers < 0).all():
         raise DataError(
-            f"field: expected scans whose lasers are known, found none in {len(evidence.prior.time_s)}: name "
-            f'their sensor (`lidar` of the scene), or write `lidar = "found"`; they do not fit a {sweeps.table.name}'
+            f"field: expected scans whose lasers are known, found none in {len(evidence.prior.time_s)}: they "
+            f"do not fit a {sweeps.table.name}; name their sensor (`lidar` of the scene), or write "
+            '`lidar = "found"`'
         )
     if len(joined) == 0:
         raise DataError(
