@@ -34,11 +34,13 @@ class CameraRecording:
     training: CameraImages
     """At least one image."""
     training_time_s: np.ndarray
-    """(n,) instants of the training images' frames: by them an image's scan is found, and which images of
-    several cameras belong together."""
+    """(n,) instants of the training images, seconds since the first frame; an image may have a time of its
+    own."""
+    training_frame: np.ndarray
+    """(n,) numbers of their frames: by them images of several cameras belong together."""
     recorded_frame: np.ndarray
     """(m,) frame numbers with an image, held-out ones included, ascending."""
     recorded_time_s: np.ndarray
-    """(m,) instants of these images, seconds since the first frame; an image may have a time of its own."""
+    """(m,) instants of these images, likewise."""
     in_lidar: np.ndarray
     """(4, 4) mounting: camera to the drive's LiDAR frame."""

@@ -121,7 +121,8 @@ def _read_cameras(
         local = poses_in(scene_to_world, pose[used])
         found[name] = CameraRecording(
             training=CameraImages(pinhole_of(facts), rgb[used], local, np.flatnonzero(valid.reshape(-1))),
-            training_time_s=np.array([row_of[number]["time_s"] for number in frame[used].tolist()]),
+            training_time_s=time_s[used],
+            training_frame=frame[used],
             recorded_frame=frame,
             recorded_time_s=time_s,
             in_lidar=np.array(attrs["camera_in_lidar"][name], np.float64).reshape(4, 4),

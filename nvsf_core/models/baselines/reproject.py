@@ -12,8 +12,8 @@ from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 
 _DEPTH_SCANS = 10
 """Training scans nearest to a view in time, whose returns give the warped images their depth."""
-SAME_INSTANT_S = 0.03
-"""A scan nearer in time than this to an image is of the same frame."""
+SAME_FRAME = 0.4
+"""A scan nearer in time to an image than this share of a frame's step is of the same frame."""
 
 
 def reprojection(recording: Recording) -> SceneModel:
@@ -63,7 +63,7 @@ def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) ->
     time_s = sweeps.arrays["time_s"]
     training = np.flatnonzero(sweeps.is_training)
     if leave_out and len(training) > 1:
-        training = training[np.abs(time_s[training] - instant_s) > SAME_INSTANT_S]
+        training = training[np.abs(time_s[training] - instant_s) > SAME_FRAME * sweeps.frame_s]
     order = np.argsort(np.abs(time_s[training] - instant_s), kind="stable")
     return [int(scan) for scan in training[order[:_DEPTH_SCANS]]]
 

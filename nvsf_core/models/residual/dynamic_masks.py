@@ -5,7 +5,7 @@ import numpy as np
 from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence
 from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
-from nvsf_core.models.baselines.reproject import SAME_INSTANT_S, depth_scans, returns_of_scan
+from nvsf_core.models.baselines.reproject import SAME_FRAME, depth_scans, returns_of_scan
 from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.rendering.lidar_view import MovingPoints, moving_pixels
@@ -48,7 +48,7 @@ class MovingWorld:
         assert self.recording.lidar is not None
         sweeps = self.recording.lidar.sweeps
         apart_s = np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)
-        if not (apart_s <= SAME_INSTANT_S).any():
+        if not (apart_s <= SAME_FRAME * sweeps.frame_s).any():
             return np.zeros((0, 3), np.float32)
         return self.static_points(instant_s, most=1)
 

@@ -54,13 +54,13 @@ class SharedImages:
 
     def times_s(self, recording: Recording) -> np.ndarray:
         """(n,) instants of all images."""
-        return np.tile(recording.cameras[self.name].training_time_s, len(self.cameras))
+        return np.concatenate([recording.cameras[camera].training_time_s for camera in self.cameras])
 
 
 def shared_images(recording: Recording, cameras: Sequence[str]) -> tuple[SharedImages, ...]:
     """Which of the named cameras share their training images, each named once.
 
-    They do if they look the same way, intrinsics, valid pixels and instants are the same, and all are grey or
+    They do if they look the same way, intrinsics, valid pixels and frames are the same, and all are grey or
     all in colour: KITTI's car carries a grey and a coloured pair with the same intrinsics.
     """
     alike: list[list[str]] = []
@@ -83,7 +83,7 @@ def _are_alike(one: CameraRecording, other: CameraRecording) -> bool:
     return (
         one.training.pinhole == other.training.pinhole
         and np.array_equal(one.training.pixel, other.training.pixel)
-        and np.array_equal(one.training_time_s, other.training_time_s)
+        and np.array_equal(one.training_frame, other.training_frame)
         and float(one.in_lidar[:3, 2] @ other.in_lidar[:3, 2]) > _LEAST_COSINE
         and _is_grey(one.training.rgb[0]) == _is_grey(other.training.rgb[0])
     )

@@ -51,8 +51,7 @@ class View:
 def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | None:
     """The view of the held-out frames, for each sensor those that it recorded; None if there are none.
 
-    Images are asked for where they were taken, at their own times; what moves is where it is at the frame's,
-    as in the training images.
+    Images are asked for where and when they were taken: they may have times of their own.
     """
 
     def plan_of(recorded: np.ndarray, time_s: np.ndarray | None = None) -> ViewPlan | None:
@@ -61,9 +60,7 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
             return None
         frame_s = recording.posed_time_s[np.searchsorted(recording.posed_frame, wanted)]
         own_s = frame_s if time_s is None else time_s[np.searchsorted(recorded, wanted)]
-        return ViewPlan(
-            HELD_OUT, wanted, frame_s, None, path_time_s=None if np.array_equal(own_s, frame_s) else own_s
-        )
+        return ViewPlan(HELD_OUT, wanted, own_s, None)
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {

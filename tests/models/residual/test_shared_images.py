@@ -60,7 +60,7 @@ def test_a_stereo_pair_shares_and_a_side_camera_does_not(drive: Recording) -> No
         replace(right, training=replace(right.training, pinhole=zoomed)),
         replace(right, training=replace(right.training, pixel=right.training.pixel[:-1])),
         replace(right, training=replace(right.training, rgb=grey)),
-        replace(right, training_time_s=right.training_time_s + 0.001),
+        replace(right, training_frame=right.training_frame + 1),
         replace(right, in_lidar=right.in_lidar @ exp_se3(np.array([0.0, 0.0, 0.0, 0.0, 0.3, 0.0]))),
     )
     for other in others:
