@@ -123,14 +123,16 @@ class TransformTree:
         return None if common is None else np.linalg.inv(down[common]) @ up[common]
 
     def _fixed_way(self, frame: str) -> dict[str, np.ndarray]:
-        """Frames above a frame, as far as links do not move, and the frame's pose in each."""
-        found = {plain_name(frame): np.eye(4)}
-        pose = np.eye(4)
-        for link in self.chain(frame):
-            if link in self.moving:
-                break
-            pose = self.fixed[link] @ pose
-            found[link[1]] = pose
+        """Frames above a frame by fixed links alone, and the frame's pose in each.
+
+        A frame may move, too, as a LiDAR whose odometry names it: it stays mounted where `/tf_static` says.
+        """
+        parents, at, pose = dict(self.fixed.keys()), plain_name(frame), np.eye(4)
+        found = {at: pose}
+        while at in parents and parents[at] not in found:
+            pose = self.fixed[at, parents[at]] @ pose
+            at = parents[at]
+            found[at] = pose
         return found
 
     def _path_of(self, link: tuple[str, str]) -> PosePath:

@@ -55,3 +55,14 @@ def test_a_car_that_stands_has_a_path() -> None:
 def test_a_slow_car_far_from_its_maps_origin_has_a_path() -> None:
     found = tree(*[("base", "local", 5e5 + 0.1 * k, 0.1 * k, "/tf") for k in range(3)])
     assert path_x_m(found, "base") == [500_000.0, 500_000.1, 500_000.2]
+
+
+def test_a_mounted_lidar_whose_odometry_names_it_keeps_its_cameras() -> None:
+    links: list[tuple[str, str, float, float | None, str]] = [
+        ("lidar", "base_link", 1.0, None, "/tf_static"), ("camera", "base_link", 1.5, None, "/tf_static"),
+    ]  # fmt: skip
+    links += [("lidar", "odom_lidar", 0.5 * k, 0.1 * k, "/kiss/odometry") for k in range(3)]
+    found = tree(*links)
+    mounting = found.between("camera", "lidar")
+    assert mounting is not None and mounting[0, 3] == 0.5
+    assert path_x_m(found, "lidar") == [0.0, 0.5, 1.0]
