@@ -130,6 +130,7 @@ class BagDrive(AbstractPosedDrive):
         others = sorted(set(self._index.scans) - {self._index.lidar_topic})
         if others:
             notes.append(f"point clouds of {self._index.lidar_topic}; not read: {', '.join(others)}")
+        notes += self._index.tree.notes_on(self._lidar_frame)
         notes += [f"{count} messages of {topic} are damaged" for topic, count in self._index.faults.items()]
         found = Calibration(
             lidar_to_pose=np.eye(4), lidar_is_assumed=False, cameras=cameras, notes=tuple(notes)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,6 +42,23 @@ def pose_of(translation: Any, rotation: Any) -> np.ndarray:
     return pose
 
 
+class _Way(NamedTuple):
+    """How a frame moves, as one topic says."""
+
+    parent: str
+    topic: str
+    poses: dict[float, np.ndarray]
+
+    def rank(self) -> tuple[bool, int, str, str]:
+        """The least of several is taken."""
+        return self.topic != _TRANSFORMS, -len(self.poses), self.topic, self.parent
+
+    @property
+    def words(self) -> str:
+        """For notes."""
+        return f"{self.topic} says, in {self.parent} ({len(self.poses)} poses)"
+
+
 @dataclass(slots=True)
 class TransformTree:
     """Links from frames to their parents."""
@@ -51,7 +68,9 @@ class TransformTree:
     fixed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
     """(child, parent) to child's frame in the parent's, (4, 4)."""
     moving: dict[tuple[str, str], dict[float, np.ndarray]] = field(default_factory=dict)
-    """(child, parent) to seconds and pose, of one topic."""
+    """(child, parent) to seconds and pose, of one topic; of each child there is one."""
+    _choices: dict[str, str] = field(default_factory=dict)
+    """Frame that moves in several ways to the words for which is taken, and which are not."""
     _by_topic: dict[tuple[str, str], dict[str, dict[float, np.ndarray]]] = field(default_factory=dict)
 
     def add(self, child: str, parent: str, pose: np.ndarray, time_s: float | None, topic: str = "") -> None:
@@ -73,17 +92,24 @@ class TransformTree:
     def settle(self) -> None:
         """Choose what moves, once all messages are added.
 
-        A link that several topics have, as two odometries, moves as one of them says: they drift apart.
-        Transforms come before odometries, then the topic with the most poses. What a node for fixed
-        transforms repeats on `/tf` is fixed; a car that stands all the time is not.
+        A frame that moves as several topics say, or in several parents, as two odometries have it, moves in
+        one way alone: they drift apart. Transforms come before odometries, then the way with the most poses.
+        What a node for fixed transforms repeats on `/tf` is fixed; a car that stands all the time is not.
         """
+        ways: dict[str, list[_Way]] = {}
         for link, topics in self._by_topic.items():
-            chosen = min(topics, key=lambda topic: (topic != _TRANSFORMS, -len(topics[topic]), topic))
-            poses = np.stack(list(topics[chosen].values()))
-            if chosen == _TRANSFORMS and link[1] not in _WORLDS and np.abs(poses - poses[0]).max() < _STILL:
-                self.fixed.setdefault(link, poses[0])
+            repeated = list(topics.get(_TRANSFORMS, {}).values())
+            if repeated and link[1] not in _WORLDS and _is_still(np.stack(repeated)):
+                self.fixed.setdefault(link, repeated[0])
             else:
-                self.moving[link] = topics[chosen]
+                ways.setdefault(link[0], []).extend(_Way(link[1], *one) for one in topics.items())
+        for child, found in ways.items():
+            taken, *others = sorted(found, key=_Way.rank)
+            self.moving[child, taken.parent] = taken.poses
+            if others:
+                self._choices[child] = (
+                    f"{child} moves as {taken.words}; not used: {', '.join(one.words for one in others)}"
+                )
         self._by_topic.clear()
 
     def _parents(self) -> dict[str, str]:
@@ -116,6 +142,19 @@ class TransformTree:
                 poses.append(pose)
         return PosePath(np.array(times_s), np.stack(poses), self.place) if poses else None
 
+    def notes_on(self, frame: str) -> list[str]:
+        """Which of several ways to move is taken, and which are not, of a frame and those above it."""
+        mounts, notes = dict(self.fixed.keys()), []
+        for child, parent in self.chain(frame):
+            notes += [self._choices[child]] if child in self._choices else []
+            is_mounted = (child, parent) in self.moving and child in mounts
+            if is_mounted and any(link in self.moving for link in self.chain(mounts[child])):
+                notes.append(
+                    f"{child} moves in {parent}, and is mounted on {mounts[child]}, which moves, too: the "
+                    f"path is that in {parent}"
+                )
+        return notes
+
     def between(self, frame: str, other: str) -> np.ndarray | None:
         """(4, 4) from a frame to another, of links that do not move; None if there is no such way."""
         up, down = self._fixed_way(frame), self._fixed_way(other)
@@ -138,3 +177,8 @@ class TransformTree:
     def _path_of(self, link: tuple[str, str]) -> PosePath:
         times_s = np.array(sorted(self.moving[link]))
         return PosePath(times_s, np.stack([self.moving[link][one] for one in times_s.tolist()]), self.place)
+
+
+def _is_still(poses: np.ndarray) -> bool:
+    """Whether poses (n, 4, 4) are one."""
+    return bool(np.abs(poses - poses[0]).max() < _STILL)

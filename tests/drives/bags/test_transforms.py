@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from nvsf_core.drives.bags.transforms import TransformTree
 
@@ -66,3 +67,18 @@ def test_a_mounted_lidar_whose_odometry_names_it_keeps_its_cameras() -> None:
     mounting = found.between("camera", "lidar")
     assert mounting is not None and mounting[0, 3] == 0.5
     assert path_x_m(found, "lidar") == [0.0, 0.5, 1.0]
+    assert found.notes_on("lidar") == []
+    (note,) = tree(*links, ("base_link", "odom", 0.0, 0.0, "/tf")).notes_on("lidar")
+    assert "is mounted on base_link, which moves, too" in note
+
+
+@pytest.mark.parametrize("is_wheel_first", [True, False])
+def test_a_localised_car_does_not_follow_its_wheels_whatever_came_first(is_wheel_first: bool) -> None:
+    localised: list[tuple[str, str, float, float | None, str]]
+    localised = [("base", "map", 0.1 * k, 0.1 * k, "/tf") for k in range(3)]
+    wheel = [("base", "odom", 3.0 + k, 0.01 * k, "/wheel") for k in range(9)]
+    found = tree(*(wheel + localised if is_wheel_first else localised + wheel))
+    assert path_x_m(found, "base") == [0.0, 0.1, 0.2]
+    assert found.notes_on("base") == [
+        "base moves as /tf says, in map (3 poses); not used: /wheel says, in odom (9 poses)"
+    ]
