@@ -140,6 +140,7 @@ def _checked(
 @click.option("--first", type=int, help="First frame; default: the first there is.")
 @click.option("--last", type=int, help="Last frame; default: the last there is.")
 @click.option("--lidar", help="The LiDAR's name, or `found`; default: as SOURCE says.")
+@click.option("--topic", help="Of a bag with several topics of point clouds, the one to read.")
 def import_(source: Path, out: Path, layout: str, first: int | None, last: int | None, **named: str) -> None:
     """Convert the recording SOURCE into a drive that trains here: plain files, or KITTI-360's layout.
 
@@ -154,7 +155,7 @@ def import_(source: Path, out: Path, layout: str, first: int | None, last: int |
         layout: `plain` or `kitti360`.
         first: First frame; None = the first there is.
         last: Last frame; None = the last there is.
-        named: `kind`, `sequence` and `lidar`.
+        named: `kind`, `sequence`, `lidar` and `topic`.
     """  # noqa: D301  as of `view`
     from nvsf_core.drives.detect import kind_of, whole_drive
     from nvsf_core.stages.imports.convert import import_drive
@@ -162,7 +163,7 @@ def import_(source: Path, out: Path, layout: str, first: int | None, last: int |
     from nvsf_core.stages.runner.run import say_on_stderr
 
     kind = named["kind"] or kind_of(source)
-    scene = whole_drive(source, kind, named["sequence"], named["lidar"], first, last)
+    scene = whole_drive(source, kind, named["sequence"], named["lidar"], first, last, named["topic"])
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
         click.echo(line)

@@ -42,7 +42,7 @@ def kind_of(source: Path) -> str:
 
 def whole_drive(
     source: Path, kind: str, sequence: str = "", lidar: str | None = None,
-    first: int | None = None, last: int | None = None,
+    first: int | None = None, last: int | None = None, lidar_topic: str | None = None,
 ) -> SceneEntry:  # fmt: skip
     """An entry of all frames that a recording has, or of some.
 
@@ -53,6 +53,7 @@ def whole_drive(
         lidar: The sensor's name, or `found`; None = as the recording says.
         first: First frame; None = the first there is.
         last: Last frame; None = the last there is.
+        lidar_topic: Of a bag, the topic of point clouds to read; None = see `SceneEntry`.
 
     Raises:
         DataError: There is no such sequence, several and none is named, no frame, or not those asked for.
@@ -62,6 +63,7 @@ def whole_drive(
     entry = SceneEntry(
         name=name[:60], root=source.absolute(), sequence=chosen, first_frame=_WHOLE[0], last_frame=_WHOLE[1],
         test_frames=(), kind=kind, lidar=lidar,
+        lidar_topic=lidar_topic,
     )  # fmt: skip
     try:
         recorded = drive_of(entry).section().recorded

@@ -182,6 +182,10 @@ class AbstractDrive(ABC):
         """
         return rgb
 
+    def other_scans(self) -> str:
+        """Which recorded scans are not read, and how they would be, for messages; empty = none."""
+        return ""
+
     def scan_name(self, frame: int) -> str:
         """What a frame's scan would be called, for messages."""
         return f"{frame:010d}.bin"

@@ -32,7 +32,8 @@ __all__ = ["DRIVE_KINDS", "EXPORTS", "FOUND", "KITTI360", "MOST_FRAMES", "SceneE
 KITTI360 = "kitti360"
 _KITTI_KINDS = (KITTI360, "kitti_odometry", "kitti_raw")
 """Formats whose cameras are `image_00` to `image_03`."""
-OWN_ROOT_KINDS = ("plain", "bag")
+BAG = "bag"
+OWN_ROOT_KINDS = ("plain", BAG)
 """Formats whose root is one drive."""
 DRIVE_KINDS = (*_KITTI_KINDS, *OWN_ROOT_KINDS)
 """Formats of recorded drives."""
@@ -73,6 +74,9 @@ class SceneEntry:
     lidar: str | None = None
     """The LiDAR that recorded the drive, a known one by its name, or `found`: its lasers are found from the
     scans. None given = as the drive says."""
+    lidar_topic: str | None = None
+    """Of a bag with several topics of point clouds, the one to read, as `/velodyne_points`. None = of those
+    whose points have a laser or a time, else of all, the one with the most messages."""
     licence: str | None = None
     """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
     cut_frames: int | None = None
@@ -93,6 +97,10 @@ class SceneEntry:
         if self.lidar is not None and self.lidar != FOUND and self.lidar not in SENSOR_TABLES:
             raise DataError(
                 f"lidar: expected one of {', '.join(SENSOR_TABLES)}, or {FOUND!r}, found {self.lidar!r:.60}"
+            )
+        if self.lidar_topic is not None and self.kind != BAG:
+            raise DataError(
+                f"lidar_topic: expected a scene of the kind {BAG!r}, found {self.kind!r}; leave it out"
             )
         self._require_frames()
         if self.cut_frames is not None and not 0 <= self.overlap_frames < self.cut_frames / 2:
@@ -186,6 +194,7 @@ _SCENE_KINDS: Kinds = {
     "compensate": (is_bool, "true or false"),
     "kind": (is_text, f"one of {', '.join(DRIVE_KINDS)}"),
     "lidar": (or_none(is_text), "a LiDAR's name, or None"),
+    "lidar_topic": (or_none(is_line), "a topic of the bag, or None"),
     "cut_frames": (or_none(is_whole), "a whole number, or None"),
     "overlap_frames": (is_whole, "a whole number"),
     "licence": (or_none(is_line), "a line of at most 200 characters, or None"),

@@ -8,6 +8,7 @@ import numpy as np
 
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
@@ -102,7 +103,11 @@ def _read_scans(
         read.append(source.read_scan(row["frame"], row["checksum"]))
         say(f"[{task.scene.name}] sweeps: read {len(read)} of {len(rows)} scans")
     training = [one for row, one in zip(rows, read, strict=True) if row["split"] == "train"]
-    table, found = _table(drive.get("sensor", SENSOR.name), training)
+    try:
+        table, found = _table(drive.get("sensor", SENSOR.name), training)
+    except DataError as error:
+        others = source.other_scans()
+        raise DataError(f"{error}; {others}" if others else str(error)) from error
     period_s = float(drive["sweep_period_s"])
     scans = []
     for row, one in zip(rows, read, strict=True):

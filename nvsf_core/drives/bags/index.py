@@ -19,6 +19,7 @@ from nvsf_core.drives.bags.messages import (
     POINT_CLOUD,
     TRANSFORMS,
     stamp_s,
+    tells_lasers,
 )
 from nvsf_core.drives.bags.transforms import TransformTree, plain_name, pose_of
 from nvsf_core.errors import DataError, MissingLibraryError
@@ -41,6 +42,8 @@ class BagIndex:
     path: Path
     scans: dict[str, list[Stamped]] = field(default_factory=dict)
     images: dict[str, list[Stamped]] = field(default_factory=dict)
+    tells_lasers: dict[str, bool] = field(default_factory=dict)
+    """Topic of point clouds to whether the points of its first message have a laser or a time."""
     frame_ids: dict[str, str] = field(default_factory=dict)
     """Topic to the frame of its first message."""
     infos: dict[str, Any] = field(default_factory=dict)
@@ -49,10 +52,28 @@ class BagIndex:
     faults: Counter[str] = field(default_factory=Counter)
     """Messages that cannot be read, by topic."""
 
-    @property
-    def lidar_topic(self) -> str | None:
-        """The topic of point clouds with the most messages, the first by name of several."""
-        return min(self.scans, key=lambda topic: (-len(self.scans[topic]), topic), default=None)
+    def lidar_topic(self, asked: str | None) -> str | None:
+        """The topic of point clouds that is read; None if there is none.
+
+        Clouds of depth cameras and radars, often the more, have points without laser and time.
+
+        Args:
+            asked: The topic that the scene names; None = those whose points have a laser or a time come
+                first, then those with the most messages, then the first by name.
+
+        Raises:
+            DataError: The bag has no topic as asked for.
+        """
+        if asked is not None and asked not in self.scans:
+            raise DataError(
+                f"{self.path}: lidar_topic: expected one of the bag's topics of point clouds, "
+                f"{', '.join(sorted(self.scans)) or 'of which there is none'!s:.300}, found {asked!r:.100}"
+            )
+        return asked or min(
+            self.scans,
+            key=lambda topic: (not self.tells_lasers.get(topic), -len(self.scans[topic]), topic),
+            default=None,
+        )
 
 
 @contextmanager
@@ -132,6 +153,8 @@ def _take(index: BagIndex, reader: Any, connection: Any, kept_ns: int, raw: byte
             found = index.scans if kind == POINT_CLOUD else index.images
             found.setdefault(topic, []).append(Stamped(seconds, kept_ns))
             index.frame_ids.setdefault(topic, frame)
+            if kind == POINT_CLOUD and topic not in index.tells_lasers:
+                index.tells_lasers[topic] = tells_lasers(reader.deserialize(raw, kind))
             return
         if kind == CAMERA_INFO and topic in index.infos:
             return

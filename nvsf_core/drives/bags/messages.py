@@ -84,6 +84,11 @@ def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
     return found
 
 
+def tells_lasers(message: Any) -> bool:
+    """Whether a PointCloud2 gives each point's laser or time, as those of rotating LiDARs do."""
+    return any(one.name in (*_RINGS, *_TIMES) for one in message.fields)
+
+
 def _after_stamp(time: np.ndarray, stamp: float) -> np.ndarray:
     """Seconds after the stamp, of whole nanoseconds or seconds, of the sweep or of a clock."""
     scale = 1e-9 if np.issubdtype(time.dtype, np.integer) else 1.0

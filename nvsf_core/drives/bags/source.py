@@ -38,8 +38,12 @@ class BagDrive(AbstractPosedDrive):
         return index_of(self.scene.root)
 
     @cached_property
+    def _lidar_topic(self) -> str | None:
+        return self._index.lidar_topic(self.scene.lidar_topic)
+
+    @cached_property
     def _scans(self) -> list[Stamped]:
-        topic = self._index.lidar_topic
+        topic = self._lidar_topic
         return [] if topic is None else self._index.scans[topic]
 
     @cached_property
@@ -91,7 +95,7 @@ class BagDrive(AbstractPosedDrive):
     @property
     def times_source(self) -> str:
         """For messages."""
-        return f"headers of {self._index.lidar_topic or next(iter(self._index.images), 'nothing')}"
+        return f"headers of {self._lidar_topic or next(iter(self._index.images), 'nothing')}"
 
     def pose_path(self) -> PosePath | None:
         """Poses by `/tf` or an odometry; None if nothing above the LiDAR moves."""
@@ -100,12 +104,17 @@ class BagDrive(AbstractPosedDrive):
     @property
     def _lidar_frame(self) -> str:
         index = self._index
-        topic = index.lidar_topic or next(iter(index.images), "")
+        topic = self._lidar_topic or next(iter(index.images), "")
         return index.frame_ids.get(topic, "")
 
     def has_scans(self) -> bool:
         """Whether there is a point cloud."""
         return bool(self._scans)
+
+    def other_scans(self) -> str:
+        """The bag's other topics of point clouds, and which key reads one of them."""
+        others = sorted(set(self._index.scans) - {self._lidar_topic})
+        return f"not read: {', '.join(others)} (`lidar_topic` of the scene, --topic)" if others else ""
 
     def recorded_sensor(self) -> str:
         """Bags do not say."""
@@ -127,9 +136,8 @@ class BagDrive(AbstractPosedDrive):
                 if self.scene.cameras is not None:
                     raise
                 notes.append(f"{name} left out: {error}")
-        others = sorted(set(self._index.scans) - {self._index.lidar_topic})
-        if others:
-            notes.append(f"point clouds of {self._index.lidar_topic}; not read: {', '.join(others)}")
+        if self.other_scans():
+            notes.append(f"point clouds of {self._lidar_topic}; {self.other_scans()}")
         notes += self._index.tree.notes_on(self._lidar_frame)
         notes += [f"{count} messages of {topic} are damaged" for topic, count in self._index.faults.items()]
         found = Calibration(
@@ -168,7 +176,7 @@ class BagDrive(AbstractPosedDrive):
 
     def scan_name(self, frame: int) -> str:
         """For messages."""
-        return f"number {frame} of {self._index.lidar_topic}"
+        return f"number {frame} of {self._lidar_topic}"
 
     def image_name(self, camera: str, frame: int) -> str:
         """For messages."""
@@ -179,7 +187,7 @@ class BagDrive(AbstractPosedDrive):
         messages = _distinct(self._scans)
         if not 0 <= frame < len(messages):
             return None
-        return self._recorded(str(self._index.lidar_topic), messages[frame])
+        return self._recorded(str(self._lidar_topic), messages[frame])
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The bytes of an image's message."""
