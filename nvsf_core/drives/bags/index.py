@@ -1,7 +1,10 @@
 """What a bag holds: its topics, stamps, transforms and camera infos, found in one pass. No scan is kept."""
 
+import errno
 import functools
 import importlib
+import re
+import shlex
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -22,9 +25,13 @@ from nvsf_core.drives.bags.messages import (
     tells_lasers,
 )
 from nvsf_core.drives.bags.transforms import TransformTree, plain_name, pose_of
+from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.errors import DataError, MissingLibraryError
 
 _FOREVER = "/tf_static"
+_PACKED = re.compile(r"""^\s*compression_mode:\s*["']?file\b""", re.IGNORECASE | re.MULTILINE)
+"""In `metadata.yaml`: its files are packed whole, and not each message."""
+_MOST_METADATA_BYTES = 16 * MIB
 
 
 @dataclass(slots=True)
@@ -82,8 +89,9 @@ def open_bag(path: Path) -> Iterator[Any]:
 
     Raises:
         MissingLibraryError: The package rosbags is not installed.
-        DataError: It is no bag, or damaged.
+        DataError: It is no bag, damaged, packed file by file, or the machine cannot read it.
     """
+    _require_unpacked(path)
     try:
         highlevel = importlib.import_module("rosbags.highlevel")
         typesys = importlib.import_module("rosbags.typesys")
@@ -103,11 +111,48 @@ def open_bag(path: Path) -> Iterator[Any]:
         reader = highlevel.AnyReader([inside], default_typestore=store)
         reader.open()
     except Exception as error:  # the library's errors on damaged bags have no common base
-        raise DataError(f"{path}: cannot be read as a bag ({error!s:.200}); copy it again") from error
+        damaged = f"cannot be read as a bag ({error!s:.200}); copy it again"
+        raise read_fault(path, error, damaged) from error
     try:
         yield reader
     finally:
         reader.close()
+
+
+def _require_unpacked(path: Path) -> None:
+    """Refuse a bag whose files are packed whole: to read one message, all of it would be unpacked.
+
+    Raises:
+        DataError: It is of that kind; the message gives the command that unpacks it.
+    """
+    about = path / "metadata.yaml"
+    try:
+        is_packed = about.is_file() and bool(_PACKED.search(read_text(about, _MOST_METADATA_BYTES)))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{about}: cannot be read ({error}); copy the bag again") from error
+    if is_packed:
+        source, unpacked = (shlex.quote(str(one)) for one in (path, path.with_name(f"{path.name}_unpacked")))
+        raise DataError(
+            f"{path}: expected a bag whose messages can be read one by one, found `compression_mode: file`; "
+            f"unpack it once, and name the new one: rosbags-convert --src {source} --dst {unpacked} (or "
+            "`ros2 bag convert`)"
+        )
+
+
+def read_fault(path: Path, error: Exception, damaged: str) -> DataError:
+    """Why a bag cannot be read: what the machine says, as that its disk is full; else that it is damaged.
+
+    Args:
+        path: The bag.
+        error: What was raised.
+        damaged: What to say and do of a damaged bag.
+    """
+    # A damaged bag may say to read where no file can be (EINVAL); the library's own errors have no number.
+    if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+        return DataError(
+            f"{path}: cannot be read ({error.strerror}); check the disk, its space and the rights"
+        )
+    return DataError(f"{path}: {damaged}")
 
 
 def index_of(path: Path) -> BagIndex:
@@ -135,10 +180,11 @@ def _index(path: Path, _files: tuple[tuple[Path, int, int], ...]) -> BagIndex:
             for connection, kept_ns, raw in reader.messages(connections=wanted) if wanted else ():
                 _take(index, reader, connection, kept_ns, raw)
         except Exception as error:  # as above
-            raise DataError(
-                f"{path}: ends after {sum(map(len, index.scans.values()))} scans ({error!s:.200}); `rosbag "
-                "reindex`, `mcap recover` or `ros2 bag reindex` mends what can be"
-            ) from error
+            damaged = (
+                f"ends after {sum(map(len, index.scans.values()))} scans ({error!s:.200}); `rosbag reindex`, "
+                "`mcap recover` or `ros2 bag reindex` mends what can be"
+            )
+            raise read_fault(path, error, damaged) from error
     index.tree.settle()
     for messages in (*index.scans.values(), *index.images.values()):
         messages.sort(key=lambda one: one.stamp_s)

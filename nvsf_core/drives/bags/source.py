@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.drives.bags.index import BagIndex, Stamped, index_of, median_step_s, open_bag
+from nvsf_core.drives.bags.index import BagIndex, Stamped, index_of, median_step_s, open_bag, read_fault
 from nvsf_core.drives.bags.messages import IMAGES, POINT_CLOUD, cloud_columns, image_rgb, lens_facts
 from nvsf_core.drives.drive import Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
@@ -203,9 +203,8 @@ class BagDrive(AbstractPosedDrive):
                 ):
                     return Recorded(self.scene.root / f"{topic.strip('/')}@{message.stamp_s:.6f}", bytes(raw))
             except Exception as error:  # the library's errors on damaged bags have no common base
-                raise DataError(
-                    f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s cannot be read ({error!s:.200})"
-                ) from error
+                damaged = f"{topic} at {message.stamp_s:.6f} s cannot be read ({error!s:.200})"
+                raise read_fault(self.scene.root, error, damaged) from error
         raise DataError(f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s is gone; copy the bag again")
 
     def _message(self, found: Recorded, kinds: tuple[str, ...]) -> Any:

@@ -77,7 +77,7 @@ def write_bag(folder: Path, messages: Sequence[tuple[str, Any, float]], *, of_fi
     """
     bag = rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin.SQLITE3)
     if of_file:
-        bag.set_compression(bag.CompressionMode.FILE, bag.CompressionFormat.ZSTD)
+        bag.set_compression(rosbag2.CompressionMode.FILE, rosbag2.CompressionFormat.ZSTD)
     known: dict[str, Any] = {}
     with bag:
         for topic, message, time_s in messages:
