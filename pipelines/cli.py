@@ -141,7 +141,16 @@ def _checked(
 @click.option("--last", type=int, help="Last frame; default: the last there is.")
 @click.option("--lidar", help="The LiDAR's name, or `found`; default: as SOURCE says.")
 @click.option("--topic", help="Of a bag with several topics of point clouds, the one to read.")
-def import_(source: Path, out: Path, layout: str, first: int | None, last: int | None, **named: str) -> None:
+@click.option("--rectified", multiple=True, metavar="CAMERA", help="Of a bag, one of rectified images.")
+def import_(
+    source: Path,
+    out: Path,
+    layout: str,
+    first: int | None,
+    last: int | None,
+    rectified: tuple[str, ...],
+    **named: str,
+) -> None:
     """Convert the recording SOURCE into a drive that trains here: plain files, or KITTI-360's layout.
 
     Reads ROS 1 and 2 bags, MCAP, KITTI odometry and raw, KITTI-360, and plain files (docs/drives.md). A scan
@@ -155,6 +164,7 @@ def import_(source: Path, out: Path, layout: str, first: int | None, last: int |
         layout: `plain` or `kitti360`.
         first: First frame; None = the first there is.
         last: Last frame; None = the last there is.
+        rectified: Cameras of a bag whose images are rectified already.
         named: `kind`, `sequence`, `lidar` and `topic`.
     """  # noqa: D301  as of `view`
     from nvsf_core.drives.detect import kind_of, whole_drive
@@ -164,6 +174,7 @@ def import_(source: Path, out: Path, layout: str, first: int | None, last: int |
 
     kind = named["kind"] or kind_of(source)
     scene = whole_drive(source, kind, named["sequence"], named["lidar"], first, last, named["topic"])
+    scene = replace(scene, rectified=rectified)
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
         click.echo(line)

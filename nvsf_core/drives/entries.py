@@ -77,6 +77,9 @@ class SceneEntry:
     lidar_topic: str | None = None
     """Of a bag with several topics of point clouds, the one to read, as `/velodyne_points`. None = of those
     whose points have a laser or a time, else of all, the one with the most messages."""
+    rectified: tuple[str, ...] = ()
+    """Of a bag, cameras whose images are rectified already though their topic's name does not say so: their
+    camera info's `P` holds, without distortion."""
     licence: str | None = None
     """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
     cut_frames: int | None = None
@@ -98,10 +101,7 @@ class SceneEntry:
             raise DataError(
                 f"lidar: expected one of {', '.join(SENSOR_TABLES)}, or {FOUND!r}, found {self.lidar!r:.60}"
             )
-        if self.lidar_topic is not None and self.kind != BAG:
-            raise DataError(
-                f"lidar_topic: expected a scene of the kind {BAG!r}, found {self.kind!r}; leave it out"
-            )
+        self._require_bag()
         self._require_frames()
         if self.cut_frames is not None and not 0 <= self.overlap_frames < self.cut_frames / 2:
             raise DataError(
@@ -125,6 +125,13 @@ class SceneEntry:
                 raise DataError(f"recipe: {error}") from error
 
         self._require_views()
+
+    def _require_bag(self) -> None:
+        for key in ("lidar_topic", "rectified"):
+            if getattr(self, key) and self.kind != BAG:
+                raise DataError(
+                    f"{key}: expected a scene of the kind {BAG!r}, found {self.kind!r}; leave it out"
+                )
 
     def _may_have(self, camera: str) -> bool:
         """Whether the format can have a camera of that name."""
@@ -194,6 +201,7 @@ _SCENE_KINDS: Kinds = {
     "compensate": (is_bool, "true or false"),
     "kind": (is_text, f"one of {', '.join(DRIVE_KINDS)}"),
     "lidar": (or_none(is_text), "a LiDAR's name, or None"),
+    "rectified": (each(is_text, 0), "a tuple of cameras"),
     "lidar_topic": (or_none(is_line), "a topic of the bag, or None"),
     "cut_frames": (or_none(is_whole), "a whole number, or None"),
     "overlap_frames": (is_whole, "a whole number"),

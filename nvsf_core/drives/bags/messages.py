@@ -28,6 +28,8 @@ _COLOURS = {
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
 _LENSES = {"": "pinhole", "plumb_bob": "pinhole", "rational_polynomial": "pinhole",
            "equidistant": "fisheye", "fisheye": "fisheye"}  # fmt: skip
+_FAR_APART = 0.05
+"""Difference of two cameras' focal lengths or axes, in focal lengths, from which images would not fit."""
 _POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -141,22 +143,21 @@ def lens_facts(message: Any, where: str, *, is_rectified: bool) -> dict[str, Any
     Args:
         message: The message.
         where: Its topic, for messages.
-        is_rectified: Whether the images are rectified: then `P` holds, without distortion.
+        is_rectified: Whether the images are rectified: then `P` holds, or `K` where it is 0, without
+            distortion. `P` also holds where `K` is 0.
 
     Raises:
         CalibrationError: It is uncalibrated, or of a model that is not read.
     """
-    # ROS 1 has these names in capitals.
-    k, d, p = (
-        np.asarray(getattr(message, name, getattr(message, name.upper(), ())), np.float64).reshape(-1)
-        for name in "kdp"
-    )
+    k, d, p = (_numbers(message, name) for name in "kdp")
     model = str(message.distortion_model)
     size = {"width": int(message.width), "height": int(message.height)}
+    if (is_rectified or not k.any()) and len(p) == 12 and p[0] > 0.0:
+        return {"model": "pinhole", **size, "fx": p[0], "fy": p[5], "cx": p[2], "cy": p[6]}
     if len(k) != 9 or k[0] == 0.0:
         raise CalibrationError(f"{where}: expected a calibrated camera, found K = {k.tolist()}")
-    if is_rectified and len(p) == 12 and p[0] > 0.0:
-        return {"model": "pinhole", **size, "fx": p[0], "fy": p[5], "cx": p[2], "cy": p[6]}
+    if is_rectified:
+        return {"model": "pinhole", **size, "fx": k[0], "fy": k[4], "cx": k[2], "cy": k[5]}
     if model == "mei":  # as this project's own bags have it
         mei = dict(zip(("xi", "k1", "k2", "p1", "p2"), d.tolist(), strict=False))
         return {"model": "mei", **size, **mei, "gamma1": k[0], "gamma2": k[4], "u0": k[2], "v0": k[5]}
@@ -171,3 +172,17 @@ def lens_facts(message: Any, where: str, *, is_rectified: bool) -> dict[str, Any
     return {
         "model": lens, **size, "fx": k[0], "fy": k[4], "cx": k[2], "cy": k[5], "distortion": distortion,
     }  # fmt: skip
+
+
+def has_two_cameras(message: Any) -> bool:
+    """Whether `K` and `P` of a CameraInfo are far apart: it matters of which of them the images are."""
+    k, p = _numbers(message, "k"), _numbers(message, "p")
+    if len(k) != 9 or len(p) != 12 or k[0] <= 0.0 or p[0] <= 0.0:
+        return False
+    apart_px = np.abs(p[[0, 5, 2, 6]] - k[[0, 4, 2, 5]])
+    return bool(apart_px.max() > _FAR_APART * k[0])
+
+
+def _numbers(message: Any, name: str) -> np.ndarray:
+    """A matrix or list of a CameraInfo, row by row; ROS 1 has its names in capitals."""
+    return np.asarray(getattr(message, name, getattr(message, name.upper(), ())), np.float64).reshape(-1)

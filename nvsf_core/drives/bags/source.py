@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.drives.bags.index import BagIndex, Stamped, index_of, median_step_s, open_bag, read_fault
-from nvsf_core.drives.bags.messages import IMAGES, POINT_CLOUD, cloud_columns, image_rgb, lens_facts
+from nvsf_core.drives.bags.messages import (
+    IMAGES,
+    POINT_CLOUD,
+    cloud_columns,
+    has_two_cameras,
+    image_rgb,
+    lens_facts,
+)
 from nvsf_core.drives.drive import Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
 from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
@@ -123,12 +130,18 @@ class BagDrive(AbstractPosedDrive):
     @cached_property
     def _mounted(self) -> tuple[Calibration, dict[str, Lens]]:
         wanted = self._topics if self.scene.cameras is None else self.scene.cameras
+        unknown = sorted(set(self.scene.rectified) - set(self._topics))
+        if unknown:
+            raise CalibrationError(
+                f"rectified: no images of camera {unknown[0]}; there are {[*self._topics]}"
+            )
         cameras, lenses, notes = {}, {}, []
         for name in wanted:
             try:
                 if name not in self._topics:
                     raise CalibrationError(f"camera {name}: no topic of images; there are {[*self._topics]}")
-                lenses[name], to_lidar = self._camera(name)
+                lenses[name], to_lidar, doubts = self._camera(name)
+                notes += doubts
                 cameras[name] = CameraCalibration(
                     name=name, intrinsics=lenses[name].intrinsics, to_pose=to_lidar
                 )
@@ -145,8 +158,8 @@ class BagDrive(AbstractPosedDrive):
         )
         return found, lenses
 
-    def _camera(self, name: str) -> tuple[Lens, np.ndarray]:
-        """A camera's lens and its pose in the LiDAR's frame."""
+    def _camera(self, name: str) -> tuple[Lens, np.ndarray, list[str]]:
+        """A camera's lens, its pose in the LiDAR's frame, and what is doubtful."""
         index, topic = self._index, self._topics[name]
         info = next(
             (own for own in index.infos if camera_name(own.replace("camera_info", "image")) == name), None
@@ -159,8 +172,15 @@ class BagDrive(AbstractPosedDrive):
                 f"expected fixed transforms from {index.frame_ids[topic]!r} to {self._lidar_frame!r} in "
                 "/tf_static, found none"
             )
-        is_rectified = "/rect" in topic or "_rect" in topic
-        return lens_of(lens_facts(index.infos[info], info, is_rectified=is_rectified), info), to_lidar
+        is_rectified = name in self.scene.rectified or "/rect" in topic or "_rect" in topic
+        facts = lens_facts(index.infos[info], info, is_rectified=is_rectified)
+        doubts = []
+        if not is_rectified and "_raw" not in topic and has_two_cameras(index.infos[info]):
+            doubts.append(
+                f"{topic}: taken to be as the camera saw it (K, D), whose P is of another camera; if it is "
+                f"rectified already, say so: rectified = [{name!r}] in the scene, or --rectified {name}"
+            )
+        return lens_of(facts, info), to_lidar, doubts
 
     def calibration(self) -> Calibration:
         """Camera infos and fixed transforms. The pose frame is the LiDAR's."""
