@@ -36,7 +36,7 @@ class Finding:
 def examine(environ: Mapping[str, str]) -> list[Finding]:
     """Examine everything; nothing is written but a temporary folder."""
     return [
-        _machine(), _threads(), _gpu(), _home(environ), _locks(environ), _catalogue(environ),
+        _machine(), _threads(), _kernels(), _gpu(), _home(environ), _locks(environ), _catalogue(environ),
         _versions(environ), _open3d(), _lpips(), _executors(),
         Finding("Dagster instance", *examine_instance(environ)),
     ]  # fmt: skip
@@ -56,6 +56,15 @@ def _threads() -> Finding:
         return Finding("threads", True, "parts of a step and views run at once")
     words = "no OpenMP: parts of a step and views run one after the other; apt-get install libgomp1"
     return Finding("threads", False, words)
+
+
+def _kernels() -> Finding:
+    from nvsf_core.kernels.cache import IS_KEPT
+
+    if IS_KEPT:
+        return Finding("kernels", True, f"compiled ones are kept in {os.environ['NUMBA_CACHE_DIR']}")
+    words = "no folder to keep compiled ones in: each process compiles them anew, for up to a minute; make "
+    return Finding("kernels", False, f"{words}~/.cache writable, or a folder that NUMBA_CACHE_DIR names")
 
 
 def _gpu() -> Finding:

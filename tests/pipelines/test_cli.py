@@ -72,7 +72,7 @@ def test_the_doctor_looks_at_everything_and_nothing_that_is_needed_is_missing_he
     subjects = {finding.subject for finding in examine(os.environ)}
     assert said.exit_code == 0, said.output
     assert {
-        "machine", "threads", "GPU", "NVSF_HOME", "locks", "catalogue", "data sets", "open3d",
+        "machine", "threads", "kernels", "GPU", "NVSF_HOME", "locks", "catalogue", "data sets", "open3d",
         "LPIPS weights", "executors", "Dagster instance",
     } == subjects  # fmt: skip
     assert all(f" {subject}: " in said.output for subject in subjects)
