@@ -4,6 +4,13 @@ DAGSTER_HOME ?= $(NVSF_HOME)/dagster
 SEED         ?= 0
 PYTHON       ?= python3.11
 PORT         ?= 3000
+# Make splits lists at blanks: a path with one would be taken for several, and these be made.
+ifneq ($(word 2,$(CURDIR)),)
+$(error expected this checkout in a path without blanks, found "$(CURDIR)": move it; or make an environment elsewhere, `pip install .` here, and use `nvsf demo` instead of make)
+endif
+ifneq ($(word 2,$(NVSF_HOME))$(word 2,$(DAGSTER_HOME)),)
+$(error expected NVSF_HOME and DAGSTER_HOME without blanks, found "$(NVSF_HOME)" and "$(DAGSTER_HOME)": name other folders; or use .venv/bin/nvsf instead of make, which takes any)
+endif
 override NVSF_HOME := $(abspath $(NVSF_HOME))
 override DAGSTER_HOME := $(abspath $(DAGSTER_HOME))
 export NVSF_HOME DAGSTER_HOME SEED SEEDS SCENES RECIPE RECIPES SPLITS MARKS NVSF_SCENES NVSF_KITTI360_ROOT NVSF_EXECUTOR

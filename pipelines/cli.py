@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -178,10 +179,11 @@ def import_(
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
         click.echo(line)
+    catalogue = shlex.quote(str(done.folder.absolute() / "scenes.toml"))
     click.echo(
         f"{done.folder}: {done.scans} scans, {done.images} images, {done.frames} poses of frames "
         f"{scene.first_frame} to {scene.last_frame}; {len(done.left_out)} left out, named in import.json; "
-        f"export NVSF_SCENES={done.folder.absolute() / 'scenes.toml'}"
+        f"export NVSF_SCENES={catalogue}"
     )
 
 
@@ -328,7 +330,7 @@ def weights(backbone: Path | None, out: Path | None) -> None:
                 f"{BACKBONE_URL}: {error}; fetch it and name it: --backbone"
             ) from error
     make_lpips_weights(Path(package.origin).parent / HEADS_PLACE, backbone, made)
-    click.echo(f"export {WEIGHTS_VARIABLE}={made.absolute()}")
+    click.echo(f"export {WEIGHTS_VARIABLE}={shlex.quote(str(made.absolute()))}")
 
 
 @main.command()

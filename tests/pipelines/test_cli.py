@@ -2,11 +2,13 @@
 
 import os
 import shutil
+import subprocess
 
 import dagster as dg
 import pytest
 from click.testing import CliRunner
 
+from nvsf_core.demo.drive import DemoSize, write_demo
 from pipelines.cli import main
 from pipelines.doctor import examine
 from pipelines.doctor_instance import examine_instance
@@ -134,6 +136,17 @@ def test_a_recording_is_imported_and_what_is_left_out_is_named(ask, tiny_catalog
     assert again.exit_code == 1 and "expected a folder to be made" in again.output
     nothing = ask("import", str(tmp_path / "nowhere"), "--out", str(tmp_path / "other"))
     assert nothing.exit_code == 1 and "found nothing" in nothing.output
+
+
+def test_what_an_import_says_to_set_is_taken_by_a_shell_whatever_the_folder_s_name(ask, tmp_path):
+    write_demo(tmp_path / "drive", size=DemoSize.tiny())
+    done = ask("import", str(tmp_path / "drive"), "--out", str(tmp_path / "my first drive"))
+    assert done.exit_code == 0, done.output
+    export = done.output[done.output.index("export ") :]
+    said = subprocess.run(
+        ["sh", "-c", f'{export}\nprintf %s "$NVSF_SCENES"'], capture_output=True, text=True, check=True
+    )
+    assert said.stdout == str(tmp_path / "my first drive/scenes.toml")
 
 
 def test_a_scene_whose_root_cannot_be_looked_into_stops_no_other(ask, tiny_catalogue, tmp_path, monkeypatch):
