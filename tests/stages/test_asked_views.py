@@ -319,6 +319,7 @@ def test_a_view_made_worse_on_purpose_scores_worse(run: Run, tmp_path: Path) -> 
     harms = {
         "ghosts": ({"points_m": ghosts}, "lidar"), "doubt": ({"grid_hit": doubtful}, "lidar"),
         "guesses": ({"grid_support": np.zeros_like(arrays["grid_support"])}, "lidar"),
+        "an empty scan": ({"offsets": np.minimum(arrays["offsets"], arrays["offsets"][-2])}, "lidar"),
         "mirror": ({"image_00_rgb": turned}, "image_00"),
     }  # fmt: skip
     for name, (harm, sensor) in harms.items():

@@ -112,11 +112,19 @@ def verdicts(means: Sequence[Mapping[str, Any]]) -> list[Verdict]:
             if row["region"] in BAND:
                 parts.setdefault(row["metric"], {})[row["region"]] = float(row["value"])
         bands = {name: Band(*(part[one] for one in BAND)) for name, part in parts.items()}
-        found.append(_verdict(view, sensor, values, bands))
+        found.append(_verdict(view, sensor, values, bands, _scored(own)))
     return found
 
 
-def _verdict(view: str, sensor: str, values: Mapping[str, float], bands: Mapping[str, Band]) -> Verdict:
+def _scored(rows: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
+    """Of how many of a view's frames the score is known, and how many there are."""
+    scores = [row for row in rows if row["region"] == "all" and row["metric"] == SCORE]
+    return sum(row["n_defined"] for row in scores), sum(row["n_frames"] for row in scores)
+
+
+def _verdict(
+    view: str, sensor: str, values: Mapping[str, float], bands: Mapping[str, Band], scored: tuple[int, int]
+) -> Verdict:
     score, band = values.get(SCORE, math.nan), bands.get(SCORE)
     ratio = math.nan if band is None else score / max(band.median, 1e-12)
     guessed = values.get(GUESSED, 0.0)
@@ -130,9 +138,9 @@ def _verdict(view: str, sensor: str, values: Mapping[str, float], bands: Mapping
         trust = Trust.NOT_KNOWN
     elif ratio > TOO_FAR or guessed > MUCH_GUESSED:
         trust = Trust.DO_NOT_USE
-    elif _is_within(score, band) and guessed <= LITTLE_GUESSED and not strange:
+    elif scored[0] == scored[1] and _is_within(score, band) and guessed <= LITTLE_GUESSED and not strange:
         trust = Trust.AS_RECORDED
-    why = _why(sensor, trust, values, bands, strange)
+    why = _why(sensor, trust, values, bands, strange, scored)
     return Verdict(
         view=view, sensor=sensor, trust=trust, why=why, ratio=ratio, values=dict(values), bands=dict(bands)
     )
@@ -144,14 +152,17 @@ def _is_within(score: float, band: Band | None) -> bool:
 
 
 def _why(
-    sensor: str, trust: Trust, values: Mapping[str, float], bands: Mapping[str, Band], strange: Sequence[Cue]
-) -> str:
+    sensor: str, trust: Trust, values: Mapping[str, float], bands: Mapping[str, Band],
+    strange: Sequence[Cue], scored: tuple[int, int],
+) -> str:  # fmt: skip
     parts, kind = ("rays", "scans") if sensor == LIDAR else ("pixels", "images")
     if trust is Trust.NOT_KNOWN:
         return f"It could not be compared: it has no {kind}, or no recorded ones were left over."
     if trust is Trust.AS_RECORDED:
         return f"It fits the recorded {kind} as well as these fit each other."
     reasons = []
+    if scored[0] < scored[1]:
+        reasons.append(f"{scored[1] - scored[0]} of its {scored[1]} {kind} could not be compared")
     if values.get(GUESSED, 0.0) > LITTLE_GUESSED:
         share = f"{100.0 * values[GUESSED]:.0f} % of its {parts} look at what nobody recorded"
         reasons.append(f"{share} (marked as guessed, and can be left out)")

@@ -28,9 +28,9 @@ def test_the_density_aware_distance_is_zero_on_the_surface_and_grows_with_distan
     assert crowded > near + 0.2
 
 
-def test_no_return_is_no_number_and_an_empty_drive_is_refused() -> None:
+def test_a_scan_without_returns_is_as_far_as_can_be_and_an_empty_drive_is_refused() -> None:
     cloud = DriveCloud([_plane()])
-    assert np.isnan(cloud.away(np.zeros((0, 3)))) and np.isnan(cloud.density_aware(np.zeros((0, 3))))
+    assert cloud.away(np.zeros((0, 3))) == cloud.density_aware(np.zeros((0, 3))) == 1.0
     with pytest.raises(DataError, match="found none"):
         DriveCloud([np.zeros((0, 3))])
 

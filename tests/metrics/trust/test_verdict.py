@@ -10,7 +10,7 @@ RECORDED = {cue.name: 0.1 for cue in SCAN_CUES}
 
 
 def _rows(values: Mapping[str, float], bands: Mapping[str, float]) -> list[dict]:
-    facts = {"protocol": PROTOCOL, "split": "shift_1m", "sensor": "lidar"}
+    facts = {"protocol": PROTOCOL, "split": "shift_1m", "sensor": "lidar", "n_frames": 10, "n_defined": 10}
     rows = [{**facts, "region": "all", "metric": name, "value": value} for name, value in values.items()]
     rows += [
         {**facts, "region": region, "metric": name, "value": value * share}
@@ -57,6 +57,15 @@ def test_a_score_above_all_recorded_ones_is_not_as_recorded_however_near_the_med
     assert verdicts(rows)[0].trust is Trust.AS_RECORDED
     high["value"] = 0.104
     assert verdicts(rows)[0].trust is Trust.WITH_CARE
+
+
+def test_a_view_of_which_some_scans_have_no_score_is_not_as_recorded_and_says_how_many() -> None:
+    rows = _rows(RECORDED | {SCORE: 0.1}, RECORDED | {SCORE: 0.1})
+    score = next(row for row in rows if (row["region"], row["metric"]) == ("all", SCORE))
+    score["n_defined"] = 1
+    (found,) = verdicts(rows)
+    assert found.trust is Trust.WITH_CARE
+    assert "9 of its 10 scans could not be compared" in found.why
 
 
 def test_what_is_guessed_makes_it_worse_and_is_said_in_percent() -> None:
