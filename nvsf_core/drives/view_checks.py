@@ -81,6 +81,19 @@ def moments_s(view: ViewEntry, frames: Sequence[int] | np.ndarray, frame_time_s:
     return np.asarray(found, np.float64)
 
 
+def asked_frames(view: ViewEntry, drive: AbstractDrive) -> np.ndarray:
+    """Numbers (n,) of the frames at whose times a view of `frames` has its sensors, ascending.
+
+    Raises:
+        DataError: See `moments_s`; or the drive's times cannot be read.
+        OSError: The same.
+    """
+    frames, time_s = np.asarray(drive.frames, np.int64), drive.times().time_s
+    posed = _posed(drive, frames)
+    moments = moments_s(view, frames[posed], time_s[posed])
+    return np.asarray(frames[posed][np.isin(time_s[posed], moments)])
+
+
 def _posed(drive: AbstractDrive, frames: np.ndarray) -> np.ndarray:
     """(m,) bool: which frames (m,) have a pose; all, where the stage `frames` will say what is wrong."""
     try:

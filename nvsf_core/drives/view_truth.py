@@ -1,11 +1,13 @@
 """Files of true images of a view, which a catalogue names: found and looked at before anything is trained."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
-from nvsf_core.drives.drive import has_data
+from nvsf_core.drives.drive import drive_of, has_data
 from nvsf_core.drives.entries import KITTI360
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.view_checks import asked_frames
 from nvsf_core.errors import DataError
 
 _PNG_HEADER_BYTES = 24
@@ -45,7 +47,7 @@ def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]
 
 
 def require_truth(scene: SceneEntry) -> None:
-    """Refuse views whose true images are absent, or of another size than their camera's recorded ones.
+    """Refuse views whose true images are absent, of none of their frames, or not of the recorded ones' size.
 
     Raises:
         DataError: There is such a view; the message names it, its camera, the file and both sizes.
@@ -56,9 +58,11 @@ def require_truth(scene: SceneEntry) -> None:
     frames = range(scene.first_frame, scene.last_frame + 1)
     for view in scene.views:
         for camera, files in truth_files(scene, view).items():
+            where = f"scene {scene.name}, view {view.name}: truth of {camera}"
+            if view.frames == "all":
+                _require_shown(scene, view, files, where)
             if scene.kind != KITTI360:
                 continue  # images of any size and file type: the stage `scene_metrics` compares sizes
-            where = f"scene {scene.name}, view {view.name}: truth of {camera}"
             paths = [layout.image_path(camera, frame) for frame in frames]
             recorded = next((path for path in paths if path.is_file()), None)
             if recorded is None:
@@ -75,6 +79,20 @@ def require_truth(scene: SceneEntry) -> None:
                         f"{'no PNG' if own is None else f'{own[0]} x {own[1]}'} in {path}; rectify or cut it "
                         "as the camera's recorded images are"
                     )
+
+
+def _require_shown(scene: SceneEntry, view: ViewEntry, true_frames: Iterable[int], where: str) -> None:
+    """Refuse true images of frames of which the view has no image: its path may end before, or lack poses."""
+    try:
+        shown = asked_frames(view, drive_of(scene)).tolist()
+    except (DataError, OSError):
+        return  # `require_views`, or the stage `frames`, says what is wrong
+    true_frames = sorted(true_frames)
+    if not set(shown) & set(true_frames):
+        raise DataError(
+            f"{where}: expected images of some of the view's frames, {shown[0]} to {shown[-1]}, found those "
+            f"of {true_frames!s:.100}; add images of its frames, or leave `truth` out"
+        )
 
 
 def _png_size(path: Path) -> tuple[int, int] | None:
