@@ -103,9 +103,10 @@ class ViewEntry:
     """File formats that the stage `dataset` writes."""
     truth: tuple[tuple[str, Path], ...] = ()
     """Cameras, each with the folder of its true images of this view, taken for example by a second camera:
-    `{ image_00 = "right_camera" }`; a relative folder lies below the scene's root. They are PNG files named,
-    sized and distorted as that camera's recorded ones, of the view's frames; nothing but measuring reads
-    them."""
+    `{ image_00 = "right_camera" }`; a relative folder lies below the scene's root. They are files named,
+    sized and distorted as that camera's recorded ones (`plain` and `bag` drives: PNG or JPEG; others: PNG);
+    a file's number is that of the frame at whose time it was taken, on a path of the view's own, too. Nothing
+    but measuring reads them."""
 
     def __post_init__(self) -> None:
         """Refuse values that would otherwise fail only after training."""

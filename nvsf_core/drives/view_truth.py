@@ -5,8 +5,9 @@ from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.drive import drive_of, has_data
-from nvsf_core.drives.entries import KITTI360
+from nvsf_core.drives.entries import KITTI360, OWN_ROOT_KINDS
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.plain.layout import IMAGE_KINDS, numbered_files
 from nvsf_core.drives.view_checks import asked_frames
 from nvsf_core.errors import DataError
 
@@ -33,7 +34,7 @@ def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]
             )
         is_all = view.frames == "all"
         frames = range(scene.first_frame, scene.last_frame + 1) if is_all else map(int, view.frames)
-        files = {frame: folder / f"{frame:010d}.png" for frame in frames}
+        files = _files(scene, folder, frames)
         there = {frame: file for frame, file in files.items() if file.is_file()}
         absent = sorted(set(files) - set(there))
         if not there or (absent and not is_all):
@@ -44,6 +45,13 @@ def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]
             )
         found[camera] = there
     return found
+
+
+def _files(scene: SceneEntry, folder: Path, frames: Iterable[int]) -> dict[int, Path]:
+    """Frame number to image, there or not, of the names and kinds that the reader of the drive accepts."""
+    others = numbered_files(folder, IMAGE_KINDS) if scene.kind in OWN_ROOT_KINDS else {}
+    files = {frame: folder / f"{frame:010d}.png" for frame in frames}
+    return {frame: file if file.is_file() else others.get(frame, file) for frame, file in files.items()}
 
 
 def require_truth(scene: SceneEntry) -> None:

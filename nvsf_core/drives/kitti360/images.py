@@ -26,14 +26,14 @@ def read_image(path: Path, width: int, height: int) -> np.ndarray:
     """Read an image as (height, width, 3) uint8 RGB.
 
     Args:
-        path: A PNG file with 8 bits a channel.
+        path: A PNG file with 8 bits a channel, or a JPEG.
         width: Expected columns, pixels.
         height: Expected rows, pixels.
 
     Raises:
-        DataError: See `decode_image`; or the file is absent or too large.
+        DataError: See `decode_picture`; or the file is absent or too large.
     """
-    return decode_image(path, read_image_bytes(path, width, height), width, height)
+    return decode_picture(path, read_image_bytes(path, width, height), width, height)
 
 
 def read_image_bytes(path: Path, width: int, height: int) -> bytes:

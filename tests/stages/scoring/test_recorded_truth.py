@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -77,6 +78,21 @@ def test_truth_of_a_camera_with_distortion_is_rectified_as_its_own_images_are(tm
     _, scene = _drive(tmp_path, VIEW)
     (found,), own = _truths(tmp_path, scene, ASKED)
     assert np.array_equal(found.rgb, own[list(ASKED)]) and found.frame.tolist() == list(ASKED)
+
+
+def test_truth_of_a_camera_of_jpegs_is_found_and_read_under_the_names_that_its_drive_may_have(
+    tmp_path: Path,
+) -> None:
+    layout, scene = _drive(tmp_path, VIEW)
+    for frame, name in ((1, "1.jpg"), (2, "0000000002.JPEG")):
+        true = layout.root / f"true/{frame:010d}.png"
+        cv2.imwrite(str(true.with_name(f"{name}.jpg")), cv2.imread(str(true)))
+        true.with_name(f"{name}.jpg").rename(true.with_name(name))
+        true.unlink()
+    (found,), own = _truths(tmp_path, scene, ASKED)
+    assert found.frame.tolist() == list(ASKED)
+    apart = np.abs(found.rgb.astype(int) - own[list(ASKED)])
+    assert 0 < apart.mean() < 60, "the same noise, but for what JPEG takes away"
 
 
 def test_truth_on_a_path_of_its_own_belongs_to_the_frames_asked_for_not_to_those_nearest_in_place(
