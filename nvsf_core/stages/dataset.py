@@ -7,7 +7,6 @@ drop by its hit probability, and each range gets the sensor's noise, from the da
 import hashlib
 import importlib.metadata
 import json
-import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -26,6 +25,7 @@ from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     damaged_data_set,
     is_sealed,
+    stored_number,
 )
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
@@ -196,14 +196,11 @@ def source_checksums(task: Task) -> dict[str, str]:
 
 
 def _field_metrics(task: Task) -> list[dict[str, Any]]:
-    """Means over frames of the field's metrics; values that are not finite become None, for JSON."""
+    """Means over frames of the field's metrics, their numbers as strict JSON holds them."""
     config = task.config
     path = task.store.require(SCENE_METRICS.location(config)) / "metrics.parquet"
     return [
-        {
-            name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in row.items()
-        }
+        {name: stored_number(value) if isinstance(value, float) else value for name, value in row.items()}
         for row in mean_rows(read_rows(path))
         if row["recipe"] == config.recipe.name
     ]

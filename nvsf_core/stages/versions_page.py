@@ -6,7 +6,7 @@ from typing import Any
 
 from nvsf_core.errors import StoreError
 from nvsf_core.reporting.versions import VersionFacts, versions_html
-from nvsf_core.stages.exports.manifest import MANIFEST_NAME, count_of
+from nvsf_core.stages.exports.manifest import MANIFEST_NAME, count_of, number_of
 from nvsf_core.stages.versions import VERSIONS, Version, made_s, versions_of
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.removal import Removal, removals
@@ -18,6 +18,8 @@ _KINDS: Mapping[str, type] = dict.fromkeys(
     ("recipe", "view", "source_checksums", "software", "rendered_from"), dict
 )
 """Kinds of a manifest's entries: what is of another one is left out, for a page must not fail by one file."""
+_INFINITE = ("inf", "-inf")
+"""Metrics that are infinite, as a manifest holds them."""
 _LARGEST = 1e11
 """Of seconds and of megabytes; beyond it a note is damaged."""
 
@@ -88,10 +90,17 @@ def _number(value: object) -> float:
 def _readable(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of a manifest whose kind is right."""
     rows = manifest.get("field_metrics")
-    metrics = [row for row in rows if _is_metric(row)] if isinstance(rows, list) else []
+    metrics = [_read(row) for row in rows if _is_metric(row)] if isinstance(rows, list) else []
     found = {key: value for key, value in manifest.items() if isinstance(value, _KINDS.get(key, object))}
     return found | ({"field_metrics": metrics} if found else {})
 
 
+def _read(row: dict[str, Any]) -> dict[str, Any]:
+    """A metric whose value, if it is infinite, is a number again."""
+    return {**row, "value": number_of(row["value"])} if row.get("value") in _INFINITE else row
+
+
 def _is_metric(row: object) -> bool:
-    return isinstance(row, dict) and isinstance(row.get("value"), int | float | None)
+    if not isinstance(row, dict):
+        return False
+    return isinstance(row.get("value"), int | float | None) or row["value"] in _INFINITE

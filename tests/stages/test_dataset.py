@@ -86,6 +86,7 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
             {**shared, "frame": 3, "metric": "f_score", "value": 0.7, "recipe": "quick"},
             {**shared, "frame": 2, "metric": "f_score", "value": 0.1, "recipe": "copy_nearest"},
             {**shared, "frame": 2, "metric": "range_rmse_m", "value": math.nan, "recipe": "quick"},
+            {**shared, "frame": 2, "metric": "range_medae_m", "value": math.inf, "recipe": "quick"},
         ]
         with store.publish("scene_metrics/quick/0") as folder:
             write_rows(folder / "metrics.parquet", rows, list(rows[0]))
@@ -172,6 +173,7 @@ def test_the_manifest_names_sources_poses_and_metrics_in_strict_json(tmp_path: P
     assert by_name["f_score"]["value"] == pytest.approx(0.6)
     assert by_name["range_rmse_m"]["value"] is None
     assert by_name["range_rmse_m"]["n_defined"] == 0
+    assert by_name["range_medae_m"]["value"] == "inf", "the error of no return is no undefined one"
     card = json.loads((folders["shift_1m"] / "card.json").read_text(), parse_constant=refuse)
     assert {"card.json", "card.md"} <= set(manifest["checksums"])
     assert card["made_by"]["commit"] == manifest["commit"]

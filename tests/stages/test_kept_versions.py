@@ -283,6 +283,15 @@ def test_the_page_tells_of_removed_versions(home: Path, monkeypatch: pytest.Monk
     assert removal_of(_plan(home, 0).store, f"dataset/test/{_folder(home, 'W1').name}") is None
 
 
+def test_an_infinite_metric_stands_on_the_page_of_versions(home: Path) -> None:
+    _make(home, 0)
+    manifest = _folder(home, "W0") / "manifest.json"
+    metric = {"protocol": "image", "metric": "image_psnr_db", "region": "all", "split": "test"}
+    rows = {"field_metrics": [{**metric, "value": "inf"}]}
+    write_document(manifest, json.loads(manifest.read_text()) | rows)
+    assert "∞" in write_versions_page(home, home, ["tiny"]).read_text()
+
+
 @pytest.mark.parametrize(
     "harm",
     [

@@ -13,6 +13,7 @@ from typing import Any
 from nvsf_core.metrics.table import HEADLINES, HELD_OUT
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.rendering.rendered import Support
+from nvsf_core.stages.exports.manifest import number_of, stored_number
 
 JSON_NAME, MARKDOWN_NAME = "card.json", "card.md"
 NO_LICENCE = "not stated: the scene's entry in the catalogue has no `licence`"
@@ -43,7 +44,7 @@ def write_card(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 def card_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """The card's facts, as strict JSON holds them."""
-    rows = [{**row, "value": _number(row["value"])} for row in manifest.get("field_metrics", [])]
+    rows = [{**row, "value": number_of(row["value"])} for row in manifest.get("field_metrics", [])]
     support = {
         "returns": _shares(manifest["scans"], "returns"),
         "pixels": _shares(manifest["images"], "pixels"),
@@ -111,8 +112,7 @@ def _is_shown(row: Mapping[str, Any]) -> bool:
 
 def _error(row: Mapping[str, Any]) -> dict[str, Any]:
     keys = ("split", "protocol", "region", "sensor", "metric", "unit", "n_frames", "n_defined")
-    value = row["value"]
-    return {**{key: row[key] for key in keys}, "value": value if math.isfinite(value) else None}
+    return {**{key: row[key] for key in keys}, "value": stored_number(row["value"])}
 
 
 def _not_for(
@@ -146,10 +146,6 @@ def _people(manifest: Mapping[str, Any]) -> str:
         "As recorded: images are made from recorded pixels, nothing was blurred or removed here. What the "
         "recording blurred stays so."
     )
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 def _markdown(card: Mapping[str, Any]) -> str:
@@ -198,14 +194,22 @@ def _error_lines(errors: Sequence[Mapping[str, Any]]) -> list[str]:
         ]
     rows = ["| of | protocol | sensor | region | metric | mean | frames |", "|" + " --- |" * 7]
     for one in errors:
-        unit = "" if one["unit"] == "1" else f" {one['unit']}"
-        value = "undefined" if one["value"] is None else f"{one['value']:.4g}{unit}"
+        value = _in_words(number_of(one["value"]), one["unit"])
         of = "held-out frames" if one["split"] == HELD_OUT else f"view `{one['split']}`"
         rows.append(
             f"| {of} | `{one['protocol']}` | {one['sensor']} | {one['region']} | `{one['metric']}` | {value} "
             f"| {one['n_defined']} of {one['n_frames']} |"
         )
     return [*rows, "", "Held-out frames were recorded and kept from training; the model is measured on them."]
+
+
+def _in_words(value: float, unit: str) -> str:
+    """A mean error as the card shows it."""
+    if math.isnan(value):
+        return "undefined"
+    if math.isinf(value):
+        return "infinite" if value > 0.0 else "-infinite"
+    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
 
 
 def _support_lines(support: Mapping[str, Mapping[str, float]]) -> list[str]:

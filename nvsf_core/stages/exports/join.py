@@ -12,7 +12,14 @@ import numpy as np
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
-from nvsf_core.stages.exports.manifest import MANIFEST_NAME, SEAL, asked_of, damaged_data_set
+from nvsf_core.stages.exports.manifest import (
+    MANIFEST_NAME,
+    SEAL,
+    asked_of,
+    damaged_data_set,
+    number_of,
+    stored_number,
+)
 from nvsf_core.stages.exports.one_drive import on_one_clock, with_shared_objects
 from nvsf_core.stages.exports.write import WHOLE, finish_data_set
 from nvsf_core.stages.kept_versions import in_order
@@ -178,10 +185,11 @@ def _means(name: str, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def _mean(weighed: Sequence[tuple[float | None, int]]) -> float | None:
-    known = [(value, weight) for value, weight in weighed if value is not None]
+def _mean(weighed: Sequence[tuple[float | str | None, int]]) -> float | str | None:
+    """The mean of stored numbers by their weights, as it is stored; an infinite one makes it infinite."""
+    known = [(number_of(value), weight) for value, weight in weighed if value is not None and weight > 0]
     count = sum(weight for _, weight in known)
-    return sum(value * weight for value, weight in known) / count if count else None
+    return stored_number(sum(value * weight for value, weight in known) / count) if count else None
 
 
 def _sum(values: Sequence[float | None]) -> float | None:

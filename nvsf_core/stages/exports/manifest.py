@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,18 @@ def sound_manifest(folder: Path) -> dict[str, Any] | None:
     seal = manifest.get(SEAL)
     own = _digest({key: value for key, value in manifest.items() if key != SEAL})
     return manifest if seal in (None, own) else None
+
+
+def stored_number(value: float) -> float | str | None:
+    """A number as strict JSON holds it: None for NaN (undefined), "inf" or "-inf" for an infinite one."""
+    if math.isnan(value):
+        return None
+    return str(value) if math.isinf(value) else value
+
+
+def number_of(stored: float | str | None) -> float:
+    """The number that `stored_number` made an entry of; NaN for None."""
+    return math.nan if stored is None else float(stored)
 
 
 def count_of(manifest: Mapping[str, Any], kind: str) -> int:

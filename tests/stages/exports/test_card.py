@@ -77,6 +77,13 @@ def test_a_card_without_licence_errors_and_images_says_so(tmp_path: Path) -> Non
     assert card["faces_and_licence_plates"].startswith("No images")
 
 
+def test_an_infinite_error_is_called_infinite_and_not_undefined(tmp_path: Path) -> None:
+    first, *others = _manifest()["field_metrics"]
+    card, text = _written(tmp_path, _manifest(field_metrics=[{**first, "value": "inf"}, *others]))
+    assert card["errors"][0]["value"] == "inf"
+    assert "| `chamfer_m2` | infinite | 4 of 4 |" in text
+
+
 def test_no_number_on_a_card_is_nan(tmp_path: Path) -> None:
     rows = [{**row, "value": math.nan} for row in _manifest()["field_metrics"]]
     card, _ = _written(tmp_path, _manifest(field_metrics=rows))

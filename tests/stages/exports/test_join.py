@@ -106,6 +106,17 @@ def test_each_frame_is_of_the_part_in_whose_middle_it_lies(tmp_path):
     assert [error[name] for name in ("train_seconds", "model_mb", "render_seconds")] == [21.0, 2.0, 0.2]
 
 
+def test_an_infinite_error_of_a_part_is_one_of_the_whole_and_an_undefined_one_is_left_out(tmp_path):
+    parts = parts_of("long", cut_scene(ENTRY))
+    first = {**_manifest()["field_metrics"][0], "render_seconds": 0.1, "value": 0.5}
+    infinite, undefined = {**first, "value": "inf"}, {**first, "value": None, "n_defined": 0}
+    others = [[infinite, {**first, "metric": "f_score"}], [first, {**undefined, "metric": "f_score"}]]
+    folders = [_made(tmp_path, part, k, field_metrics=others[k]) for k, (part, _) in enumerate(parts)]
+    out = join_data_sets("long", parts, folders, tmp_path / "joined")
+    found = json.loads((out / "manifest.json").read_text())["field_metrics"]
+    assert {row["metric"]: row["value"] for row in found} == {"chamfer_m2": "inf", "f_score": 0.5}
+
+
 def test_what_two_parts_found_is_one_object_where_it_is_at_one_place(tmp_path):
     parts = parts_of("long", cut_scene(ENTRY))
     folders = [_made(tmp_path, part, number) for number, (part, _) in enumerate(parts)]
