@@ -206,14 +206,18 @@ def join(scene: str, view: str, out: Path, recipe: str | None, seed: int) -> Non
     """  # noqa: D301  as of `view`
     from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
     from nvsf_core.drives.cuts import parts_of
-    from nvsf_core.stages.exports.join import join_data_sets, newest_data_set
+    from nvsf_core.stages.exports.join import asks_for, join_data_sets, newest_data_set
     from nvsf_core.stages.versions import reading_versions
 
     parts = parts_of(scene, catalogue_from_environment(os.environ))
     home = home_from_environment(os.environ)
     names = [part.name for part, _ in parts]
     with reading_versions(home, names, lambda line: click.echo(line, err=True)):
-        folders = [newest_data_set(home, name, view, recipe, seed) for name in names]
+        # Of a view that the catalogue has no more, all parts are asked.
+        asked = [part.name for part, _ in parts if asks_for(part, view)] or names
+        folders = [
+            newest_data_set(home, name, view, recipe, seed) if name in asked else None for name in names
+        ]
         click.echo(join_data_sets(scene, parts, folders, out))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
 from nvsf_core.errors import DataError
+from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     SEAL,
@@ -33,20 +34,22 @@ _OF_A_PART = ("scene", "value", "render_seconds", *_COUNTS, *_COSTS)
 _SAME = ("recipe", "seed", "draw_seed", "cameras", "schema_version")
 """What the parts' data sets must have in common."""
 _ROUNDING = 1e-6
+_Part = tuple[SceneEntry, range, Path]
+"""A part, the frames that are its own, and the folder of its data set."""
 
 
 def join_data_sets(
-    name: str, parts: Sequence[tuple[SceneEntry, range]], folders: Sequence[Path], out: Path
+    name: str, parts: Sequence[tuple[SceneEntry, range]], folders: Sequence[Path | None], out: Path
 ) -> Path:
     """Write one data set of the frames that are each part's own, on the clock of the first part.
 
     Scans, images and the files beside them are joined; whole trees in one (`kitti`, `mcap` ...) are
-    not, and are named in the manifest.
+    not. These, and parts without the view, are named in the manifest.
 
     Args:
         name: Of the scene that was cut.
         parts: The parts, and the frames that are their own.
-        folders: Each part's data set of the same view.
+        folders: Each part's data set of the same view; None = the part has none of its frames.
         out: Folder to make.
 
     Returns:
@@ -58,14 +61,34 @@ def join_data_sets(
     """
     if out.exists():
         raise DataError(f"{out}: expected a folder to be made, found one that is there; name another")
-    for folder in folders:
+    asked = [(*one, folder) for one, folder in zip(parts, folders, strict=True) if folder is not None]
+    manifests = _manifests_of_one_view(asked)
+    without = [part.name for (part, _), folder in zip(parts, folders, strict=True) if folder is None]
+    try:
+        with new_folder(out) as folder:
+            first_frames = [part.first_frame for part, _, _ in asked]
+            of_one_drive = with_shared_objects(on_one_clock(manifests, first_frames))
+            joined = _joined(name, asked, of_one_drive, folder)
+            finish_data_set(folder, {**joined, "parts_without_view": without})
+    except OSError as error:
+        raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
+    return out
+
+
+def _manifests_of_one_view(parts: Sequence[_Part]) -> list[dict[str, Any]]:
+    """The manifests of the parts' data sets.
+
+    Raises:
+        DataError: A data set is damaged, or is of another view, recipe or seed than the first.
+    """
+    for _, _, folder in parts:
         fault = damaged_data_set(folder)
         if fault is not None:
             raise DataError(
                 f"{folder}: expected a whole data set, found {fault} damaged; `nvsf verify --mend`"
             )
-    manifests = [_manifest(folder) for folder in folders]
-    for (part, _), manifest in zip(parts, manifests, strict=True):
+    manifests = [_manifest(folder) for _, _, folder in parts]
+    for (part, _, _), manifest in zip(parts, manifests, strict=True):
         differing = [key for key in _SAME if not _agree(manifest.get(key), manifests[0].get(key))]
         if not _agree(_asked(manifest), _asked(manifests[0])):
             differing.append("view")
@@ -74,13 +97,7 @@ def join_data_sets(
                 f"{part.name}: expected the {differing[0]} of {parts[0][0].name}, found another; make all "
                 "parts' data sets of one view, by one recipe and seed"
             )
-    try:
-        with new_folder(out) as folder:
-            of_one_drive = with_shared_objects(on_one_clock(manifests))
-            finish_data_set(folder, _joined(name, parts, of_one_drive, folders, folder))
-    except OSError as error:
-        raise DataError(f"cannot write {out} ({error.strerror or error}); check space and rights") from error
-    return out
+    return manifests
 
 
 def _asked(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -100,18 +117,14 @@ def _agree(one: Any, other: Any) -> bool:
 
 
 def _joined(
-    name: str,
-    parts: Sequence[tuple[SceneEntry, range]],
-    manifests: Sequence[dict[str, Any]],
-    folders: Sequence[Path],
-    out: Path,
+    name: str, parts: Sequence[_Part], manifests: Sequence[dict[str, Any]], out: Path
 ) -> dict[str, Any]:
     """Copy the files; the manifest's entries."""
     rows: dict[str, list[dict[str, Any]]] = {"scans": [], "images": [], "boxes": [], "field_metrics": []}
     left_out: set[str] = set()
     known: set[tuple[int, int | None]] = set()
     objects = _objects(manifests)
-    for (part, own), manifest, folder in zip(parts, manifests, folders, strict=True):
+    for (part, own, folder), manifest in zip(parts, manifests, strict=True):
         for row in manifest["scans"] + manifest["images"]:
             if row["number"] != row["nearest_frame"]:
                 raise DataError(f"{part.name}: expected a view of recorded frames, found one of other times")
@@ -140,7 +153,7 @@ def _joined(
         "parts": [
             {"scene": part.name, "version": one["version"], "frames": [own[0], own[-1]],
              "source_checksums": one["source_checksums"]}
-            for (part, own), one in zip(parts, manifests, strict=True)
+            for (part, own, _), one in zip(parts, manifests, strict=True)
         ],
         "not_joined": sorted(left_out),
     }  # fmt: skip
@@ -195,6 +208,11 @@ def _mean(weighed: Sequence[tuple[float | str | None, int]]) -> float | str | No
 def _sum(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) if known else None
+
+
+def asks_for(part: SceneEntry, view: str) -> bool:
+    """Whether a part has frames of a view of the drive; `view` is its name, or `test`."""
+    return bool(part.test_frames) if view == HELD_OUT else view in [one.name for one in part.views]
 
 
 def newest_data_set(home: Path, scene: str, view: str, recipe: str | None, seed: int) -> Path:

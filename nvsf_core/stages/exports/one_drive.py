@@ -3,11 +3,13 @@
 Each part counts seconds from its own first frame, and numbers what it found to move by itself.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from nvsf_core.errors import DataError
 from nvsf_core.stages.views.instances import FOUND
 
 _WITH_OBJECTS = ("boxes", "instances")
@@ -15,16 +17,23 @@ _SAME_OBJECT_M = 1.0
 """Boxes of one object that two parts found lie so near to each other, in the median of the shared frames."""
 
 
-def on_one_clock(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def on_one_clock(manifests: Sequence[dict[str, Any]], first_frames: Sequence[int]) -> list[dict[str, Any]]:
     """The manifests with times of scans and images since the first part's first frame.
 
     Parts are placed by the frames that they share; without any, by the frames' usual distance.
+
+    Args:
+        manifests: Of the parts' data sets, in the order of the drive.
+        first_frames: First frame of each part: its own clock is 0 there.
+
+    Raises:
+        DataError: Of two neighbours only the first frames are there, which tell no distance of frames.
     """
-    found = list(manifests[:1])
-    for manifest in manifests[1:]:
-        later_s = _later_s(found[-1], manifest)
+    found, begin_s = list(manifests[:1]), 0.0
+    for manifest, (before, first) in zip(manifests[1:], itertools.pairwise(first_frames), strict=True):
+        begin_s = _later_s(found[-1], (before, begin_s), manifest, (first, 0.0))
         rows = {
-            kind: [{**row, **{name: row[name] + later_s for name in _times(row)}} for row in manifest[kind]]
+            kind: [{**row, **{name: row[name] + begin_s for name in _times(row)}} for row in manifest[kind]]
             for kind in ("scans", "images")
         }
         found.append({**manifest, **rows})
@@ -35,19 +44,40 @@ def _times(row: Mapping[str, Any]) -> list[str]:
     return [name for name in ("time_s", "stamp_s") if name in row]
 
 
-def _later_s(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
-    """Seconds from the beginning of one part's clock to that of the next."""
+def _later_s(
+    before: Mapping[str, Any],
+    before_begin: tuple[int, float],
+    after: Mapping[str, Any],
+    after_begin: tuple[int, float],
+) -> float:
+    """Seconds from the beginning of one part's clock to that of the next.
+
+    Args:
+        before: Manifest of the one part.
+        before_begin: Its first frame, and when that is on the manifest's clock.
+        after: Manifest of the next part.
+        after_begin: The same of the next part.
+    """
     sooner, later = _seconds(before), _seconds(after)
     shared = sorted(set(sooner) & set(later))
     if shared:
         return float(np.median([sooner[number] - later[number] for number in shared]))
-    numbers = sorted(sooner)
-    first = min(later, default=0)
-    if not numbers:
+    if not sooner:
         return 0.0
-    span_s = sooner[numbers[-1]] - sooner[numbers[0]]
-    step_s = span_s / max(1, numbers[-1] - numbers[0])
-    return sooner[numbers[-1]] + step_s * (first - numbers[-1]) - later.get(first, 0.0)
+    last, first = max(sooner), min(later, default=0)
+    step_s = _step_s(sooner) or _step_s(dict([before_begin]) | sooner)
+    step_s = step_s or _step_s(dict([after_begin]) | later)
+    if step_s == 0.0:
+        raise DataError(
+            f"expected two frames of one part, found the first frames {last} and {first} of two alone: the "
+            "time between frames is not known; ask for one frame more"
+        )
+    return sooner[last] + step_s * (first - last) - later.get(first, 0.0)
+
+
+def _step_s(time_s: Mapping[int, float]) -> float:
+    """Usual seconds from frame to frame, of the times of some; 0 if there are not two."""
+    return (time_s[max(time_s)] - time_s[min(time_s)]) / max(1, max(time_s) - min(time_s))
 
 
 def _seconds(manifest: Mapping[str, Any]) -> dict[int, float]:

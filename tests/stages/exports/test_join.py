@@ -8,16 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.cuts import cut_scene, parts_of
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
+from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
-from nvsf_core.stages.exports.join import join_data_sets, newest_data_set
+from nvsf_core.stages.exports.join import asks_for, join_data_sets, newest_data_set
 from nvsf_core.stages.exports.one_drive import on_one_clock
 from nvsf_core.stages.exports.write import finish_data_set
 from nvsf_core.stages.views.instances import FOUND
 from nvsf_core.stores.checksums import damaged_file
+from pipelines.cli import main
 from tests.stages.exports.test_card import _manifest
 
 ENTRY = SceneEntry(
@@ -117,6 +121,23 @@ def test_an_infinite_error_of_a_part_is_one_of_the_whole_and_an_undefined_one_is
     assert {row["metric"]: row["value"] for row in found} == {"chamfer_m2": "inf", "f_score": 0.5}
 
 
+def test_the_command_joins_a_view_that_one_part_does_not_ask_for(tmp_path, monkeypatch):
+    catalogue = tmp_path / "scenes.toml"
+    catalogue.write_text(
+        '[[scene]]\nname = "long"\nroot = "d"\nsequence = "s"\nfirst_frame = 0\nlast_frame = 17\n'
+        "test_frames = [3]\ncut_frames = 8\noverlap_frames = 3\n"
+        '[[view]]\nname = "left"\nframes = [1, 2, 16]\n'
+    )
+    monkeypatch.setenv("NVSF_SCENES", str(catalogue))
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
+    for number, part in enumerate(load_catalogue([catalogue], None)):
+        if number != 1:
+            _made(tmp_path / "home", part, number)
+    said = CliRunner().invoke(main, ["join", "long", "left", "--out", str(tmp_path / "joined")])
+    assert said.exit_code == 0, said.output
+    assert json.loads((tmp_path / "joined/manifest.json").read_text())["parts_without_view"] == ["long_001"]
+
+
 def test_what_two_parts_found_is_one_object_where_it_is_at_one_place(tmp_path):
     parts = parts_of("long", cut_scene(ENTRY))
     folders = [_made(tmp_path, part, number) for number, (part, _) in enumerate(parts)]
@@ -138,8 +159,35 @@ def test_parts_without_a_shared_frame_follow_each_other_in_time():
         rows = [{"number": first + k, "time_s": 0.1 * k} for k in range(4)]
         return {"scans": rows, "images": []}
 
-    times_s = [row["time_s"] for one in on_one_clock([part(0), part(4), part(9)]) for row in one["scans"]]
+    firsts = [0, 4, 9]
+    joined = on_one_clock([part(first) for first in firsts], firsts)
+    times_s = [row["time_s"] for one in joined for row in one["scans"]]
     np.testing.assert_allclose(times_s, 0.1 * np.array([0, 1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12]))
+
+
+def test_parts_of_one_frame_each_are_placed_by_their_own_clocks():
+    def part(number: int, time_s: float) -> dict:
+        return {"scans": [{"number": number, "time_s": time_s}], "images": []}
+
+    joined = on_one_clock([part(3, 0.3), part(60, 0.0), part(95, 0.2)], [0, 60, 93])
+    np.testing.assert_allclose([one["scans"][0]["time_s"] for one in joined], [0.3, 6.0, 9.5])
+    with pytest.raises(DataError, match="the first frames 0 and 60 of two alone"):
+        on_one_clock([part(0, 0.0), part(60, 0.0)], [0, 60])
+
+
+def test_parts_that_do_not_ask_for_the_view_are_left_out_and_named(tmp_path):
+    view = ViewEntry(name="left", frames=(1, 2, 16))
+    parts = parts_of("long", cut_scene(replace(ENTRY, last_frame=17, views=(view,))))
+    assert [asks_for(part, "left") for part, _ in parts] == [True, False, True]
+    assert [asks_for(part, "test") for part, _ in parts] == [True, False, False]
+    folders = [_made(tmp_path, part, k) if k != 1 else None for k, (part, _) in enumerate(parts)]
+    out = join_data_sets("long", parts, folders, tmp_path / "joined")
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["parts_without_view"] == ["long_001"]
+    assert [one["scene"] for one in manifest["parts"]] == ["long_000", "long_002"]
+    numbers = [row["number"] for row in manifest["scans"]]
+    assert numbers == [*parts[0][1], *parts[2][1]]
+    np.testing.assert_allclose([row["time_s"] for row in manifest["scans"]], 0.1 * np.array(numbers))
 
 
 def test_parts_of_two_seeds_are_not_joined_and_nothing_is_left_behind(tmp_path):
