@@ -33,6 +33,8 @@ _OF_A_PART = ("scene", "value", "render_seconds", *_COUNTS, *_COSTS)
 """Columns of a mean error that differ between parts."""
 _SAME = ("recipe", "seed", "draw_seed", "cameras", "schema_version")
 """What the parts' data sets must have in common."""
+_OF_ITS_MODEL = ("source_checksums", "rendered_from", "rendering", "drawn")
+"""Entries on one part's model, which stand with the part."""
 _ROUNDING = 1e-6
 _Part = tuple[SceneEntry, range, Path]
 """A part, the frames that are its own, and the folder of its data set."""
@@ -146,17 +148,35 @@ def _joined(
         rows["field_metrics"] += manifest["field_metrics"]
         left_out |= {path.name for path in folder.iterdir() if path.name in WHOLE}
     version = "joined-" + "-".join(one["version"].rpartition("-")[2] for one in manifests)[:60]
+    common = {key: value for key, value in manifests[0].items() if key not in _OF_ITS_MODEL}
     return {
-        **manifests[0], **rows, "scene": name, "version": version,
+        **common, **rows, "scene": name, "version": version,
+        "view": _view(manifests), **{key: _in_common(manifests, key) for key in ("rendering", "drawn")},
+        "source_checksums": {k: v for one in manifests for k, v in one["source_checksums"].items()},
         "instances": [{**row, "value": value} for value, row in enumerate(objects, start=1)],
         "field_metrics": _means(name, rows["field_metrics"]),
         "parts": [
             {"scene": part.name, "version": one["version"], "frames": [own[0], own[-1]],
-             "source_checksums": one["source_checksums"]}
+             **{key: one[key] for key in _OF_ITS_MODEL if key in one}}
             for (part, own, _), one in zip(parts, manifests, strict=True)
         ],
         "not_joined": sorted(left_out),
     }  # fmt: skip
+
+
+def _view(manifests: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The view as the drive asks for it: of all parts' frames."""
+    frames = [one["view"].get("frames", "all") for one in manifests]
+    union = "all" if "all" in frames else sorted({number for some in frames for number in some})
+    return {**manifests[0]["view"], "frames": union}
+
+
+def _in_common(manifests: Sequence[dict[str, Any]], key: str) -> dict[str, Any]:
+    """Facts of an entry that hold for all parts; their scenes' frames, noise and costs are their own."""
+    first, *others = (one.get(key, {}) for one in manifests)
+    return {
+        name: value for name, value in first.items() if all(_agree(value, one.get(name)) for one in others)
+    }
 
 
 def _files(row: dict[str, Any]) -> list[str]:

@@ -121,6 +121,26 @@ def test_an_infinite_error_of_a_part_is_one_of_the_whole_and_an_undefined_one_is
     assert {row["metric"]: row["value"] for row in found} == {"chamfer_m2": "inf", "f_score": 0.5}
 
 
+def test_a_joined_data_set_names_all_parts_files_and_frames_and_nothing_of_one_part_as_of_all(tmp_path):
+    parts = parts_of("long", cut_scene(ENTRY))
+    folders = []
+    for k, (part, _) in enumerate(parts):
+        own = {
+            "source_checksums": {"scan 5": "shared", f"scan {9 * k}": f"of {k}"},
+            "rendered_from": {"field": f"model {k}"}, "view": {**_manifest()["view"], "frames": [9 * k, 5]},
+            "rendering": {"sweep_period_s": 0.1, "scene_to_world": [float(k)]},
+        }  # fmt: skip
+        folders.append(_made(tmp_path, part, k, **own))
+    out = join_data_sets("long", parts, folders, tmp_path / "joined")
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["source_checksums"] == {"scan 5": "shared", "scan 0": "of 0", "scan 9": "of 1"}
+    assert manifest["view"]["frames"] == [0, 5, 9] and manifest["rendering"] == {"sweep_period_s": 0.1}
+    assert "rendered_from" not in manifest
+    assert [one["rendered_from"]["field"] for one in manifest["parts"]] == ["model 0", "model 1"]
+    assert json.loads((out / "card.json").read_text())["source"]["files"] == 3
+    assert "3 recorded files" in (out / "card.md").read_text()
+
+
 def test_the_command_joins_a_view_that_one_part_does_not_ask_for(tmp_path, monkeypatch):
     catalogue = tmp_path / "scenes.toml"
     catalogue.write_text(
