@@ -20,6 +20,7 @@ from nvsf_core.stages.checks.norms import (
 )
 from nvsf_core.stages.runner.stage import Check, NamedCheck, Task
 from nvsf_core.stores.arrays import array_names, holds_array, read_arrays, read_attrs
+from nvsf_core.stores.scene_store import SceneStore
 
 _SHARES = ("intensity", "pano_intensity", "pano_hit", "grid_hit", "grid_intensity", "ray_intensity")
 _GRIDS_M = ("pano_range_m", "grid_range_m")
@@ -71,7 +72,7 @@ def check_views(task: Task) -> list[Check]:
     checks = [finite.outcome(FINITE, "not finite"), within.outcome(WITHIN, "out of limits")]
     if norms is None:
         return [*checks, *(named.not_run(NO_NORMS) for named in (RETURNS, VIEW_HIT_RATE, VIEW_INTENSITY))]
-    return [*checks, _empty(scans, norms), *_likeness(scans, norms, _recording_sensor(task))]
+    return [*checks, _empty(scans, norms), *_likeness(scans, norms, task.store)]
 
 
 def _max_range_m(attrs: Mapping[str, Any]) -> float:
@@ -121,13 +122,18 @@ def _empty(scans: list[_View], norms: ScanNorms) -> Check:
     return RETURNS.outcome(empty / max(1, len(returns)), 0.5, detail)
 
 
-def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
+def _likeness(scans: list[_View], norms: ScanNorms, store: SceneStore) -> list[Check]:
     rates, spreads = Apart(), Apart()
+    recorded = store.require("sweeps") / "returns.zarr"
+    sensor, a = str(read_attrs(recorded).get("sensor", "")), read_arrays(recorded, "frame", "time_s")
     for view, arrays, attrs in scans:
         if attrs["sensor"] != sensor:
             continue  # other lasers hit other surfaces: recorded scans are not comparable
-        # Of a frozen instant the scans that are nearest in time are elsewhere: the path's moments count.
+        # Of a frozen instant the scans that are nearest in time are elsewhere: the path's moments count. A
+        # path of one's own is at other places at those, and at the frames' that are nearest in place.
         moments = arrays.get("path_time_s", arrays["time_s"])
+        if "path_knot_s" in arrays:
+            moments = np.interp(arrays["frame"], a["frame"], a["time_s"])
         for i, (frame, time_s) in enumerate(zip(arrays["frame"], moments, strict=True)):
             own = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
             place = f"view {view}, frame {frame}"
@@ -135,7 +141,3 @@ def _likeness(scans: list[_View], norms: ScanNorms, sensor: str) -> list[Check]:
             if len(own) and np.isfinite(own).all():
                 spreads.append((norms.intensities_apart(own, float(time_s)), place))
     return check_likeness(VIEW_HIT_RATE, VIEW_INTENSITY, rates, spreads, norms)
-
-
-def _recording_sensor(task: Task) -> str:
-    return str(read_attrs(task.store.require("sweeps") / "returns.zarr").get("sensor", ""))

@@ -15,9 +15,10 @@ from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages import find_scene, plan_run, run_named_stage
+from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.flow import NOVEL_VIEWS, SCENE_METRICS
 from nvsf_core.stages.runner.record import read_record
-from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput, UnsoundOutputError
+from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput, Task, UnsoundOutputError
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import write_rows, write_table
@@ -243,6 +244,20 @@ def test_a_sound_view_passes_all_and_the_record_keeps_value_and_limit(store):
 
 def _run_plan(store):
     return plan_run(find_scene(SCENE), store.home, recipe="smoke")
+
+
+def test_a_view_on_a_path_of_its_own_is_compared_with_the_scans_of_its_place(store, tmp_path):
+    recorded = store.require("sweeps") / "returns.zarr"
+    draws = np.random.default_rng(1)
+    # More of the rays return where the drive begins than where it ends.
+    _change(recorded, **_joined([_scan(draws, share) for share in (0.9, 0.9, 0.9, 0.6, 0.6)]))
+    path = _view(tmp_path, _scan(draws, 0.5))
+    way = {"path_knot_s": np.array([0.0, 1.0]), "path_to_world": np.stack([_at(9), _at(0)])}
+    _change(path, frame=np.array([0]), path_time_s=np.array([0.4]), **way)
+    run = _run_plan(store)
+    task = Task(scene=run.scene, store=store, config=run.config, folder=tmp_path, progress=lambda line: None)
+    (check,) = [one for one in check_views(task) if one.name == "hit_rate_is_like_the_training_scans"]
+    assert check.value == pytest.approx(0.4, abs=0.01) and not check.passed
 
 
 def _row(metric, value, recipe="smoke"):
