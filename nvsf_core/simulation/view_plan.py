@@ -24,6 +24,10 @@ _SAME_S = 1e-6
 _STEP_S = 0.02
 """Time between the poses that a smooth curve is cut into; between them the motion is constant."""
 _MOST_KNOTS = 100_000
+_BESIDE_M = 4.0
+"""So much farther away than the nearest recorded place, another one is beside it: on the other lane."""
+_SAME_WAY = 0.5
+"""Cosine of the angle between two ways to look: up to 60 degrees it is the same way, beyond 120 the other."""
 _SPARE_S = 1.0
 """Both ends go on unchanged for so long: a sweep begins before its pose's instant."""
 
@@ -172,14 +176,15 @@ def plan_view(
         raise MissingFrameError(f"view {view.name!r}: {error}") from error
     start = recorded.scene_to_world @ pose_from_parts(*recorded.at(recorded_time_s[:1]))[0]
     path = view_path(view, start, recorded.scene_to_world)
-    near_s = moments if path is None else _nearest_s(path, moments, recorded, recorded_time_s)
+    mount = mount_pose(view)
+    near_s = moments if path is None else _nearest_s(path, moments, mount, recorded, recorded_time_s)
     is_frozen = view.frozen_at_s is not None
     nearest = np.abs(recorded_time_s[None, :] - near_s[:, None]).argmin(axis=1)
     return ViewPlan(
         view.name,
         recorded_frame[nearest].astype(np.int64),
         np.full(len(moments), view.frozen_at_s) if is_frozen else moments,
-        mount_pose(view),
+        mount,
         path_time_s=moments if is_frozen else None,
         path=path,
         is_at_frames=bool(
@@ -194,13 +199,32 @@ def plan_view(
 
 
 def _nearest_s(
-    path: Trajectory, moments: np.ndarray, recorded: Trajectory, recorded_time_s: np.ndarray
+    path: Trajectory,
+    moments: np.ndarray,
+    mount: np.ndarray | None,
+    recorded: Trajectory,
+    recorded_time_s: np.ndarray,
 ) -> np.ndarray:
-    """Times (n,) of the recorded poses that are nearest in place to a path at its moments (n,)."""
-    _, place_m = path.at(moments)
-    _, known_m = recorded.at(recorded_time_s)
-    nearest = np.linalg.norm(place_m[:, None] - known_m[None], axis=2).argmin(axis=1)
-    return np.asarray(recorded_time_s[nearest])
+    """Times (n,) of the recorded poses that are nearest in place to a path at its moments (n,).
+
+    Where the nearest one looks the other way, as on a road that is driven there and back, and one beside it
+    looks the same way, that one is taken: it saw the sides of things that the view shows.
+
+    Args:
+        path: Where the view's sensor goes.
+        moments: (n,) moments of the path.
+        mount: (4, 4) pose of the sensor in the path's frame; None = the path's own.
+        recorded: The recorded path.
+        recorded_time_s: (m,) times of the recorded poses.
+    """
+    turned, place_m = path.at(moments)
+    known_turned, known_m = recorded.at(recorded_time_s)
+    ahead = (turned if mount is None else turned @ mount[:3, :3])[:, :, 0]
+    apart_m, alike = np.linalg.norm(place_m[:, None] - known_m[None], axis=2), ahead @ known_turned[:, :, 0].T
+    nearest, same_way_m = apart_m.argmin(axis=1), np.where(alike > _SAME_WAY, apart_m, np.inf)
+    looks_back = np.take_along_axis(alike, nearest[:, None], axis=1)[:, 0] < -_SAME_WAY
+    looks_back &= same_way_m.min(axis=1) <= apart_m.min(axis=1) + _BESIDE_M
+    return np.asarray(recorded_time_s[np.where(looks_back, same_way_m.argmin(axis=1), nearest)])
 
 
 def plan_sweeps(

@@ -91,3 +91,37 @@ def test_a_sensor_of_ones_own_rotates_at_its_own_rate():
     assert not sweeps.is_recorded_sensor and sweeps.sweep_s(0.1) == 0.05
     assert (sweeps.table.laser_count, sweeps.table.firings_per_turn) == (3, 720)
     assert plan_sweeps(plan(frames=(12,)), replace(HDL_64E), "HDL-64E").is_recorded_sensor
+
+
+def _there_and_back(lanes_apart_m):
+    """A road of 20 m that is driven there at y = 0 and back on the other lane, a metre a frame."""
+    there = [pose_of_angles((float(k), 0.0, 0.0), 0.0, 0.0, 0.0) for k in range(20)]
+    back = [pose_of_angles((19.0 - k, lanes_apart_m, 0.0), 180.0, 0.0, 0.0) for k in range(20)]
+    return Trajectory(np.arange(40) * 0.1, np.stack([*there, *back]), np.eye(4))
+
+
+def _nearest_frames(recorded, y_m, **keys):
+    """Frames nearest to a path along the road at y_m, from 2 to 12 m; `keys` are the view's."""
+    ends = tuple(Waypoint(time_s=t, position_m=(2.0 + 10.0 * t, y_m, 0.0)) for t in (0.0, 1.0))
+    view = ViewEntry(name="v", waypoints=ends, path_in="world", times_s=(0.0, 0.5, 1.0), **keys)
+    times_s = recorded.times_s
+    return plan_view(view, np.arange(len(times_s)), times_s, recorded).frame.tolist()
+
+
+def test_on_a_road_that_is_driven_there_and_back_frames_that_look_the_same_way_are_near():
+    road = _there_and_back(3.0)
+    assert _nearest_frames(road, 2.5) == [2, 7, 12], "on the other lane, but looking ahead"
+    assert _nearest_frames(road, 0.5, yaw_deg=180.0) == [37, 32, 27], "looking back"
+    # Across the road neither is better, and a lane that is far away is another road.
+    assert _nearest_frames(road, 2.5, yaw_deg=90.0) == [37, 32, 27]
+    assert _nearest_frames(_there_and_back(9.0), 8.0) == [37, 32, 27]
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0])
+def test_on_a_road_that_is_driven_once_the_nearest_frame_is_near_however_the_sensor_looks(yaw_deg):
+    curve = [pose_of_angles((9.0 * np.sin(a), 9.0 - 9.0 * np.cos(a), 0.0), np.rad2deg(a), 0.0, 0.0)
+             for a in np.linspace(0.0, 1.5, 14)]  # fmt: skip
+    road = Trajectory(np.arange(14) * 0.1, np.stack(curve), np.eye(4))
+    places = np.stack(curve)[:, :2, 3]
+    expected = [np.linalg.norm(places - [x, 2.5], axis=1).argmin() for x in (2.0, 7.0, 12.0)]
+    assert _nearest_frames(road, 2.5, yaw_deg=yaw_deg) == expected
