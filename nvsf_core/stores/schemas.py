@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 CAMERA = "<camera>"
-"""Placeholder of a camera's name (`image_00`) in a field's name."""
+"""Placeholder of a camera's name (`image_00`, `front`) in a field's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,11 +308,11 @@ def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray], *, whole: bool 
     """
     found: list[str] = []
     for field in spec.fields:
-        named = dict(_matching(field.name, arrays))
+        named = dict(_matching(spec, field, arrays))
         if whole and not named and not field.optional:
             found.append(f"{field.name}: expected {field.dtype} {field.shape}, found nothing")
         for name, array in named.items():
-            lengths = _lengths(spec, arrays, name.split(field.name.removeprefix(CAMERA))[0])
+            lengths = _lengths(spec, arrays, name.removesuffix(field.name.removeprefix(CAMERA)))
             found += _field_violations(field, name, array.dtype, array.shape, lengths)
     return found
 
@@ -322,7 +322,7 @@ def field_faults(spec: FileSpec, name: str, dtype: np.dtype, shape: tuple[int, .
     return [
         fault
         for field in spec.fields
-        if name in dict(_matching(field.name, {name: np.empty(0)}))
+        if name in dict(_matching(spec, field, {name: np.empty(0)}))
         for fault in _field_violations(field, name, dtype, shape, {})
     ]
 
@@ -374,12 +374,15 @@ def _lengths(spec: FileSpec, arrays: Mapping[str, np.ndarray], camera: str) -> d
     return lengths
 
 
-def _matching(name: str, arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
-    if not name.startswith(CAMERA):
-        if name in arrays:
-            yield name, arrays[name]
+def _matching(
+    spec: FileSpec, field: Entry, arrays: Mapping[str, np.ndarray]
+) -> Iterator[tuple[str, np.ndarray]]:
+    if not field.name.startswith(CAMERA):
+        if field.name in arrays:
+            yield field.name, arrays[field.name]
         return
-    # Only names `image_NN...`: other arrays of a group may have the same ending.
+    # A camera's name may be any; arrays that the contract names themselves can have the same ending.
+    ending, own = field.name.removeprefix(CAMERA), {one.name for one in spec.fields}
     for stored, array in arrays.items():
-        if stored.startswith("image_") and stored.removeprefix(stored[:8]) == name.removeprefix(CAMERA):
+        if stored.endswith(ending) and stored != ending and stored not in own:
             yield stored, array
