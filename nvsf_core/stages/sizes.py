@@ -51,6 +51,12 @@ _PIXEL_BYTES = 3 + 2 + 1
 """Of a rendered pixel: colours, range and support."""
 _MODEL_PIXEL_BYTES = 2 + 3 + 1
 """Of the model's, too: instance, and two PNG files."""
+_BAG_PIXEL_BYTES = {"rgb": 3, "range_m": 4, "instance": 4}
+_COPY_PIXEL_BYTES: Mapping[str, Mapping[str, int]] = {
+    "kitti": {"rgb": 3}, "kitti360": {"rgb": 3, "instance": 2}, "nuscenes": {"rgb": 3},
+    "mcap": _BAG_PIXEL_BYTES, "rosbag2": _BAG_PIXEL_BYTES,
+}  # fmt: skip
+"""Of a pixel's colours, depth and instance, in formats that hold images of their own."""
 _GRID_PIXEL_BYTES = 2 * 4
 """Of a pixel of a range image in `pano`: range and intensity."""
 _DEPTH_PIXEL_BYTES = 4
@@ -218,12 +224,16 @@ def _view_bytes(path: Path, exports: tuple[str, ...]) -> int:
     arrays = array_layouts(path)
     a_return = sum(BYTES_A_RETURN.get(kind, _OTHER_FORMAT_BYTES) for kind in exports) + _BESIDE_BYTES
     returns = len(arrays["points_m"]) if "points_m" in arrays else 0
-    return int(_SAMPLED_MORE * returns * a_return) + _image_bytes(arrays)
+    return int(_SAMPLED_MORE * returns * a_return) + _image_bytes(arrays, exports)
 
 
-def _image_bytes(arrays: Mapping[str, np.ndarray]) -> int:
-    """Of all images, depths and instances as they are in memory: a PNG takes less."""
+def _image_bytes(arrays: Mapping[str, np.ndarray], exports: tuple[str, ...]) -> int:
+    """Of all images, depths and instances as they are in memory, a PNG takes less; and their copies."""
     cameras = [name.removesuffix("_rgb") for name in arrays if name.endswith("_rgb")]
-    names = [f"{camera}_{kind}" for camera in cameras for kind in ("rgb", "range_m", "instance")]
-    own = [arrays[name] for name in names if name in arrays]
-    return sum(math.prod(one.shape) * one.itemsize for one in own)
+    total = 0
+    for kind in ("rgb", "range_m", "instance"):
+        own = [arrays[name] for name in (f"{camera}_{kind}" for camera in cameras) if name in arrays]
+        total += sum(math.prod(one.shape) * one.itemsize for one in own)
+        copied = sum(_COPY_PIXEL_BYTES.get(name, {}).get(kind, 0) for name in exports)
+        total += copied * sum(math.prod(one.shape[:3]) for one in own)
+    return total

@@ -17,6 +17,7 @@ from nvsf_core.simulation.scan import sample_scan
 from nvsf_core.stages.flow import DATASET
 from nvsf_core.stages.runner.facts import facts_of, scene_facts
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
+from nvsf_core.stages.sizes import dataset_bytes
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.scene_store import SceneStore
@@ -178,6 +179,17 @@ def test_the_manifest_names_sources_poses_and_metrics_in_strict_json(tmp_path: P
     assert {"card.json", "card.md"} <= set(manifest["checksums"])
     assert card["made_by"]["commit"] == manifest["commit"]
     assert [one["metric"] for one in card["errors"]] == ["f_score"]
+
+
+def test_the_estimated_size_counts_the_images_of_each_whole_format(tmp_path: Path) -> None:
+    def estimate(name: str, *exports: str) -> int:
+        return dataset_bytes(_task(tmp_path / name, exports=exports))
+
+    # 2 images of 6 x 8 pixels, of colours alone: 3 bytes a pixel and format, beside 40 a return for 16.
+    returns_more = int(1.1 * 10 * (16 + 40 + 7)) - int(1.1 * 10 * (16 + 7))
+    one = estimate("one", "bin")
+    for whole in ("kitti", "kitti360", "nuscenes", "mcap", "rosbag2"):
+        assert estimate(whole, "bin", whole) == one + returns_more + 2 * 6 * 8 * 3, whole
 
 
 def test_another_licence_changes_the_card_and_no_training() -> None:
