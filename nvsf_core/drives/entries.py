@@ -29,8 +29,8 @@ from nvsf_core.sensors.tables import SENSOR_TABLES
 
 __all__ = ["DRIVE_KINDS", "EXPORTS", "FOUND", "KITTI360", "MOST_FRAMES", "SceneEntry", "ViewEntry"]
 
-KITTI360 = "kitti360"
-_KITTI_KINDS = (KITTI360, "kitti_odometry", "kitti_raw")
+KITTI360, KITTI_ODOMETRY = "kitti360", "kitti_odometry"
+_KITTI_KINDS = (KITTI360, KITTI_ODOMETRY, "kitti_raw")
 """Formats whose cameras are `image_00` to `image_03`."""
 BAG = "bag"
 OWN_ROOT_KINDS = ("plain", BAG)
@@ -65,9 +65,10 @@ class SceneEntry:
     """Cameras to use; None = every camera present and calibrated."""
     recipe: str | None = None
     """Recipe if a run names none."""
-    compensate: bool = True
+    compensate: bool | None = None
     """Ego-motion compensation: each return is placed by the sensor's pose at its own time. False = one pose
-    for a whole sweep, as papers do."""
+    for a whole sweep, as papers do. None given = false of the kind `kitti_odometry`, whose scans are
+    compensated already, else true."""
     kind: str = KITTI360
     """Format of the drive: `kitti360`; `plain`, a folder of plain files; `kitti_odometry`; `kitti_raw`;
     `bag`, of ROS 1 or 2, or MCAP (docs/drives.md)."""
@@ -132,6 +133,11 @@ class SceneEntry:
                 raise DataError(
                     f"{key}: expected a scene of the kind {BAG!r}, found {self.kind!r}; leave it out"
                 )
+
+    @property
+    def is_to_compensate(self) -> bool:
+        """Whether each return is to be placed by the sensor's pose at its own time."""
+        return self.kind != KITTI_ODOMETRY if self.compensate is None else self.compensate
 
     def _may_have(self, camera: str) -> bool:
         """Whether the format can have a camera of that name."""
@@ -198,7 +204,7 @@ _SCENE_KINDS: Kinds = {
     "sweep_period_s": (or_none(is_number), "seconds of one sweep, or None"),
     "cameras": (or_none(each(is_text, 0)), "a tuple of cameras, or None for all"),
     "recipe": (or_none(is_text), "a recipe's name, or None"),
-    "compensate": (is_bool, "true or false"),
+    "compensate": (or_none(is_bool), "true or false"),
     "kind": (is_text, f"one of {', '.join(DRIVE_KINDS)}"),
     "lidar": (or_none(is_text), "a LiDAR's name, or None"),
     "rectified": (each(is_text, 0), "a tuple of cameras"),

@@ -133,7 +133,7 @@ def require_views(scene: SceneEntry) -> None:
         where = f"scene {scene.name}, view {view.name}"
         try:
             moments = moments_s(view, frames[posed], times.time_s[posed])
-            if scene.compensate:
+            if scene.is_to_compensate:
                 _require_sweeps_within(view, moments, drive, times)
         except DataError as error:
             raise DataError(f"{where}: {error} ({len(frames)} frames, {times.source})") from error

@@ -68,7 +68,7 @@ def run(task: Task) -> StageOutput:
     source = sources.most_common(1)[0][0] if scans else UNKNOWN
     correction_rad = 0.0 if source == UNKNOWN else table.elevation_correction_rad
     # A period of 0 puts a whole scan at its pose's instant, as the papers do.
-    period_s = drive["sweep_period_s"] if task.scene.compensate else 0.0
+    period_s = drive["sweep_period_s"] if task.scene.is_to_compensate else 0.0
     # All posed frames, held-out ones and those without a scan too: motion is interpolated between poses.
     rays = _placed(task, table, scans, trajectory_of(posed, scene_to_world), period_s, correction_rad)
     arrays = _arrays(scans, rays, _learn_own_vehicle(table, scans, rays, scene_to_world))
@@ -83,7 +83,7 @@ def run(task: Task) -> StageOutput:
         "laser_source": source,
         "laser_evidence": evidence,
         "lasers": np.unique(arrays["laser"][arrays["laser"] >= 0]).tolist(),
-        "compensated": task.scene.compensate,
+        "compensated": task.scene.is_to_compensate,
         "sensor": table.name,
     }
     if table.name not in SENSOR_TABLES:

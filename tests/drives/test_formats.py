@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.demo.drive import DemoSize, write_demo
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.detect import kind_of, whole_drive
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.validation import read_drive
@@ -16,6 +17,8 @@ from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.ros import write_mcap
 from nvsf_core.stages.imports.convert import import_drive
+from nvsf_core.stages.imports.odometry import times_in_sweeps
+from nvsf_core.stages.runner.facts import scene_facts
 from tests.drives.copies import assert_same_drive, data_set, scene_at, tiny_scene
 from tests.drives.kitti.raw_writer import write_raw
 
@@ -82,6 +85,21 @@ def test_kittis_odometry_tree_is_read_back(root, recorded):
     write_kitti(root, data_set(tiny_scene(root / "demo")))
     assert kind_of(root / "kitti") == "kitti_odometry"
     assert_same_drive(drive_of(scene_at(root / "kitti", "kitti_odometry", "00")), recorded, "image_02", 1e-5)
+
+
+def test_scans_of_kittis_odometry_are_not_compensated_again(root, tmp_path):
+    write_kitti(root / "corrected", data_set(tiny_scene(root / "demo")))
+    scene = scene_at(root / "corrected/kitti", "kitti_odometry", "00")
+    assert not scene.is_to_compensate and scene_at(root, "kitti_raw").is_to_compensate
+    source = drive_of(scene)
+    assert not times_in_sweeps(source, source.decode_scan(0)).any()
+    again = drive_of(replace(scene, compensate=True))
+    assert np.ptp(times_in_sweeps(again, again.decode_scan(0))) > 0.9
+    assert scene_facts(scene) == scene_facts(replace(scene, compensate=False))
+    assert scene_facts(scene) != scene_facts(again.scene), "what was made of them before is made again"
+    import_drive(scene, tmp_path / "out", progress=_silent)
+    (kept,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    assert not kept.is_to_compensate
 
 
 def test_a_sequence_of_kittis_odometry_without_poses_says_how_to_find_them(root):

@@ -156,6 +156,7 @@ def _write_log(folder: Path, scene: SceneEntry, layout: str, target: AbstractTar
     test = list(range(scene.first_frame + _HOLD_OUT // 2, scene.last_frame, _HOLD_OUT))
     lines = [
         "[[scene]]", f'name = "{scene.name}"', 'root = "."', *target.catalogue_lines(),
+        *([] if scene.is_to_compensate else ["compensate = false"]),
         f"first_frame = {scene.first_frame}", f"last_frame = {scene.last_frame}", f"test_frames = {test}", "",
     ]  # fmt: skip
     (folder / "scenes.toml").write_text("\n".join(lines), encoding="utf-8")

@@ -33,7 +33,6 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
         MissingLibraryError: KISS-ICP is not installed.
     """
     kept: dict[int, np.ndarray] = {}
-    period_s = source.times().sweep_period_s
 
     def scans() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for frame in source.frames:
@@ -43,7 +42,7 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
             progress(f"odometry: frame {frame}")
             points_m = scan.points[:, :3]
             kept[frame] = points_m[:: max(1, len(points_m) // _COMPARED)]
-            yield points_m, _fraction(scan, period_s)
+            yield points_m, times_in_sweeps(source, scan)
 
     found = path_of_scans(scans)
     moments = [source.instant_s(frame) for frame in kept]
@@ -92,7 +91,15 @@ def _readable(source: AbstractPosedDrive, frame: int) -> Scan | None:
     return None if scan is None else source.centred(scan)
 
 
-def _fraction(scan: Scan, period_s: float) -> np.ndarray:
+def times_in_sweeps(source: AbstractPosedDrive, scan: Scan) -> np.ndarray:
+    """Times (m,) of a scan's points after its instant, in sweeps; 0 where scans are compensated already.
+
+    Raises:
+        DataError: The drive's times cannot be read.
+    """
+    if not source.scene.is_to_compensate:
+        return np.zeros(len(scan.points))
+    period_s = source.times().sweep_period_s
     if scan.offset_s is not None and period_s > 0.0:
         return scan.offset_s / period_s
     return sweep_fraction(np.arctan2(scan.points[:, 1].astype(np.float64), scan.points[:, 0]))

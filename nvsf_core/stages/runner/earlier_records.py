@@ -21,7 +21,6 @@ EARLIER = "earlier"
 """Key of a record: the fingerprint that the output had before, which those of its readers were made with."""
 _SCENE_KEYS = (
     "name", "root", "sequence", "first_frame", "last_frame", "test_frames", "sweep_period_s", "cameras",
-    "compensate",
 )  # fmt: skip
 _VIEW_KEYS = ("name", "scenes", "sensor", "shift_m", "yaw_deg", "frames", "times_s", "exports", "truth")
 
@@ -87,7 +86,8 @@ def _facts(
         "stage": stage.name,
         "version": stage.version,
         "inputs": {name: inputs[name] for name in sorted(stage.inputs)},
-        "scene": {key: str(getattr(placed, key)) for key in _SCENE_KEYS},
+        "scene": {key: str(getattr(placed, key)) for key in _SCENE_KEYS}
+        | {"compensate": str(placed.is_to_compensate)},
     }
     if stage.per_recipe:
         facts |= {"recipe": config.recipe.identity(), "seed": config.seed}

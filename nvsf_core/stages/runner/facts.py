@@ -15,9 +15,9 @@ from nvsf_core.stores.file_hashes import FileHashes
 Facts = dict[str, Any]
 """All that decides an output, as JSON holds it."""
 
-_NOT_OF_SCENE = ("root", "views", "recipe", "licence")
+_NOT_OF_SCENE = ("root", "views", "recipe", "licence", "compensate")
 """Where a drive lies decides nothing; its content, its views, the recipe and, for data sets, the licence are
-facts of their own."""
+facts of their own. Whether scans are compensated depends on the kind of the drive, too."""
 _NOT_OF_VIEW = ("scenes", "truth")
 """Other scenes of a view decide nothing; of its truth only the cameras do, and the images' content."""
 _WORDS = {
@@ -76,7 +76,8 @@ def facts_of(
 
 def scene_facts(scene: SceneEntry) -> Facts:
     """What a scene's entry in the catalogue decides, its views and its recipe left out."""
-    return _not_default(scene, _NOT_OF_SCENE)
+    facts = _not_default(scene, _NOT_OF_SCENE)
+    return facts if scene.is_to_compensate else facts | {"compensate": False}
 
 
 def view_facts(scene: SceneEntry) -> list[Facts]:

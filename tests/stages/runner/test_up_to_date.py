@@ -116,7 +116,8 @@ def _make_earlier(home: Path, entry: SceneEntry) -> None:
             "stage": stage.name,
             "version": stage.version,
             "inputs": {name: known[name] for name in sorted(stage.inputs)},
-            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in _LATER},
+            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in _LATER}
+            | {"compensate": str(entry.is_to_compensate)},
         }
         if stage.reads_drive:
             facts["drive"] = _listing(entry)
