@@ -60,7 +60,9 @@ class SceneEntry:
     test_frames: tuple[int, ...]
     """Test frames: never trained on, never used to choose anything."""
     sweep_period_s: float | None = None
-    """Duration of a LiDAR sweep if there are no timestamps; stored as assumed."""
+    """Duration of a LiDAR sweep. None given = by the points' times, or the step from frame to frame, which
+    also stands for one that is given and is within a tenth of it. Frames without timestamps are spaced by it,
+    and it is stored as assumed; of the kind `kitti360` that is all it does."""
     cameras: tuple[str, ...] | None = None
     """Cameras to use; None = every camera present and calibrated."""
     recipe: str | None = None

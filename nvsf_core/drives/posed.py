@@ -5,7 +5,7 @@ times of their own, the instants are moved there, and the pose is the path's at 
 """
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -13,16 +13,28 @@ import numpy as np
 
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S, FrameTimes, spaced_times
+from nvsf_core.drives.kitti360.frames import (
+    LONGEST_STEP_S,
+    NOMINAL_PERIOD_S,
+    SHORTEST_STEP_S,
+    FrameTimes,
+    spaced_times,
+)
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import pose_from_parts
-from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
+from nvsf_core.sensors.sweep_clock import sweep_duration_s
 
 _LONGEST_GAP_S = 1.0
 """Poses further apart say nothing of the path between them."""
 _LEAST_SHIFT = 0.1
 """Least distance of the middle of a scan's times from its stamp, in sweeps, for the stamp to be moved."""
+_LONGEST_SWEEP_S = 0.2
+"""Of a LiDAR that rotates at 5 Hz, the slowest there is."""
+_UNLIKE = 0.1
+"""Least difference of a sweep's duration from the frames' step, in steps, for it to be another: a LiDAR that
+records all sweeps has the step's, which is measured over the whole section."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,25 +137,59 @@ class AbstractPosedDrive(AbstractDrive):
         return path
 
     @cached_property
-    def stamp_shift_s(self) -> float:
-        """Seconds from a scan's stamp to the middle of its sweep; 0 where points have no times."""
-        period_s = self._stamps().sweep_period_s
+    def _first_scan(self) -> Scan | None:
+        """The first scan of the section that can be read."""
         for frame in self.frames:
             try:
                 scan = self.decode_scan(frame)
             except DataError:
-                continue
-            if scan is None:
-                continue
-            if scan.offset_s is None:
-                return 0.0
-            middle_s = 0.5 * float(np.sum(np.percentile(scan.offset_s, [0.5, 99.5])))
-            return middle_s if abs(middle_s) > _LEAST_SHIFT * period_s else 0.0
-        return 0.0
+                continue  # named where the frame itself is read
+            if scan is not None:
+                return scan
+        return None
+
+    @cached_property
+    def stamp_shift_s(self) -> float:
+        """Seconds from a scan's stamp to the middle of its sweep; 0 where points have no times."""
+        scan = self._first_scan
+        if scan is None or scan.offset_s is None:
+            return 0.0
+        middle_s = 0.5 * float(np.sum(np.percentile(scan.offset_s, [0.5, 99.5])))
+        return middle_s if abs(middle_s) > _LEAST_SHIFT * self.times().sweep_period_s else 0.0
 
     def times(self) -> FrameTimes:
-        """Times of the section's frames."""
-        return self._stamps()
+        """Times of the section's frames, and the duration of a sweep."""
+        return self._times
+
+    @cached_property
+    def _times(self) -> FrameTimes:
+        times = self._stamps()
+        return replace(times, sweep_period_s=self._sweep_s(times.sweep_period_s))
+
+    def _sweep_s(self, step_s: float) -> float:
+        """Duration of a sweep: as given, else by a scan's times, where it is another than the step."""
+        given_s, scan = self.scene.sweep_period_s, self._first_scan
+        if given_s is None and scan is not None and scan.offset_s is not None:
+            azimuth_rad = np.arctan2(scan.points[:, 1].astype(np.float64), scan.points[:, 0])
+            given_s = sweep_duration_s(sweep_fraction(azimuth_rad), scan.offset_s, step_s)
+        if given_s is None or not SHORTEST_STEP_S <= given_s <= LONGEST_STEP_S:
+            return step_s
+        return given_s if abs(given_s - step_s) > _UNLIKE * step_s else step_s
+
+    def _pace_notes(self) -> list[str]:
+        """What is assumed of sweeps that do not follow each other."""
+        times = self.times()
+        if not self.has_scans() or times.is_assumed or len(times.time_s) < 2:
+            return []
+        step_s, sweep_s = float(np.median(np.diff(times.time_s))), times.sweep_period_s
+        if abs(sweep_s - step_s) > _UNLIKE * step_s:
+            return [f"a sweep lasts {sweep_s:.4g} s, frames are {step_s:.4g} s apart in the median"]
+        if step_s > (1.0 + _UNLIKE) * _LONGEST_SWEEP_S:
+            return [
+                f"frames are {step_s:.4g} s apart in the median, and a sweep is taken to last as long; a "
+                f"LiDAR's lasts {_LONGEST_SWEEP_S:g} s at most: give sweep_period_s in the catalogue"
+            ]
+        return []
 
     def _stamps(self) -> FrameTimes:
         known = {frame: self._seconds[frame] for frame in self.frames if frame in self._seconds}
@@ -157,9 +203,11 @@ class AbstractPosedDrive(AbstractDrive):
         seconds = np.array([known[frame] for frame in frames.tolist()])
         wanted = np.array(self.frames)
         # A frame that is not there is given a time between its neighbours'; it has no scan and no pose.
+        step_s = _median_step(self._seconds) or period_s
+        step_s = step_s if abs(period_s - step_s) > _UNLIKE * step_s else period_s
         found = np.interp(wanted, frames, seconds)
-        found = np.where(wanted < frames[0], seconds[0] - period_s * (frames[0] - wanted), found)
-        found = np.where(wanted > frames[-1], seconds[-1] + period_s * (wanted - frames[-1]), found)
+        found = np.where(wanted < frames[0], seconds[0] - step_s * (frames[0] - wanted), found)
+        found = np.where(wanted > frames[-1], seconds[-1] + step_s * (wanted - frames[-1]), found)
         return spaced_times(found - found[0], period_s, self.times_source)
 
     def image_delay_s(self, camera: str, frame: int) -> float | None:
@@ -181,7 +229,7 @@ class AbstractPosedDrive(AbstractDrive):
             pose = None if moment_s is None else path.at(moment_s)
             if pose is not None:
                 poses[frame] = pose
-        notes = []
+        notes = self._pace_notes()
         if self.stamp_shift_s:
             notes.append(
                 f"scans are stamped {1000.0 * self.stamp_shift_s:.1f} ms before the middle of their sweep: "

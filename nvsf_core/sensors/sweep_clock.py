@@ -60,6 +60,29 @@ def find_clock(fraction: np.ndarray, elapsed: np.ndarray) -> SweepClock | None:
     return SweepClock(spin, _cut(turned, sweeps > begun), lag + float(begun))
 
 
+def sweep_duration_s(fraction: np.ndarray, offset_s: np.ndarray, step_s: float) -> float | None:
+    """Duration of a sweep by its returns' recorded times; None where these do not follow the azimuth.
+
+    Where the times fit a sweep that lasts as long as the step between frames, that is the answer: it is the
+    better measured one. Of key frames, which are farther apart, the times' own span is tried.
+
+    Args:
+        fraction: (N,) `sweep_fraction` of the returns' azimuths, -0.5..0.5.
+        offset_s: (N,) seconds after the frame's time, as recorded.
+        step_s: From frame to frame, above 0.
+    """
+    if len(fraction) == 0:
+        return None
+    if find_clock(fraction, offset_s / step_s) is not None:
+        return step_s
+    span_s = float(np.ptp(np.percentile(offset_s, [0.5, 99.5]))) / 0.99
+    clock = find_clock(fraction, offset_s / span_s) if span_s > 0.0 else None
+    if clock is None:
+        return None
+    turned = clock.elapsed(fraction)
+    return float(np.polyfit(turned, offset_s, 1)[0])
+
+
 def _cut(turned: np.ndarray, is_later: np.ndarray) -> float:
     """The value of `turned` (N,) below which returns are later, with the fewest exceptions."""
     order = np.argsort(turned)

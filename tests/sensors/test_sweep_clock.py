@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.sensors.scan_timing import scan_timing
-from nvsf_core.sensors.sweep_clock import SweepClock, find_clock
+from nvsf_core.sensors.sweep_clock import SweepClock, find_clock, sweep_duration_s
 from nvsf_core.sensors.tables import VLP_16
 
 CLOCKS = [
@@ -41,3 +41,23 @@ def test_times_that_do_not_follow_the_azimuth_have_no_clock_and_are_counted() ->
     timing = scan_timing(points, VLP_16, offset_s=0.1 * elapsed, period_s=0.1)
     assert timing.clock == SweepClock() and np.allclose(timing.elapsed, elapsed)
     assert timing.share_beside_clock > 0.5 and "do not follow the azimuth" in timing.evidence
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_the_duration_of_a_sweep_of_key_frames_is_found_from_its_times(clock: SweepClock) -> None:
+    rng = np.random.default_rng(0)
+    fraction = rng.uniform(-0.5, 0.5, 20_000)
+    for period_s, step_s in ((0.05, 0.5), (0.1, 0.2), (0.1, 1.0)):
+        offset_s = period_s * clock.elapsed(fraction) + rng.normal(0.0, 1e-4, len(fraction))
+        assert sweep_duration_s(fraction, offset_s, step_s) == pytest.approx(period_s, rel=1e-3)
+    # Frames that follow each other are a sweep apart, also where a part of it was kept.
+    for kept in (fraction < 2.0, np.abs(fraction) < 0.1):
+        assert sweep_duration_s(fraction[kept], 0.1 * clock.elapsed(fraction)[kept], 0.1042) == 0.1042
+
+
+def test_times_that_do_not_follow_the_azimuth_tell_no_duration() -> None:
+    rng = np.random.default_rng(0)
+    fraction = rng.uniform(-0.5, 0.5, 4000)
+    assert sweep_duration_s(fraction, np.zeros(4000), 0.5) is None
+    assert sweep_duration_s(fraction, rng.uniform(0.0, 0.1, 4000), 0.5) is None
+    assert sweep_duration_s(fraction[:0], fraction[:0], 0.5) is None

@@ -1,0 +1,64 @@
+"""A plain drive's scans and times: as its files say, or refused with what mends it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.drives.drive import DriveFacts, drive_of
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.plain.layout import PlainLayout
+from nvsf_core.drives.plain.writer import write_description, write_plain_scan, write_poses
+from tests.drives.copies import FRAMES, scene_at
+
+POINTS = 600
+
+
+def _write(root: Path, step_s: float, sweep_s: float | None) -> PlainLayout:
+    """A drive at 10 m/s of scans whose points are stamped by their azimuth; None = by nothing."""
+    layout = PlainLayout(root)
+    write_description(layout, "VLP-16")
+    moments_s = step_s * np.arange(FRAMES)
+    poses = np.tile(np.eye(4), (FRAMES, 1, 1))
+    poses[:, 0, 3] = 10.0 * moments_s
+    write_poses(layout, range(FRAMES), moments_s.tolist(), list(poses))
+    fraction = np.linspace(-0.5, 0.5, POINTS, endpoint=False)
+    angle = -2.0 * np.pi * fraction
+    rows = np.stack([9.0 * np.cos(angle), 9.0 * np.sin(angle), np.zeros(POINTS), np.full(POINTS, 0.5)], 1)
+    for frame in range(FRAMES):
+        scan = Scan(rows.astype(np.float32), 0, offset_s=None if sweep_s is None else sweep_s * fraction)
+        write_plain_scan(layout, frame, scan)
+    return layout
+
+
+def _facts(root: Path, **values: object) -> DriveFacts:
+    return drive_of(scene_at(root, "plain", **values)).facts()
+
+
+def test_a_given_duration_of_a_sweep_is_kept_where_frames_are_farther_apart(tmp_path):
+    _write(tmp_path, 0.5, None)
+    facts = _facts(tmp_path, sweep_period_s=0.05)
+    assert facts.times.sweep_period_s == 0.05
+    assert facts.times.time_s.tolist() == [0.0, 0.5, 1.0, 1.5]
+    assert "a sweep lasts 0.05 s, frames are 0.5 s apart in the median" in facts.notes
+    # Also of frames that are not there.
+    longer = _facts(tmp_path, sweep_period_s=0.05, last_frame=FRAMES)
+    assert longer.times.time_s[-1] == pytest.approx(0.5 * FRAMES)
+    assert _facts(tmp_path).times.sweep_period_s == 0.5
+    assert any("give sweep_period_s in the catalogue" in note for note in _facts(tmp_path).notes)
+
+
+def test_key_frames_have_the_sweep_that_their_points_times_show(tmp_path):
+    _write(tmp_path, 0.5, 0.05)
+    facts = _facts(tmp_path)
+    assert facts.times.sweep_period_s == pytest.approx(0.05, rel=1e-3)
+    assert any(note.startswith("a sweep lasts 0.05 s") for note in facts.notes)
+
+
+@pytest.mark.parametrize("sweep_s", [0.1, 0.1037, None])
+def test_scans_that_follow_each_other_last_from_frame_to_frame(tmp_path, sweep_s):
+    _write(tmp_path, 0.1037, sweep_s)
+    for given_s in (None, 0.1, 0.1037):
+        facts = _facts(tmp_path, sweep_period_s=given_s)
+        assert facts.times.sweep_period_s == float(np.median(np.diff(facts.times.time_s)))
+        assert facts.notes == ()
