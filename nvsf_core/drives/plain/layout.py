@@ -46,9 +46,13 @@ class PlainLayout:
         """A scan a file, named by its frame number."""
         return self.root / "scans"
 
+    def beside_dir(self, column: str) -> Path:
+        """`ring` (uint16) or `time` (float32) of the scans' points, a file a scan, named by its number."""
+        return self.root / column
+
     def beside_path(self, column: str, frame: int) -> Path:
-        """`ring` (uint16) or `time` (float32) of a `.bin` scan's points."""
-        return self.root / column / f"{frame:010d}.bin"
+        """A file of `beside_dir` as this project writes it."""
+        return self.beside_dir(column) / f"{frame:010d}.bin"
 
     def scan_path(self, frame: int, kind: str = "bin") -> Path:
         """A scan as this project writes it."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.drive import Boxes, Recorded
+from nvsf_core.drives.drive import Boxes, DriveFacts, Recorded
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
@@ -40,6 +40,11 @@ class PlainDrive(AbstractPosedDrive):
         return numbered_files(self.layout.scans_dir, SCAN_KINDS)
 
     @cached_property
+    def _beside(self) -> dict[str, dict[int, Path]]:
+        """Files beside the scans, by what they hold and frame."""
+        return {name: numbered_files(self.layout.beside_dir(name), ("bin",)) for name in _BESIDE}
+
+    @cached_property
     def _images(self) -> dict[str, dict[int, Path]]:
         folder = self.layout.root / "images"
         names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
@@ -60,7 +65,7 @@ class PlainDrive(AbstractPosedDrive):
         tables = [layout.drive_path, layout.poses_path, layout.frames_path, layout.cameras_path]
         tables += [layout.boxes_path, *(layout.image_times_path(name) for name in self._images)]
         scans = [self._scans[frame] for frame in self.frames if frame in self._scans]
-        beside = [layout.beside_path(name, frame) for name in _BESIDE for frame in self.frames]
+        beside = [files[frame] for files in self._beside.values() for frame in self.frames if frame in files]
         used = self._images if self.scene.cameras is None else self.scene.cameras
         images = [
             files[frame] for name, files in self._images.items() if name in used
@@ -76,6 +81,21 @@ class PlainDrive(AbstractPosedDrive):
             gaps=tuple(gaps),
             recorded=(everything[0], everything[-1]) if everything else None,
         )
+
+    def facts(self) -> DriveFacts:
+        """Calibration, poses and times.
+
+        Raises:
+            DataError: There are rings or times, and none of any scan; and see the base class.
+        """
+        for name, files in self._beside.items():
+            folder = self.layout.beside_dir(name)
+            if folder.is_dir() and any(folder.iterdir()) and not self._scans.keys() & files.keys():
+                raise DataError(
+                    f"{folder}: expected files named by the numbers of scans, as 0000000000.bin, found "
+                    f"{min(path.name for path in folder.iterdir())!r:.60}; rename them, or remove the folder"
+                )
+        return super().facts()
 
     @cached_property
     def _poses(self) -> tuple[PosePath, np.ndarray | None]:
@@ -149,9 +169,11 @@ class PlainDrive(AbstractPosedDrive):
         if path is None:
             return None
         data = read_bytes(path, _MOST_POINT_BYTES * MOST_RETURNS, "scan")
-        beside = [(name, self.layout.beside_path(name, frame)) for name in _BESIDE]
-        found = [(name, read_bytes(one, 4 * MOST_RETURNS, "scan")) for name, one in beside if lexists(one)]
-        return Recorded(path, data, tuple(found))
+        beside = tuple(
+            (name, read_bytes(files[frame], 4 * MOST_RETURNS, "scan"))
+            for name, files in self._beside.items() if frame in files
+        )  # fmt: skip
+        return Recorded(path, data, beside)
 
     def parse_scan(self, found: Recorded) -> Scan:
         """Decode points, intensity, ring and time."""

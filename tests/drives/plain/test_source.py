@@ -9,6 +9,7 @@ from nvsf_core.drives.drive import DriveFacts, drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.writer import write_description, write_plain_scan, write_poses
+from nvsf_core.errors import DataError
 from tests.drives.copies import FRAMES, scene_at
 
 POINTS = 600
@@ -62,3 +63,22 @@ def test_scans_that_follow_each_other_last_from_frame_to_frame(tmp_path, sweep_s
         facts = _facts(tmp_path, sweep_period_s=given_s)
         assert facts.times.sweep_period_s == float(np.median(np.diff(facts.times.time_s)))
         assert facts.notes == ()
+
+
+def test_rings_and_times_may_have_names_of_any_number_of_digits_as_scans_may(tmp_path):
+    layout = _write(tmp_path, 0.1, 0.1)
+    recorded = drive_of(scene_at(tmp_path, "plain")).read_scan(2)
+    for path in [*layout.scans_dir.iterdir(), *layout.beside_dir("time").iterdir()]:
+        path.rename(path.with_name(f"{int(path.stem):06d}.bin"))
+    found = drive_of(scene_at(tmp_path, "plain"))
+    assert np.array_equal(found.read_scan(2).offset_s, recorded.offset_s)
+    assert layout.root / "time/000002.bin" in found.section().files
+
+
+def test_rings_that_are_no_scans_are_refused(tmp_path):
+    layout = _write(tmp_path, 0.1, None)
+    layout.beside_dir("ring").mkdir()
+    _facts(tmp_path)
+    (layout.beside_dir("ring") / "scan_0.bin").touch()
+    with pytest.raises(DataError, match=r"ring: expected files named .* found 'scan_0\.bin'; rename them"):
+        _facts(tmp_path)
