@@ -60,7 +60,7 @@ def read_ply(path: Path, data: bytes) -> dict[str, np.ndarray]:
             "with different properties; found another"
         )
     if order == "":
-        return _of_text(path, body, count, [name for name, _ in names])
+        return _of_text(path, body, count, dict(names))
     return _of_rows(path, body, count, np.dtype([(name, order + kind) for name, kind in names]))
 
 
@@ -101,7 +101,7 @@ def read_pcd(path: Path, data: bytes) -> dict[str, np.ndarray]:
     storage = head["DATA"][:1]
     single = [name for name, _, n in fields if n == (1,)]
     if storage == ["ascii"]:
-        wide = [f"{name}.{k}" if n != (1,) else name for name, _, n in fields for k in range(n[0])]
+        wide = {f"{name}.{k}" if n != (1,) else name: one for name, one, n in fields for k in range(n[0])}
         found = _of_text(path, body, count, wide)
         return {name: found[name] for name in single}
     if storage == ["binary_compressed"]:
@@ -121,15 +121,32 @@ def _of_rows(path: Path, body: bytes, count: int, kind: np.dtype) -> dict[str, n
     return {name: rows[name] for name in kind.names or ()}
 
 
-def _of_text(path: Path, body: bytes, count: int, names: list[str]) -> dict[str, np.ndarray]:
+def _of_text(path: Path, body: bytes, count: int, kinds: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """Columns of lines of text, each of its declared type."""
     lines = body.decode("ascii", "replace").splitlines()[:count]
     try:
-        rows = np.array([[float(word) for word in line.split()] for line in lines]).reshape(-1, len(names))
+        rows = np.array([[float(word) for word in line.split()] for line in lines]).reshape(-1, len(kinds))
     except ValueError as error:
-        raise DataError(f"{path}: expected {len(names)} numbers a line ({error})") from error
+        raise DataError(f"{path}: expected {len(kinds)} numbers a line ({error})") from error
     if len(rows) != count:
         raise DataError(f"{path}: expected {count} points, found {len(rows)}; copy it again")
-    return {name: rows[:, k] for k, name in enumerate(names)}
+    return {
+        name: _of_type(path, name, rows[:, k], np.dtype(kind)) for k, (name, kind) in enumerate(kinds.items())
+    }
+
+
+def _of_type(path: Path, name: str, values: np.ndarray, kind: np.dtype) -> np.ndarray:
+    if kind.kind == "f":
+        with np.errstate(over="ignore"):
+            return values.astype(kind)
+    bounds = np.iinfo(kind)
+    wrong = values[~((values >= bounds.min) & (values < bounds.max + 1))]
+    if len(wrong):
+        raise DataError(
+            f"{path}: {name}: expected whole numbers {bounds.min} to {bounds.max} as its type says, found "
+            f"{wrong[0]:g}; correct the header's type"
+        )
+    return values.astype(kind)
 
 
 def _compressed(

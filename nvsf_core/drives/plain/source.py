@@ -9,7 +9,7 @@ import numpy as np
 from nvsf_core.drives.drive import Boxes, DriveFacts, Recorded
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
+from nvsf_core.drives.kitti360.frames import LONGEST_STEP_S, NOMINAL_PERIOD_S
 from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
 from nvsf_core.drives.kitti360.scans import MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
@@ -24,6 +24,10 @@ from nvsf_core.errors import DataError
 
 _MOST_POINT_BYTES = 256
 """Most bytes of a point in a file of any kind."""
+_LONGEST_SCAN_S = LONGEST_STEP_S
+"""Times farther from their frame's are of a clock, and their span is no scan's."""
+_LEAST_NANOSECONDS = 1e12
+"""Larger times are nanoseconds also where they are not whole numbers: no clock counts as many seconds."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
 _BESIDE = {"ring": "<u2", "time": "<f4"}
 
@@ -198,7 +202,8 @@ class PlainDrive(AbstractPosedDrive):
                     f"{len(data)} bytes in the file {name}/ beside it"
                 )
             columns[name] = values
-        return scan_of_columns(found.path, columns, self._description.intensity_max)
+        stamp_s = self._seconds.get(int(found.path.stem))
+        return scan_of_columns(found.path, columns, self._description.intensity_max, stamp_s)
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The bytes of a PNG or JPEG."""
@@ -221,16 +226,17 @@ class PlainDrive(AbstractPosedDrive):
         return Boxes(tuple(boxes), tuple(left_out))
 
 
-def scan_of_columns(path: Path, columns: Columns, intensity_max: float) -> Scan:
+def scan_of_columns(path: Path, columns: Columns, intensity_max: float, stamp_s: float | None = None) -> Scan:
     """A scan from columns by name.
 
     Args:
         path: The file, for messages.
         columns: (N,) each: x, y, z; intensity, ring and time where present.
         intensity_max: Intensity of the brightest returns, which becomes 1.
+        stamp_s: Time of the frame, if it can be on the clock that points may be stamped by.
 
     Raises:
-        DataError: A coordinate is absent, or see `usable_scan`.
+        DataError: A coordinate is absent, times are no scan's, or see `usable_scan`.
     """
     absent = [name for name in ("x", "y", "z") if name not in columns]
     if absent:
@@ -240,9 +246,46 @@ def scan_of_columns(path: Path, columns: Columns, intensity_max: float) -> Scan:
     shine = zero if intensity is None else intensity.astype(np.float64) / intensity_max
     rows = np.stack([columns[name].astype(np.float32) for name in ("x", "y", "z")], axis=1)
     points = np.column_stack([rows, np.minimum(shine, 1.0) if intensity_max > 1.0 else shine])
-    time = next((columns[name] for name in _TIME_NAMES if name in columns), None)
-    if time is not None and not np.isfinite(time.astype(np.float64)).all():
-        raise DataError(f"{path}: expected a finite time of each point, found NaN or infinity")
-    if time is not None and np.issubdtype(time.dtype, np.integer):
-        time = time.astype(np.float64) * 1e-9  # whole numbers are nanoseconds, as drivers write them
+    name = next((one for one in _TIME_NAMES if one in columns), None)
+    time = None
+    if name is not None:
+        # Some drivers write dropped rays as points at the sensor's origin, with a time of 0.
+        time = _after_frame(f"{path}: {name}", columns[name], np.asarray(rows.any(axis=1)), stamp_s)
     return usable_scan(path, points.astype(np.float32), columns.get("ring"), time)
+
+
+def _after_frame(where: str, time: np.ndarray, is_return: np.ndarray, stamp_s: float | None) -> np.ndarray:
+    """Seconds (N,) after the frame's time of what a file has: these, nanoseconds, or times of a clock.
+
+    Times of a clock count from the frame's where that is on the same clock, else from the first return.
+
+    Args:
+        where: File and column, for messages.
+        time: (N,) as recorded; whole numbers are nanoseconds, as drivers write them.
+        is_return: (N,) which points count.
+        stamp_s: Time of the frame; None = not known.
+
+    Raises:
+        DataError: One is not finite, or they are no scan's.
+    """
+    seconds = time.astype(np.float64)
+    if not np.isfinite(seconds).all():
+        raise DataError(f"{where}: expected a finite time of each point, found NaN or infinity")
+    if not is_return.any():
+        return seconds
+    if np.issubdtype(time.dtype, np.integer) or np.abs(seconds[is_return]).max() > _LEAST_NANOSECONDS:
+        seconds *= 1e-9
+    first_s, last_s = float(seconds[is_return].min()), float(seconds[is_return].max())
+    if max(-first_s, last_s) <= _LONGEST_SCAN_S:
+        return seconds
+    # Single precision is coarser than a hundredth of a sweep from some hours on.
+    if last_s - first_s > _LONGEST_SCAN_S or (
+        time.dtype.itemsize < 8 and np.spacing(np.float32(last_s)) > 1e-3
+    ):
+        raise DataError(
+            f"{where}: expected times of one scan, within {_LONGEST_SCAN_S:g} s: seconds, or whole "
+            f"nanoseconds, after the frame's time or of a clock (then as double or 64-bit integers), found "
+            f"{first_s:.10g} to {last_s:.10g} s as {time.dtype}; correct their unit or type"
+        )
+    is_same_clock = stamp_s is not None and abs(first_s - stamp_s) <= _LONGEST_SCAN_S
+    return seconds - (stamp_s if stamp_s is not None and is_same_clock else first_s)

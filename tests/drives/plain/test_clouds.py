@@ -78,6 +78,18 @@ def test_each_storage_of_a_pcd_gives_the_same(kind):
     assert found["ring"].tolist() == [5, 6, 7]
 
 
+def test_columns_of_text_have_the_types_that_the_header_says():
+    head = "FIELDS x t\nSIZE 4 4\nTYPE F U\nWIDTH 2\nHEIGHT 1\nDATA ascii\n"
+    found = read_pcd(PLACE, f"{head}1.5 7\nnan 99000000\n".encode())
+    assert found["x"].dtype == np.float32 and found["t"].dtype == np.uint32
+    assert found["t"].tolist() == [7, 99_000_000]
+    for wrong in ("-1", "4294967296", "nan"):
+        with pytest.raises(DataError, match="scan: t: expected whole numbers 0 to 4294967295"):
+            read_pcd(PLACE, f"{head}1 7\n2 {wrong}\n".encode())
+    ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty uint t\nend_header\n1 8\n"
+    assert read_ply(PLACE, ply.encode())["t"].dtype == np.uint32
+
+
 @pytest.mark.parametrize(
     ("read", "data"),
     [

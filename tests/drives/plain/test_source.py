@@ -15,11 +15,11 @@ from tests.drives.copies import FRAMES, scene_at
 POINTS = 600
 
 
-def _write(root: Path, step_s: float, sweep_s: float | None) -> PlainLayout:
+def _write(root: Path, step_s: float, sweep_s: float | None, begin_s: float = 0.0) -> PlainLayout:
     """A drive at 10 m/s of scans whose points are stamped by their azimuth; None = by nothing."""
     layout = PlainLayout(root)
     write_description(layout, "VLP-16")
-    moments_s = step_s * np.arange(FRAMES)
+    moments_s = begin_s + step_s * np.arange(FRAMES)
     poses = np.tile(np.eye(4), (FRAMES, 1, 1))
     poses[:, 0, 3] = 10.0 * moments_s
     write_poses(layout, range(FRAMES), moments_s.tolist(), list(poses))
@@ -82,3 +82,55 @@ def test_rings_that_are_no_scans_are_refused(tmp_path):
     (layout.beside_dir("ring") / "scan_0.bin").touch()
     with pytest.raises(DataError, match=r"ring: expected files named .* found 'scan_0\.bin'; rename them"):
         _facts(tmp_path)
+
+
+def _time_as(layout: PlainLayout, name: str, kind: str, values_of) -> None:
+    """Write the scans again as ASCII PCD, with a column of times made of frame and seconds after it."""
+    for frame in range(FRAMES):
+        path = layout.scan_path(frame)
+        rows = np.fromfile(path, "<f4").reshape(-1, 4)
+        time = values_of(frame, np.fromfile(layout.beside_path("time", frame), "<f4").astype(np.float64))
+        head = (
+            f"FIELDS x y z intensity {name}\nSIZE 4 4 4 4 {kind[1]}\nTYPE F F F F {kind[0]}\n"
+            f"WIDTH {len(rows)}\nHEIGHT 1\nDATA ascii\n"
+        )
+        shown = [f"{one:.7f}" if kind[0] == "F" else str(int(one)) for one in time]
+        lines = [f"{x} {y} {z} {i} {t}" for (x, y, z, i), t in zip(rows.tolist(), shown, strict=True)]
+        layout.scan_path(frame, "pcd").write_text(head + "\n".join(lines) + "\n")
+        path.unlink()
+        layout.beside_path("time", frame).unlink()
+
+
+CLOCK_S = 1.7e9
+TIMES = {
+    "nanoseconds after the begin": ("t", "U4", lambda frame, s: np.maximum(1e9 * (s + 0.05), 0.0), 0.05),
+    "a clock's seconds": ("timestamp", "F8", lambda frame, s: CLOCK_S + 0.1 * frame + s, 0.05),
+    "a clock's nanoseconds": ("timestamp", "U8", lambda frame, s: 1e9 * (CLOCK_S + 0.1 * frame + s), 0.05),
+    "the frames' clock": ("timestamp", "F8", lambda frame, s: 5.0 + 0.1 * frame + s, 0.0),
+}
+
+
+@pytest.mark.parametrize("case", TIMES)
+def test_times_of_points_are_read_by_type_and_clock(tmp_path, case):
+    layout = _write(tmp_path, 0.1, 0.1, begin_s=5.0)
+    recorded = drive_of(scene_at(tmp_path, "plain")).read_scan(2)
+    name, kind, values_of, shift_s = TIMES[case]
+    _time_as(layout, name, kind, values_of)
+    drive = drive_of(scene_at(tmp_path, "plain"))
+    assert np.allclose(drive.read_scan(2).offset_s, recorded.offset_s, atol=1e-4)
+    assert drive.stamp_shift_s == pytest.approx(shift_s, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values_of"),
+    [
+        ("F8", lambda frame, s: 1e6 * (s + 0.05)),  # microseconds
+        ("F8", lambda frame, s: 100.0 * s),
+        ("F4", lambda frame, s: CLOCK_S + s),
+    ],
+)
+def test_times_that_are_no_scans_are_refused_by_file_and_column(tmp_path, kind, values_of):
+    layout = _write(tmp_path, 0.1, 0.1)
+    _time_as(layout, "t", kind, values_of)
+    with pytest.raises(DataError, match=r"0000000001\.pcd: t: expected times of one scan, within 2 s"):
+        drive_of(scene_at(tmp_path, "plain")).read_scan(1)
