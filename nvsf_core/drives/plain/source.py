@@ -11,7 +11,7 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import LONGEST_STEP_S, NOMINAL_PERIOD_S
 from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
-from nvsf_core.drives.kitti360.scans import MOST_RETURNS, Scan, usable_scan
+from nvsf_core.drives.kitti360.scans import MAX_ABSURD_SHARE, MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.drives.lenses import Lens
 from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
@@ -29,6 +29,8 @@ _LONGEST_SCAN_S = LONGEST_STEP_S
 _LEAST_NANOSECONDS = 1e12
 """Larger times are nanoseconds also where they are not whole numbers: no clock counts as many seconds."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
+_ORGANISED_KINDS = (".ply", ".pcd")
+"""Files that may have a place for each ray; one without a return is NaN there."""
 _BESIDE = {"ring": "<u2", "time": "<f4"}
 
 
@@ -202,6 +204,10 @@ class PlainDrive(AbstractPosedDrive):
                     f"{len(data)} bytes in the file {name}/ beside it"
                 )
             columns[name] = values
+        if kind in _ORGANISED_KINDS and {"x", "y", "z"} <= columns.keys():
+            is_return = np.isfinite([columns[name] for name in "xyz"]).all(axis=0)
+            columns = {name: values[is_return] for name, values in columns.items()}
+        _require_intensities(found.path, columns, self._description.intensity_max)
         stamp_s = self._seconds.get(int(found.path.stem))
         return scan_of_columns(found.path, columns, self._description.intensity_max, stamp_s)
 
@@ -241,7 +247,7 @@ def scan_of_columns(path: Path, columns: Columns, intensity_max: float, stamp_s:
     absent = [name for name in ("x", "y", "z") if name not in columns]
     if absent:
         raise DataError(f"{path}: expected x, y, z of each point, found {', '.join(columns)!s:.100}")
-    intensity = columns.get("intensity", columns.get("reflectivity"))
+    intensity = _intensity(columns)
     zero = np.zeros(len(columns["x"]))
     shine = zero if intensity is None else intensity.astype(np.float64) / intensity_max
     rows = np.stack([columns[name].astype(np.float32) for name in ("x", "y", "z")], axis=1)
@@ -252,6 +258,27 @@ def scan_of_columns(path: Path, columns: Columns, intensity_max: float, stamp_s:
         # Some drivers write dropped rays as points at the sensor's origin, with a time of 0.
         time = _after_frame(f"{path}: {name}", columns[name], np.asarray(rows.any(axis=1)), stamp_s)
     return usable_scan(path, points.astype(np.float32), columns.get("ring"), time)
+
+
+def _intensity(columns: Columns) -> np.ndarray | None:
+    return columns.get("intensity", columns.get("reflectivity"))
+
+
+def _require_intensities(path: Path, columns: Columns, intensity_max: float) -> None:
+    """Refuse intensities of another scale than the drive's.
+
+    Raises:
+        DataError: More than some of them are above 1, and none may be.
+    """
+    intensity = _intensity(columns)
+    if intensity is None or len(intensity) == 0 or intensity_max > 1.0:
+        return
+    if float((intensity > intensity_max).mean()) > MAX_ABSURD_SHARE:
+        brightest = float(intensity.max())
+        raise DataError(
+            f"{path}: expected intensities 0 to {intensity_max:g}, found up to {brightest:g}; set "
+            "intensity_max in drive.json to that of the brightest returns, as 255"
+        )
 
 
 def _after_frame(where: str, time: np.ndarray, is_return: np.ndarray, stamp_s: float | None) -> np.ndarray:

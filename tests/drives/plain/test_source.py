@@ -134,3 +134,33 @@ def test_times_that_are_no_scans_are_refused_by_file_and_column(tmp_path, kind, 
     _time_as(layout, "t", kind, values_of)
     with pytest.raises(DataError, match=r"0000000001\.pcd: t: expected times of one scan, within 2 s"):
         drive_of(scene_at(tmp_path, "plain")).read_scan(1)
+
+
+@pytest.mark.parametrize("kind", ["pcd", "ply"])
+def test_rays_without_a_return_in_an_organised_cloud_are_left_out(tmp_path, kind):
+    layout = _write(tmp_path, 0.1, 0.1)
+    recorded = drive_of(scene_at(tmp_path, "plain")).read_scan(1)
+    rows = np.fromfile(layout.scan_path(1), "<f4").reshape(-1, 4)
+    rows[::3, :3] = np.nan
+    if kind == "pcd":
+        head = "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 100\nHEIGHT 6\nDATA binary\n"
+    else:
+        names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
+        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {POINTS}\n{names}end_header\n"
+    layout.scan_path(1, kind).write_bytes(head.encode() + rows.tobytes())
+    layout.scan_path(1).unlink()
+    scan = drive_of(scene_at(tmp_path, "plain")).read_scan(1)
+    kept = np.arange(POINTS) % 3 > 0
+    assert np.array_equal(scan.points, recorded.points[kept]) and scan.n_absurd == 0
+    assert np.array_equal(scan.offset_s, recorded.offset_s[kept])
+
+
+def test_intensities_of_another_scale_say_which_key_mends_it(tmp_path):
+    layout = _write(tmp_path, 0.1, None)
+    rows = np.fromfile(layout.scan_path(0), "<f4").reshape(-1, 4)
+    rows[:, 3] = np.linspace(0.0, 255.0, POINTS)
+    layout.scan_path(0).write_bytes(rows.tobytes())
+    with pytest.raises(DataError, match=r"0 to 1, found up to 255; set intensity_max in drive\.json"):
+        drive_of(scene_at(tmp_path, "plain")).read_scan(0)
+    layout.drive_path.write_text('{"intensity_max": 255}')
+    assert drive_of(scene_at(tmp_path, "plain")).read_scan(0).points[:, 3].max() == 1.0
