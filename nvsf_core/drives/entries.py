@@ -141,6 +141,11 @@ class SceneEntry:
         """Whether each return is to be placed by the sensor's pose at its own time."""
         return self.kind != KITTI_ODOMETRY if self.compensate is None else self.compensate
 
+    @property
+    def is_lidar_assumed(self) -> bool:
+        """Whether the LiDAR is taken to be KITTI's, as neither entry nor format say otherwise."""
+        return self.lidar is None and self.kind in _KITTI_KINDS
+
     def _may_have(self, camera: str) -> bool:
         """Whether the format can have a camera of that name."""
         return camera in CAMERAS if self.kind in _KITTI_KINDS else bool(CAMERA_NAME.fullmatch(camera))

@@ -12,8 +12,8 @@ from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
-from nvsf_core.sensors.found_table import find_table
-from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN
+from nvsf_core.sensors.found_table import FoundTable, find_table
+from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, recover_lasers
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
 from nvsf_core.sensors.scan_timing import RING, ScanTiming, scan_timing
 from nvsf_core.sensors.sensor_errors import learn_intensity_gain, learn_range_bias
@@ -104,7 +104,7 @@ def _read_scans(
         say(f"[{task.scene.name}] sweeps: read {len(read)} of {len(rows)} scans")
     training = [one for row, one in zip(rows, read, strict=True) if row["split"] == "train"]
     try:
-        table, found = _table(drive.get("sensor", SENSOR.name), training)
+        table, found = _table(drive.get("sensor", SENSOR.name), training, task.scene.is_lidar_assumed)
     except DataError as error:
         others = source.other_scans()
         raise DataError(f"{error}; {others}" if others else str(error)) from error
@@ -117,15 +117,31 @@ def _read_scans(
     return table, found, scans
 
 
-def _table(sensor: str, scans: list[Scan]) -> tuple[LaserTable, str]:
+def _table(sensor: str, scans: list[Scan], is_assumed: bool) -> tuple[LaserTable, str]:
     """The table of the sensor of that name, or found from some training scans, with the evidence."""
+    chosen = scans[:: max(1, len(scans) // _FINDING_SCANS)][:_FINDING_SCANS]
     if sensor == SENSOR.name or not scans:
-        return SENSOR, ""
+        return _of_another(chosen) if is_assumed else (SENSOR, "")
     if sensor in SENSOR_TABLES:
         return sensor_table(sensor), ""
-    chosen = scans[:: max(1, len(scans) // _FINDING_SCANS)][:_FINDING_SCANS]
-    made = find_table([(one.points[:, :3], one.ring) for one in chosen])
+    made = _found(chosen)
     return made.table, f"found from the scans: {made.evidence}; "
+
+
+def _of_another(chosen: list[Scan]) -> tuple[LaserTable, str]:
+    """The assumed sensor's table, or a found one where most of the scans are not of that sensor."""
+    sources = [recover_lasers(np.ascontiguousarray(one.points[:, :3]), SENSOR)[1] for one in chosen]
+    if 2 * sources.count(UNKNOWN) <= len(sources):
+        return SENSOR, ""
+    try:
+        made = _found(chosen)
+    except DataError:
+        return SENSOR, ""  # the check `lasers_are_known` says that they are not
+    return made.table, f"not of an {SENSOR.name}, found from the scans: {made.evidence}; "
+
+
+def _found(chosen: list[Scan]) -> FoundTable:
+    return find_table([(one.points[:, :3], one.ring) for one in chosen])
 
 
 def _placed(

@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +11,14 @@ from nvsf_core.geometry.se3 import exp_se3, invert_pose, pose_of_angles
 from nvsf_core.recipe import preset
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
 from nvsf_core.sensors.sweep import Trajectory
-from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.sensors.tables import HDL_64E, VLP_16
 from nvsf_core.stages import flow, frames, pano, sweeps
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.run import run_scene
 from nvsf_core.stages.runner.stage import RunConfig, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.scene_store import SceneStore
-from nvsf_core.stores.tables import write_rows
+from nvsf_core.stores.tables import read_rows, write_rows
 from tests.conftest import SHARED
 
 ORIGIN_M = (1000.0, 3700.0, 115.0)
@@ -36,16 +37,16 @@ def _walls_ahead(origin_m, direction):
     return distance
 
 
-def _record(poses, times_s, k):
+def _record(poses, times_s, k, table=HDL_64E):
     """One scan of the walls as a driver records it, each return at its own time; no correction in it."""
     trajectory = Trajectory(times_s, poses, SCENE)
-    azimuth, fraction = firing_grid(HDL_64E, FIRINGS)
-    steps = np.rint(azimuth / HDL_64E.step_rad - HDL_64E.phase_steps[:, None])
-    azimuth = (steps + HDL_64E.phase_steps[:, None]) * HDL_64E.step_rad
-    laser = np.repeat(np.arange(LASERS), FIRINGS)
-    origin_s, direction_s = sensor_rays(HDL_64E, azimuth.ravel(), laser)
+    azimuth, fraction = firing_grid(table, FIRINGS)
+    steps = np.rint(azimuth / table.step_rad - table.phase_steps[:, None])
+    azimuth = (steps + table.phase_steps[:, None]) * table.step_rad
+    laser = np.repeat(np.arange(table.laser_count), FIRINGS)
+    origin_s, direction_s = sensor_rays(table, azimuth.ravel(), laser)
     origin_m, direction = trajectory.move_rays(
-        origin_s, direction_s, times_s[k] + PERIOD_S * np.tile(fraction, LASERS)
+        origin_s, direction_s, times_s[k] + PERIOD_S * np.tile(fraction, table.laser_count)
     )
     range_m = _walls_ahead(origin_m, direction)
     points = origin_s + range_m[:, None] * direction_s
@@ -167,6 +168,43 @@ def test_the_published_facts_say_how_lasers_were_found(drive, tmp_path):
     assert attrs["elevation_correction_deg"] == pytest.approx(0.205)
     assert output.metadata["sweep_period_assumed"] is True
     assert (tmp_path / "out" / output.previews["scan"]).stat().st_size < 100_000
+
+
+def test_another_lidar_than_kittis_is_found_unless_one_is_named(drive, tmp_path):
+    entry, store = drive
+    shutil.copytree(entry.root, tmp_path / "root")
+    layout = DriveLayout(tmp_path / "root", entry.sequence)
+    poses = np.array([row["lidar_to_world"] for row in _rows(store)]).reshape(-1, 4, 4)
+    for k in range(FRAMES):
+        _record(poses, PERIOD_S * np.arange(FRAMES), k, VLP_16).tofile(layout.scan_path(k))
+    found = sweeps.run(_task(drive, tmp_path / "found", root=tmp_path / "root"))
+    attrs = read_attrs(tmp_path / "found" / sweeps.ARRAYS_NAME)
+    assert attrs["sensor"] == "found-16"
+    assert attrs["laser_evidence"].startswith("not of an HDL-64E, found from the scans: 16 lasers")
+    assert _passed(found, "lasers_are_known")
+    named = sweeps.run(_task(drive, tmp_path / "named", root=tmp_path / "root", lidar="HDL-64E"))
+    assert read_attrs(tmp_path / "named" / sweeps.ARRAYS_NAME)["sensor"] == "HDL-64E"
+    assert not _passed(named, "lasers_are_known")
+
+
+def test_scans_of_no_rotating_lidar_keep_the_assumed_table(drive, tmp_path):
+    entry, _ = drive
+    shutil.copytree(entry.root, tmp_path / "root")
+    rng = np.random.default_rng(0)
+    for k in range(FRAMES):
+        rows = np.column_stack([rng.normal(0.0, 10.0, (4000, 3)), np.full(4000, 0.5)])
+        rows.astype("<f4").tofile(DriveLayout(tmp_path / "root", entry.sequence).scan_path(k))
+    output = sweeps.run(_task(drive, tmp_path / "out", root=tmp_path / "root"))
+    assert read_attrs(tmp_path / "out" / sweeps.ARRAYS_NAME)["sensor"] == "HDL-64E"
+    assert not _passed(output, "lasers_are_known")
+
+
+def _rows(store):
+    return read_rows(store.require("frames") / "frames.parquet")
+
+
+def _passed(output, name):
+    return next(check.passed for check in output.checks if check.name == name)
 
 
 def test_both_range_images_are_published_with_their_round_trip(drive, tmp_path):
