@@ -1,4 +1,7 @@
-"""What KITTI's two layouts have in common: numbered `.bin` scans and rectified PNG images of four cameras."""
+"""What KITTI's two layouts have in common: numbered `.bin` scans and rectified images of four cameras.
+
+KITTI's images are PNG; copies of it that were made smaller have JPEG in their place.
+"""
 
 from abc import abstractmethod
 from functools import cached_property
@@ -10,7 +13,7 @@ from scipy.linalg import rq
 
 from nvsf_core.drives.drive import Recorded
 from nvsf_core.drives.kitti360.calibration import CameraCalibration
-from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
+from nvsf_core.drives.kitti360.images import decode_picture, jpeg_size, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.drives.plain.layout import numbered_files
@@ -21,6 +24,8 @@ from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.sensors.tables import HDL_64E
 
+_MOST_HEADER_BYTES = 1 << 20
+"""Before a JPEG's size there may be a preview and a colour profile."""
 CAMERA_AXES_TO_Z_UP = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
@@ -61,7 +66,7 @@ class AbstractKittiDrive(AbstractPosedDrive):
     @cached_property
     def image_files(self) -> dict[str, dict[int, Path]]:
         """The drive's images by camera and frame."""
-        found = {name: numbered_files(self.images_dir(name), ("png",)) for name in CAMERAS}
+        found = {name: _image_files(self.images_dir(name)) for name in CAMERAS}
         return {name: files for name, files in found.items() if files}
 
     @property
@@ -137,13 +142,13 @@ class AbstractKittiDrive(AbstractPosedDrive):
         return None if found is None else self.parse_scan(found)
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
-        """The bytes of a PNG."""
+        """The bytes of a PNG or JPEG."""
         path = self.image_files.get(camera, {}).get(frame)
         return None if path is None else Recorded(path, read_image_bytes(path, width, height))
 
     def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
-        """Decode a PNG."""
-        return decode_image(found.path, found.data, width, height)
+        """Decode a PNG or JPEG."""
+        return decode_picture(found.path, found.data, width, height)
 
 
 def camera_of_projection(
@@ -182,16 +187,26 @@ def camera_of_projection(
     )
 
 
-def png_size(path: Path) -> tuple[int, int]:
-    """Columns and rows that a PNG's header claims.
+def _image_files(folder: Path) -> dict[int, Path]:
+    """Images by frame; where there are both, the original, a PNG."""
+    return dict(
+        sorted({**numbered_files(folder, ("jpg", "jpeg")), **numbered_files(folder, ("png",))}.items())
+    )
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Columns and rows that the header of a PNG or JPEG claims.
 
     Raises:
-        CalibrationError: It is no PNG.
+        CalibrationError: It is neither.
     """
     with path.open("rb") as file:
-        head = file.read(24)
-    if len(head) < 24 or not head.startswith(b"\x89PNG"):
+        head = file.read(_MOST_HEADER_BYTES)
+    if len(head) >= 24 and head.startswith(b"\x89PNG"):
+        return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    found = jpeg_size(head) if head.startswith(b"\xff\xd8") else None
+    if found is None:
         raise CalibrationError(
-            f"{path}: expected a PNG whose size says the camera's, found none; copy it again"
+            f"{path}: expected a PNG or JPEG whose size says the camera's, found none; copy it again"
         )
-    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    return found

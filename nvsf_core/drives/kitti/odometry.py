@@ -9,7 +9,7 @@ from nvsf_core.drives.kitti.files import (
     CAMERA_AXES_TO_Z_UP,
     AbstractKittiDrive,
     camera_of_projection,
-    png_size,
+    image_size,
 )
 from nvsf_core.drives.kitti.poses import read_poses, read_seconds
 from nvsf_core.drives.kitti360.calibration import Calibration
@@ -32,8 +32,9 @@ class KittiOdometryDrive(AbstractKittiDrive):
 
     @property
     def poses_file(self) -> Path:
-        """Poses of the first camera, a line a frame."""
-        return self.scene.root / "poses" / f"{self.scene.sequence}.txt"
+        """Poses of the first camera, a line a frame: the benchmark's, else SemanticKITTI's own ones."""
+        places = (self.scene.root / "poses" / f"{self.scene.sequence}.txt", self._place / "poses.txt")
+        return next((path for path in places if lexists(path)), places[0])
 
     @property
     def scans_dir(self) -> Path:
@@ -67,7 +68,7 @@ class KittiOdometryDrive(AbstractKittiDrive):
         return dict(enumerate(seconds.tolist()))
 
     def pose_path(self) -> PosePath | None:
-        """Poses of the benchmark's training sequences; None for 11 to 21, which have none."""
+        """Poses of the benchmark's training sequences, or SemanticKITTI's; else None, as of 11 to 21."""
         if not lexists(self.poses_file):
             return None
         poses, seconds = read_poses(self.poses_file), read_seconds(self._place / "times.txt")
@@ -85,7 +86,7 @@ class KittiOdometryDrive(AbstractKittiDrive):
         cameras = {}
         for name in self.wanted_cameras:
             own = f"P{_NUMBERS[name]}"
-            size_px = png_size(next(iter(self.image_files[name].values())))
+            size_px = image_size(next(iter(self.image_files[name].values())))
             projection = table.matrix(own, (3, 4))
             cameras[name] = camera_of_projection(name, projection, size_px, np.eye(4), f"{path}, {own}")
         if key not in table.lines and self.has_scans():

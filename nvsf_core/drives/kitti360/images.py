@@ -197,7 +197,7 @@ def decode_picture(path: Path, data: bytes, width: int, height: int) -> np.ndarr
     if _JPEG_END not in data[-64:]:
         raise DataError(f"{path}: unreadable image, truncated; copy it again")
     # As of a PNG, before the decoder allocates memory for it.
-    size = _jpeg_size(data)
+    size = jpeg_size(data)
     if size != (width, height):
         raise DataError(
             f"{path}: wrong size, expected {width} x {height} as the calibration says, found "
@@ -208,7 +208,7 @@ def decode_picture(path: Path, data: bytes, width: int, height: int) -> np.ndarr
     return rgb
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+def jpeg_size(data: bytes) -> tuple[int, int] | None:
     """Columns and rows of the frame header of a JPEG (ITU-T T.81, B.2.2); None without one."""
     position = len(_JPEG_BEGIN)
     while position + 9 <= len(data) and data[position] == 0xFF:
