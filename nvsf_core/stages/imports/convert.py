@@ -95,8 +95,9 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
             f"{' | '.join(left_out)!s:.600}"
         )
     boxes = source.boxes()
-    left_out += [f"box: {words}" for words in (*boxes.left_out, *target.left_out)]
+    left_out += [f"box: {words}" for words in boxes.left_out]
     target.finish(boxes.boxes)
+    left_out += target.left_out
     notes += [*facts.calibration.notes, *facts.notes, *boxes.notes]
     done = Imported(
         folder=folder, scans=scans, images=images, frames=len(facts.poses), left_out=tuple(left_out),

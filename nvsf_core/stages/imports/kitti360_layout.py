@@ -1,13 +1,17 @@
 """An imported drive in KITTI-360's layout: up to two pinhole cameras and two fisheyes, no rings or times.
 
-Points that were stamped one by one, or numbered by their lasers, lose that here: a plain drive keeps it.
+Points that were stamped one by one, or numbered by their lasers, lose that here: a plain drive keeps it. What
+is lost is said.
 """
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.drive import DriveFacts
+from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import CameraCalibration
 from nvsf_core.drives.kitti360.layout import FISHEYE_CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
@@ -24,17 +28,30 @@ from nvsf_core.drives.kitti360.writer import (
     write_pose,
     write_timestamps,
 )
+from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.stages.exports.kitti360 import object_numbers
 from nvsf_core.stages.imports.target import AbstractTarget
 
 START = datetime(2013, 5, 28, 8, 0, 0)
 """Date of frame 0: the layout needs one, and other formats' clocks have none."""
 
 
+_LEAST_UNLIKE = 0.05
+"""Difference of a sweep's duration from the step between frames, in steps, for it to be a loss."""
+_LEAST_DELAY_S = 1e-4
+"""Of an image from its frame, for it to be a loss: at 30 m/s it is 3 mm."""
+
+
 class Kitti360Target(AbstractTarget):
     """Writes a KITTI-360 root of one sequence."""
+
+    def __init__(self, folder: Path, scene: SceneEntry, facts: DriveFacts) -> None:
+        super().__init__(folder, scene, facts)
+        self._scans_with = {"rings": 0, "times": 0}
+        self._largest_delay_s: dict[str, float] = {}
 
     @property
     def _layout(self) -> DriveLayout:
@@ -64,11 +81,16 @@ class Kitti360Target(AbstractTarget):
 
     def write_scan(self, frame: int, scan: Scan) -> None:
         """Write a `.bin`."""
+        self._scans_with["rings"] += scan.ring is not None
+        self._scans_with["times"] += scan.offset_s is not None
         write_scan(self._layout.scan_path(frame), scan.points[:, :3], scan.points[:, 3])
 
     def write_image(self, camera: str, frame: int, rgb: np.ndarray, time_s: float | None) -> None:
         """Write a PNG; the layout takes images to be of their frame's instant."""
         write_image(self._layout.image_path(self._names[camera], frame), rgb)
+        if time_s is not None:
+            delay_s = abs(time_s - float(self.facts.times.time_s[frame - self.scene.first_frame]))
+            self._largest_delay_s[camera] = max(delay_s, self._largest_delay_s.get(camera, 0.0))
 
     def finish(self, boxes: Sequence[Box]) -> None:
         """Write calibration, poses, timestamps and boxes."""
@@ -86,22 +108,52 @@ class Kitti360Target(AbstractTarget):
         stamps = np.concatenate([step_s * np.arange(first), first * step_s + facts.times.time_s])
         for kind, shift in (("", 0.0), ("start", -0.5), ("end", 0.5)):
             write_timestamps(layout.timestamps_path(kind), START, (stamps + shift * step_s).tolist())
-        first_frame, last_frame = self.scene.first_frame, self.scene.last_frame
-        write_boxes(
-            layout.boxes_path("train"),
-            [
-                WrittenBox(
-                    one.object_id,
-                    one.label,
-                    one.dynamic,
-                    one.frame,
-                    first_frame,
-                    last_frame,
-                    one.box_to_world,
-                )
-                for one in boxes
-            ],
-        )
+        self._write_boxes(boxes)
+        self.left_out += self._losses()
+
+    def _write_boxes(self, boxes: Sequence[Box]) -> None:
+        try:
+            numbers = object_numbers({one.object_id: one.label for one in boxes})
+        except DataError as error:
+            self.left_out.append(f"all boxes: {error}")
+            boxes, numbers = (), {}
+        first, last = self.scene.first_frame, self.scene.last_frame
+        # The layout numbers the objects of each class; its readers put the class in front.
+        written = [
+            WrittenBox(
+                numbers[one.object_id] % 1000, one.label, one.dynamic, one.frame, first, last,
+                one.box_to_world,
+            )
+            for one in boxes
+        ]  # fmt: skip
+        write_boxes(self._layout.boxes_path("train"), written)
+
+    def _losses(self) -> list[str]:
+        """What the layout has no place for, in words."""
+        facts = self.facts
+        lost = [
+            f"camera {name}: the layout has {len(PERSPECTIVE_CAMERAS)} pinhole cameras and "
+            f"{len(FISHEYE_CAMERAS)} fisheyes, taken by others"
+            for name in facts.calibration.cameras if name not in self._names
+        ]  # fmt: skip
+        lost += [
+            f"times of images of {camera}, up to {1000.0 * delay_s:.1f} ms from their frames': the layout "
+            "takes images to be of their frame's instant"
+            for camera, delay_s in self._largest_delay_s.items() if delay_s > _LEAST_DELAY_S
+        ]  # fmt: skip
+        lost += [
+            f"{what} of the points of {count} scans: the layout has no place for them"
+            for what, count in self._scans_with.items() if count
+        ]  # fmt: skip
+        steps_s = np.diff(facts.times.time_s)
+        if len(steps_s) and not np.isclose(
+            np.median(steps_s), facts.times.sweep_period_s, rtol=_LEAST_UNLIKE
+        ):
+            lost.append(
+                f"duration of a sweep, {facts.times.sweep_period_s:.4g} s: the layout takes it to be the "
+                f"step between frames, {np.median(steps_s):.4g} s"
+            )
+        return [f"{words}; --layout plain keeps this" for words in lost]
 
     def _write_calibration(self, layout: DriveLayout, cameras: Mapping[str, CameraCalibration]) -> None:
         perspective = {}

@@ -20,7 +20,7 @@ class AbstractTarget(ABC):
         self.scene = scene
         self.facts = facts
         self.left_out: list[str] = []
-        """What the layout cannot hold, in words."""
+        """What the layout cannot hold, in words; whole after `finish`."""
 
     @property
     def cameras(self) -> tuple[str, ...]:

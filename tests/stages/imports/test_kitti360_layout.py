@@ -1,0 +1,76 @@
+"""A drive imported in KITTI-360's layout keeps its objects apart, and says what the layout cannot hold."""
+
+import json
+
+import numpy as np
+import pytest
+
+from nvsf_core.drives.detect import whole_drive
+from nvsf_core.drives.drive import drive_of
+from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.plain.layout import PlainLayout
+from nvsf_core.drives.plain.writer import (
+    write_cameras,
+    write_description,
+    write_image_times,
+    write_plain_boxes,
+    write_plain_image,
+    write_plain_scan,
+    write_poses,
+)
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.stages.imports.convert import import_drive
+
+FRAMES, STEP_S, POINTS = 4, 0.5, 400
+CAMERA = Pinhole(fx=20.0, fy=20.0, cx=15.5, cy=11.5, width=32, height=24)
+MOUNTING = np.array([[0.0, 0.0, 1.0, 0.3], [-1.0, 0.0, 0.0, 0.1], [0.0, -1.0, 0.0, -0.2], [0, 0, 0, 1]])
+OBJECTS = {26_001: "car", 3017: "car", 17: "caravan"}
+
+
+def _box(object_id: int, label: str) -> Box:
+    pose = np.diag([4.0, 2.0, 1.5, 1.0])
+    pose[:3, 3] = 10.0, float(object_id % 7), 0.0
+    return Box(frame=-1, object_id=object_id, label=label, dynamic=False, box_to_world=pose)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    layout = PlainLayout(tmp_path / "plain")
+    write_description(layout, "VLP-16")
+    moments_s = (STEP_S * np.arange(FRAMES)).tolist()
+    write_poses(layout, range(FRAMES), moments_s, [np.eye(4)] * FRAMES)
+    write_cameras(layout, dict.fromkeys(("front", "left", "right"), (CAMERA, MOUNTING)))
+    fraction = np.linspace(-0.5, 0.5, POINTS, endpoint=False)
+    angle = -2.0 * np.pi * fraction
+    rows = np.stack([9.0 * np.cos(angle), 9.0 * np.sin(angle), np.zeros(POINTS), np.full(POINTS, 0.5)], 1)
+    rng = np.random.default_rng(0)
+    for frame in range(FRAMES):
+        ring = np.arange(POINTS) % 16
+        write_plain_scan(layout, frame, Scan(rows.astype(np.float32), 0, ring=ring, offset_s=0.05 * fraction))
+        for camera in ("front", "left", "right"):
+            write_plain_image(layout, camera, frame, rng.integers(0, 255, (24, 32, 3), np.uint8))
+    write_image_times(layout, "left", {frame: moments_s[frame] + 0.02 for frame in range(FRAMES)})
+    write_plain_boxes(layout, [_box(*one) for one in OBJECTS.items()])
+    return layout.root
+
+
+def test_what_the_layout_cannot_hold_is_said(recorded, tmp_path):
+    done = import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
+    assert (done.scans, done.images) == (4, 8)
+    assert [words.split(":")[0] for words in done.left_out] == [
+        "camera right",
+        "times of images of left, up to 20.0 ms from their frames'",
+        "rings of the points of 4 scans",
+        "times of the points of 4 scans",
+        "duration of a sweep, 0.05 s",
+    ]
+    assert json.loads((tmp_path / "out/import.json").read_text())["left_out"] == list(done.left_out)
+    kept = import_drive(whole_drive(recorded, "plain"), tmp_path / "kept", layout="plain", progress=print)
+    assert kept.left_out == ()
+
+
+def test_objects_stay_apart_and_those_of_the_layout_keep_their_number(recorded, tmp_path):
+    import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
+    boxes = drive_of(whole_drive(tmp_path / "out", "kitti360")).boxes().boxes
+    assert {one.object_id: one.label for one in boxes} == {26_001: "car", 26_017: "car", 29_017: "caravan"}
