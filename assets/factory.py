@@ -15,7 +15,7 @@ from assets.schema import schema_metadata
 from assets.verdicts import check_specs, evaluations, failed_verdicts, reason_of, verdicts
 from assets.workspace import Workspace
 from nvsf_core.errors import NvsfError
-from nvsf_core.stages import STAGES, Outcome, Stage, run_named_stage
+from nvsf_core.stages import STAGES, Outcome, Stage
 
 _AssetEvent = dg.AssetCheckResult | dg.MaterializeResult
 _KINDS = {
@@ -68,8 +68,8 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
         say_whose_run_it_is(context.instance, context.run.run_id)
         log_as_json(context)
         try:
-            plan = workspace.plan(scene, keep=KEPT in context.run.tags)
-            outcome = run_named_stage(stage.name, plan, context.log.info, stages=stages)
+            keep = KEPT in context.run.tags
+            outcome = workspace.run_stage(stage.name, scene, context.log.info, stages=stages, keep=keep)
         except NvsfError as error:
             # Yielded, not logged: what is logged is lost when the step then fails.
             reason = reason_of(error, stage, scene)

@@ -1,18 +1,22 @@
 """The resource of every asset and op: recipe, seeds, and the folder of the outputs."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import dagster as dg
 
 from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
+from nvsf_core.errors import NvsfError
 from nvsf_core.recipe import preset, seed_from_text
-from nvsf_core.stages import RunConfig, SceneRun, find_scene, plan_run
+from nvsf_core.stages import Outcome, RunConfig, SceneRun, Stage, find_scene, plan_run, run_named_stage
+from nvsf_core.stages.runner.failures import remember_failure
 from nvsf_core.stages.runner.run import DEFAULT_RECIPE
+from nvsf_core.stages.runner.stage import Progress
 from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.removal import number_kept
-from nvsf_core.stores.scene_store import require_home
+from nvsf_core.stores.scene_store import SceneStore, require_home
 
 
 class Workspace(dg.ConfigurableResource):
@@ -48,6 +52,29 @@ class Workspace(dg.ConfigurableResource):
         if kept is not None:
             choices |= {"recipe": kept[0], "seed": kept[1]}
         return plan_run(entry, self.home(), **choices)
+
+    def run_stage(
+        self, name: str, scene: str, progress: Progress, *, stages: Sequence[Stage], keep: bool = False
+    ) -> Outcome:
+        """Run, or skip, a stage on a scene; why it could not even be planned is remembered, too.
+
+        Args:
+            name: Name of the stage.
+            scene: Name of the scene.
+            progress: Receives progress lines.
+            stages: All stages of the flow.
+            keep: As of `plan`.
+
+        Raises:
+            NvsfError: It cannot be planned, or the stage failed.
+        """
+        entry = find_scene(scene)
+        try:
+            run = self.plan(scene, keep=keep)
+        except NvsfError as error:
+            remember_failure(SceneStore(self.home(), entry.name), name, str(error))
+            raise
+        return run_named_stage(name, run, progress, stages=stages)
 
     def recipe_of(self, entry: SceneEntry) -> str:
         """Name of the recipe that is asked for: by this run, by RECIPE, by the catalogue, else `lean`."""

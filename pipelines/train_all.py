@@ -25,9 +25,11 @@ from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.metrics.headline import headline
-from nvsf_core.stages import STAGES, Stage, find_scene, run_named_stage
+from nvsf_core.stages import STAGES, Stage, find_scene
 from nvsf_core.stages.flow import SCENE_METRICS
+from nvsf_core.stages.runner.failures import remember_failure
 from nvsf_core.stages.runner.run import write_demo_where_absent
+from nvsf_core.stores.scene_store import SceneStore
 from pipelines.failures import CALLED_TAG, call_command
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
@@ -120,9 +122,10 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             context.log.warning(f"[{scene}] {stage.name}: not run, failed before ({state['failed']})")
             return state
         if context.retry_number >= _RETRY_KILLED.max_retries:
+            remember_failure(SceneStore(workspace.home(), scene), stage.name, _KILLED_TWICE)
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         try:
-            outcome = run_named_stage(stage.name, workspace.plan(scene), context.log.info, stages=stages)
+            outcome = workspace.run_stage(stage.name, scene, context.log.info, stages=stages)
             for event in events_of(stage, outcome, scene, context.instance):
                 context.log_event(event)
         except NvsfError as error:

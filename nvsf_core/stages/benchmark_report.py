@@ -12,6 +12,7 @@ from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect
 from nvsf_core.reporting.speed_plots import speed_section
 from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
+from nvsf_core.stages.runner.failures import remembered_failures
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stages.versions import VERSIONS
@@ -39,7 +40,8 @@ def make_benchmark_report(
     Args:
         home: NVSF_HOME.
         scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
-        failures: Scene to the reason why its run failed; its earlier outputs are shown.
+        failures: Scene to the reason why this run of it failed; its earlier outputs are shown. What stages
+            failed with in other runs, and have not succeeded since, is shown of every other scene.
         no_data: Catalogue scenes whose recordings are not on this machine.
         curves: Folder with error over training time by `make bench`, shown for the page's scenes; None = not
             shown.
@@ -51,7 +53,8 @@ def make_benchmark_report(
         StoreError: The page cannot be written.
     """
     own = list(dict.fromkeys([*scene_names, *failures]))
-    others = [name for name in measured_scenes(home) if name not in own]
+    failures = remembered_failures(home, STAGE_NAMES) | dict(failures)
+    others = [name for name in sorted({*measured_scenes(home), *failures}) if name not in own]
     target = home / "benchmark_report"
     source = _source(home, [*own, *others], (failures, list(no_data)), curves)
     if (target / _PAGE).is_file() and _written(target / _SOURCE) == source:

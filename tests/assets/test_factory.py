@@ -10,6 +10,7 @@ from assets.metadata import picture, rounded, scalar_metadata
 from assets.scenes import register
 from assets.verdicts import CHECK_NAME
 from assets.workspace import Workspace
+from nvsf_core.stages.runner.failures import remembered_failures
 from nvsf_core.stages.runner.record import content_of
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 
@@ -66,6 +67,22 @@ def test_a_failed_blocking_law_publishes_nothing(materialize, tmp_path):
     assert not result.success and not (tmp_path / "demo/frames").exists()
     (check,) = result.get_asset_check_evaluations()
     assert not check.passed and "law: 2 of 3" in check.description
+
+
+def test_what_an_asset_failed_with_is_remembered_until_it_succeeds(materialize, tmp_path):
+    def said():
+        return remembered_failures(tmp_path, ["frames"])
+
+    materialize(_output(Check(name="rows_are_whole", passed=False, detail="2 of 3", blocking=True)))
+    assert said().keys() == {"demo"} and said()["demo"].startswith("frames: rows_are_whole: 2 of 3 (20")
+    materialize(_output())
+    assert said() == {}
+
+
+def test_a_scene_that_cannot_be_planned_is_remembered_too(materialize, tmp_path, monkeypatch):
+    monkeypatch.setenv("NVSF_KEEP_VERSIONS", "few")
+    materialize(_output())
+    assert "NVSF_KEEP_VERSIONS='few'" in remembered_failures(tmp_path, ["frames"])["demo"]
 
 
 def test_a_failed_law_that_does_not_block_warns(materialize, tmp_path):

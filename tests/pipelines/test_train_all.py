@@ -1,10 +1,12 @@
 """One scene's failure is its own: on a tiny flow of two stages."""
 
 import json
+import sys
 
 import dagster as dg
 import pytest
 
+from assets.report import write_benchmark_report
 from assets.scenes import key_of
 from assets.verdicts import CHECK_NAME
 from nvsf_core.errors import DataError
@@ -40,9 +42,12 @@ last_frame = 1
 test_frames = [1]
 """
 
+TORN = ("bad",)
+"""Scenes whose drive cannot be read."""
+
 
 def _ingest(task):
-    if task.scene.name == "bad":
+    if task.scene.name in TORN:
         raise DataError("the scan is torn")
     (task.folder / "rows").write_text("1")
     named = Check(name="rows_are_whole", passed=True, detail="1 row", blocking=True)
@@ -106,6 +111,18 @@ def test_a_failed_scene_has_a_failed_check(run_job):
     result, _ = run_job()
     verdicts = [event.asset_check_evaluation_data for event in _events(result, "ASSET_CHECK_EVALUATION")]
     assert [one.description for one in verdicts if not one.passed] == ["scene bad: frames: the scan is torn"]
+
+
+def test_a_scene_s_failure_stays_in_the_report_until_it_succeeds(run_job, tmp_path, monkeypatch):
+    run_job("good", "bad")
+    page = tmp_path / "home/benchmark_report/index.html"
+    run_job("good")
+    assert "<b>bad failed:</b><pre>frames: the scan is torn (" in page.read_text()
+    write_benchmark_report(tmp_path / "home")
+    assert "the scan is torn" in page.read_text()
+    monkeypatch.setattr(sys.modules[__name__], "TORN", ())
+    run_job("bad")
+    assert "the scan is torn" not in page.read_text()
 
 
 def test_a_failed_run_without_a_daemon_calls_the_users_command(run_job, monkeypatch, tmp_path):

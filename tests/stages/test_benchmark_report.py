@@ -14,7 +14,9 @@ from nvsf_core.metrics.table import COLUMNS, UNITS
 from nvsf_core.reporting.scan_page.page import MOST_BYTES
 from nvsf_core.stages import benchmark_report
 from nvsf_core.stages.benchmark_report import make_benchmark_report
+from nvsf_core.stages.runner.failures import forget_failure, remember_failure
 from nvsf_core.stores.arrays import read_arrays, read_attrs, write_arrays
+from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
@@ -209,3 +211,19 @@ def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert "street failed: what was published cannot be read" in text
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".publishing")] == []
+
+
+def test_failures_of_earlier_runs_are_shown_until_the_stage_succeeds(tmp_path: Path) -> None:
+    store = write_street(tmp_path, "street")
+    new = SceneStore(tmp_path, "avenue")
+    for one in (store, new):
+        remember_failure(one, "field", "it diverged")
+        remember_failure(one, "frames", "the scan is <torn>")
+    page, text = _read(make_benchmark_report(tmp_path, [], {"street": "out of memory"}, []))
+    assert page.index("frames: the scan is &lt;torn&gt; (20") < page.index("field: it diverged (20")
+    assert "avenue failed:" in text and "street failed: out of memory" in text
+    forget_failure(store, "frames")
+    forget_failure(store, "field")
+    (new.path(".failed") / "frames.json").write_text("half")
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "street failed" not in text and "frames: failed; why cannot be read" in text

@@ -23,6 +23,7 @@ from nvsf_core.stages.runner.execution import (
     run_stage,
     skipped_stage,
 )
+from nvsf_core.stages.runner.failures import forget_failure, remember_failure
 from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
 from nvsf_core.stages.runner.locks import LOCKS, output_locks
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, UnsoundOutputError
@@ -143,7 +144,7 @@ def run_scene(
 def run_named_stage(
     name: str, run: SceneRun, progress: Progress, *, stages: Sequence[Stage] | None = None
 ) -> Outcome:
-    """Run, or skip, one stage whose inputs are published.
+    """Run, or skip, one stage whose inputs are published; a failure is remembered until it succeeds.
 
     Raises:
         StoreError: An input was never published.
@@ -152,7 +153,20 @@ def run_named_stage(
     by_name = {stage.name: stage for stage in (STAGES if stages is None else stages)}
     if name not in by_name:
         raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
-    stage = by_name[name]
+    try:
+        outcome = _named(by_name[name], run, by_name, progress)
+    except Exception as error:
+        kind = "" if isinstance(error, NvsfError) else f"{type(error).__name__}: "
+        words = str(error).removeprefix(f"scene {run.scene.name}, stage {name}: ")
+        remember_failure(run.store, name, kind + words)
+        raise
+    forget_failure(run.store, name)
+    return outcome
+
+
+def _named(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], progress: Progress) -> Outcome:
+    """Run or skip a stage; its errors name scene and stage."""
+    name = stage.name
     try:
         return _run_or_skip(stage, run, by_name, progress)
     except OSError as error:
