@@ -316,7 +316,7 @@ def weights(backbone: Path | None, out: Path | None) -> None:
     import torch
 
     from nvsf_core.drives.catalogue import home_from_environment
-    from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE
+    from nvsf_core.metrics.lpips_file import WEIGHTS_NAME, WEIGHTS_VARIABLE
     from nvsf_core.metrics.lpips_weights import BACKBONE_URL, HEADS_PLACE, make_lpips_weights
 
     # The package itself needs torchvision, so it is looked into and never imported.

@@ -12,7 +12,7 @@ from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
 from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError
-from nvsf_core.metrics.lpips import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
+from nvsf_core.metrics.lpips_file import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept
 from nvsf_core.stores.scene_store import require_home
 from pipelines.doctor_instance import examine_instance

@@ -14,6 +14,9 @@ _LEAST_POINTS = 100
 _VOXEL_M = 1.0
 """KISS-ICP's own choice: a hundredth of the range."""
 
+NO_KISS_ICP = "KISS-ICP cannot be loaded"
+"""Said of all that was not measured for want of it."""
+
 
 def odometry_path(
     scans: Iterable[tuple[np.ndarray, np.ndarray]], first_step: np.ndarray | None = None
@@ -66,14 +69,24 @@ def _back_to_instant(step: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     return np.asarray(exp_se3(-share * log_se3(step[None]))[0])
 
 
-def _kiss_icp() -> Any:
+def load_kiss_icp() -> tuple[Any, Any]:
+    """KISS-ICP's modules of its configuration and of its algorithm.
+
+    Raises:
+        MissingLibraryError: It is not installed; the message says how to install it.
+    """
     try:
         config_module = importlib.import_module("kiss_icp.config")
         odometry_module = importlib.import_module("kiss_icp.kiss_icp")
     except (ImportError, OSError) as error:
         raise MissingLibraryError(
-            f"not run: KISS-ICP cannot be loaded ({error}); `pip install 'nvsf[odometry]'` installs it"
+            f"not run: {NO_KISS_ICP} ({error}); `pip install 'nvsf[odometry]'` installs it"
         ) from error
+    return config_module, odometry_module
+
+
+def _kiss_icp() -> Any:
+    config_module, odometry_module = load_kiss_icp()
     config = config_module.KISSConfig()
     config.data.max_range = _FAR_M
     config.mapping.voxel_size = _VOXEL_M

@@ -11,6 +11,9 @@ from nvsf_core.errors import MissingLibraryError, StoreError
 
 _SYSTEM_PACKAGES = "libegl1 libgl1 libx11-6 libudev1 libidn2-0 libusb-1.0-0"
 
+NO_OPEN3D = "open3d cannot be loaded"
+"""Said of all that was not made for want of it."""
+
 
 def load_open3d() -> Any:
     """The open3d module, with libusb loaded beforehand.
@@ -23,7 +26,7 @@ def load_open3d() -> Any:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as error:
         raise MissingLibraryError(
-            f"not run: open3d cannot be loaded ({error}). `pip install open3d libusb-package` installs it,"
+            f"not run: {NO_OPEN3D} ({error}). `pip install open3d libusb-package` installs it,"
             f" `apt-get install -y {_SYSTEM_PACKAGES}` the system libraries that it links to"
         ) from error
 

@@ -1,13 +1,11 @@
 """LPIPS (Zhang et al. 2018), version 0.1, with the SqueezeNet 1.1 backbone.
 
 Implemented here because every package with it needs torchvision, whose wheels do not load beside CPU torch.
-The weights are not part of this repository: `find_weights` says where they are searched.
+The weights are not part of this repository: `lpips_file` says where they are searched.
 """
 
 import hashlib
-import os
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,11 +14,10 @@ from torch import Tensor
 
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.elementwise import same_shape
+from nvsf_core.metrics.lpips_file import NO_WEIGHTS, WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.metrics.measure import Measure, absent, fault, undefined
 from nvsf_core.stores.checkpoints import load_tensors
 
-WEIGHTS_VARIABLE = "NVSF_LPIPS_WEIGHTS"
-WEIGHTS_NAME = "lpips_squeeze_v0.1.safetensors"
 _DIGEST = "c01c153ec40466912849953b531ee86185ddbcbd61029b61715e1eeb07d326f2"
 """`_digest` of version 0.1's weights: other weights give distances that compare with nobody's."""
 MIN_SIDE = 32
@@ -86,22 +83,6 @@ def _unit(x: Tensor) -> Tensor:
     return x / (x.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)
 
 
-def find_weights() -> Path | None:
-    """File named by `NVSF_LPIPS_WEIGHTS`, else in `../shared/weights/` beside the checkout; None if absent.
-
-    Raises:
-        StoreError: The variable names a file that does not exist.
-    """
-    named = os.environ.get(WEIGHTS_VARIABLE)
-    if named:
-        path = Path(named)
-        if not path.is_file():
-            raise StoreError(f"{WEIGHTS_VARIABLE}={named}: no such file; unset it or name {WEIGHTS_NAME}")
-        return path
-    path = Path(__file__).resolve().parents[3] / "shared" / "weights" / WEIGHTS_NAME
-    return path if path.is_file() else None
-
-
 def load_lpips() -> Lpips | None:
     """The network, or None where `find_weights` finds no weights.
 
@@ -150,7 +131,7 @@ def lpips_measure(lpips: Lpips | None, predicted: np.ndarray, truth: np.ndarray)
     on: such values compare with the papers' only.
     """
     if lpips is None:
-        return absent(f"no LPIPS weights: make them with `nvsf weights`, or set {WEIGHTS_VARIABLE}")
+        return absent(f"{NO_WEIGHTS}: make them with `nvsf weights`, or set {WEIGHTS_VARIABLE}")
     same_shape(predicted, truth)
     bad = fault(predicted, truth)
     if bad is not None:

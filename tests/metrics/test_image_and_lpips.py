@@ -6,7 +6,8 @@ import torch
 
 from nvsf_core.errors import ShapeError, StoreError
 from nvsf_core.metrics.image import image_metrics, image_part_metrics, missing_share
-from nvsf_core.metrics.lpips import find_weights, load_lpips, lpips_measure
+from nvsf_core.metrics.lpips import load_lpips, lpips_measure
+from nvsf_core.metrics.lpips_file import find_weights
 
 
 def _needs_weights() -> None:

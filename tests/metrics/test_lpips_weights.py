@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from nvsf_core.errors import StoreError
-from nvsf_core.metrics.lpips import find_weights, require_version_0_1
+from nvsf_core.metrics.lpips import require_version_0_1
+from nvsf_core.metrics.lpips_file import find_weights
 from nvsf_core.metrics.lpips_weights import make_lpips_weights
 from nvsf_core.stores.checkpoints import load_tensors
 

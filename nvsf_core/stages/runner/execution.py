@@ -8,6 +8,7 @@ from typing import Any
 
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DataError, StoreError
+from nvsf_core.stages.optional_tools import tools_now_there
 from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
@@ -80,7 +81,9 @@ def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
     if record is None:
         return Comparison(record=None, facts=facts, reason="", is_up_to_date=False)
     if record["fingerprint"] == digest_of(facts):
-        return Comparison(record=record, facts=facts, reason="", is_up_to_date=True)
+        tools = tools_now_there(record["metadata"].values())
+        reason = f"for {', '.join(tools)}, absent when it was made, can be used now" if tools else ""
+        return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=not tools)
     if not is_earlier(record):
         reason = f"for {difference(record['facts'], facts)} changed"
         return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=False)
@@ -329,8 +332,13 @@ def _checked(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
 
 
 def _checked_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str, Any]:
-    """The record of a published output; if `check_version` has changed, with the checks made again."""
-    if record.get("check_version", "") == stage.check_version:
+    """The record of a published output; with the checks made again if `check_version` has changed.
+
+    They are, too, if a tool that one of them lacked is there now.
+    """
+    is_of_now = record.get("check_version", "") == stage.check_version
+    lacked = [check["detail"] for check in record["checks"]] if stage.check is not None else []
+    if is_of_now and not tools_now_there(lacked):
         return record
     record = record | _checked(stage, task, [Check(**check) for check in record["checks"]])
     write_document(task.folder / RECORD_NAME, record)
