@@ -134,7 +134,8 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
             " <code>lidar4d_scan</code>, images by <code>image</code>, mean over the cameras. “Best in”"
             " counts the main numbers of a scene in which a method is the best one.</p>"
             '<p class="soft">The page holds <b>everything that was measured in this folder</b>, not only the'
-            " last run. A trained model’s row is named by its recipe (what was trained, and how long) and"
+            " last run; runs at other held-out frames than a scene’s newest are only named in its section."
+            " A trained model’s row is named by its recipe (what was trained, and how long) and"
             " seed (of its random numbers); commit: the version of the code that measured it; measured: when,"
             " UTC. A baseline has no seed; its row comes from the scene’s newest run. Rows of different"
             " commits may differ because the code does.</p>"
@@ -176,9 +177,25 @@ def _provenance(scene: SceneOutputs) -> str:
         f"<b>{escape(run.recipe)}</b>, seed {run.seed}: commit {_commit(run)}, "
         f"{run.measured:%Y-%m-%d %H:%M} UTC{_on(run.machine)}"
         for run in scene.runs
+        if run.is_comparable
     )
     newest = " Baselines and pictures are of the first of these." if len(scene.runs) > 1 else ""
-    return f'<p class="soft">Measured: {runs}.{newest}</p>'
+    return f'<p class="soft">Measured: {runs}.{newest}{_left_out(scene)}</p>'
+
+
+def _left_out(scene: SceneOutputs) -> str:
+    """Which runs are in no table, and why; empty if all are."""
+    names = ", ".join(
+        f"<b>{escape(run.recipe)}</b>, seed {run.seed} ({run.measured:%Y-%m-%d})"
+        for run in scene.runs
+        if not run.is_comparable
+    )
+    if not names:
+        return ""
+    return (
+        f" Left out of the tables: {names}; measured at other held-out frames than the newest run, or against"
+        " other recorded data, so that errors do not compare. Train it again to have it beside the others."
+    )
 
 
 def _how_to_read() -> str:

@@ -1,7 +1,7 @@
 """Read from a scene's published outputs what the report shows; absent outputs leave fields empty."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +22,8 @@ METHODS = ("model", *BASELINES)
 """Methods whose rendered views are stored, in the order in which they are measured and shown."""
 TRUTH_NAME = "truth.zarr"
 """True images of a view, stored in its folder beside the metrics."""
+_RECORDED = ("frames", "sweeps", "undistorted")
+"""Inputs of `scene_metrics` that hold what was recorded: which frames are held out, and their truth."""
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 
@@ -35,6 +37,8 @@ class StageRecord:
     metadata: dict[str, Any]
     checks: list[dict[str, Any]]
     """Each with `name`, `passed`, `detail` and, if it has them, `value`, `limit`, `unit`."""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """Stage to the content of its output, of those that this run read; empty if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +96,8 @@ class FieldRun:
     pictures: list[ViewPictures]
     error_cloud: bytes | None = None
     """PNG of `error_cloud_png`; only for the newest run."""
+    is_comparable: bool = True
+    """Whether it was measured at the newest run's held-out frames, against the same recorded data."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,7 +139,8 @@ def collect_scene(
         store.path(stage)  # refuses a link to elsewhere
     root = store.root
     tables = sorted(_metric_tables(root), key=lambda path: -path.stat().st_mtime_ns)
-    runs = []
+    runs: list[FieldRun] = []
+    newest: _Truth | None = None
     for position, table in enumerate(tables):
         recipe, seed = table.parts[-3], table.parts[-2]
         rows = read_rows(table)
@@ -141,6 +148,8 @@ def collect_scene(
         if others:
             raise foreign(table, f"expected metrics of scene {name!r}, found those of {others[0]!r:.60}")
         curve = root / "field" / recipe / seed / "curve.parquet"
+        truth = _truth_of(records, recipe, seed, rows)
+        newest = newest or truth
         runs.append(
             FieldRun(
                 recipe=recipe,
@@ -152,16 +161,21 @@ def collect_scene(
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, recipe, seed) if position == 0 else [],
                 error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
+                is_comparable=truth.is_of(newest),
             )
         )
     return SceneOutputs(name=name, records=list(records), runs=runs, proven=_proven(records), failure=failure)
 
 
 def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
-    """All mean rows, each with the `method` name to show and its `run`; baselines of the newest run only."""
-    several = len({run.recipe for run in scene.runs}) < len(scene.runs)
+    """All mean rows, each with the `method` name to show and its `run`; baselines of the newest run only.
+
+    Runs on other held-out frames than the newest one's are left out: their errors do not compare.
+    """
+    runs = [run for run in scene.runs if run.is_comparable]
+    several = len({run.recipe for run in runs}) < len(runs)
     rows: list[dict[str, Any]] = []
-    for position, run in enumerate(scene.runs):
+    for position, run in enumerate(runs):
         for row in run.means:
             is_baseline = row["recipe"] in BASELINES
             if is_baseline and position > 0:
@@ -171,9 +185,38 @@ def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
     return rows
 
 
+@dataclass(frozen=True, slots=True)
+class _Truth:
+    """What a run was measured against."""
+
+    frames: frozenset[int]
+    """Held-out frames."""
+    recorded: Mapping[str, str]
+    """Stage to the content of its output, of those that hold recorded data; empty if unknown."""
+
+    def is_of(self, other: "_Truth") -> bool:
+        """Whether errors against this one compare with errors against the other."""
+        if self.recorded and other.recorded:
+            return self.recorded == other.recorded
+        return self.frames == other.frames
+
+
+def _truth_of(
+    records: Sequence[StageRecord], recipe: str, seed: str, rows: Sequence[Mapping[str, Any]]
+) -> _Truth:
+    record = _metrics_record(records, recipe, seed)
+    inputs = {} if record is None else record.inputs
+    recorded = {name: content for name, content in inputs.items() if name in _RECORDED}
+    return _Truth(frozenset(row["frame"] for row in rows if row["split"] == HELD_OUT), recorded)
+
+
 def _machine(records: Sequence[StageRecord], recipe: str, seed: str) -> str:
-    name = f"scene_metrics {recipe} {seed}"
-    return next((str(one.metadata.get("machine", "")) for one in records if one.stage == name), "")
+    record = _metrics_record(records, recipe, seed)
+    return "" if record is None else str(record.metadata.get("machine", ""))
+
+
+def _metrics_record(records: Sequence[StageRecord], recipe: str, seed: str) -> StageRecord | None:
+    return next((one for one in records if one.stage == f"scene_metrics {recipe} {seed}"), None)
 
 
 def _metric_tables(root: Path) -> list[Path]:

@@ -142,6 +142,8 @@ def _records(root: Path) -> list[StageRecord]:
         if record is not None:
             shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
             shown["metadata"] = _without_removed(root, name, record["metadata"])
+            inputs = record.get("facts", {}).get("inputs")
+            shown["inputs"] = inputs if isinstance(inputs, dict) else {}
             records.append(StageRecord(stage=name, **shown))
     return records
 

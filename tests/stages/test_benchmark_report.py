@@ -1,5 +1,7 @@
 """The report shows what was measured, says what was not, and needs nothing but itself."""
 
+import json
+import os
 import re
 import shutil
 import sys
@@ -146,6 +148,31 @@ def test_recipes_and_seeds_stand_beside_each_other_and_baselines_once(tmp_path: 
         assert label in text
     table = page[page.index("Error beside time") :].split("</table>")[0]
     assert table.count(">copy_nearest</td>") == 1
+
+
+def test_a_run_at_other_held_out_frames_is_named_and_compared_with_nothing(tmp_path: Path) -> None:
+    write_street(tmp_path, "street", recipe="quick", seed=0)
+    store = write_street(tmp_path, "street", recipe="smoke", seed=0)
+    older = store.path("scene_metrics/quick/0")
+    rows = [row | {"frame": row["frame"] + 1} for row in read_rows(older / "metrics.parquet")]
+    write_rows(older / "metrics.parquet", rows, COLUMNS)
+    os.utime(older / "metrics.parquet", (1e9, 1e9))
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "Left out of the tables: quick , seed 0 (2001-09-09); measured at other held-out frames" in text
+    assert "smoke is best in 9 of 9" in text and "quick in" not in text
+
+
+@pytest.mark.parametrize(("frames", "is_left_out"), [("a", False), ("b", True)])
+def test_what_runs_were_measured_against_is_known_by_content(
+    tmp_path: Path, frames: str, is_left_out: bool
+) -> None:
+    for recipe, content in (("quick", "a"), ("smoke", frames)):
+        store = write_street(tmp_path, "street", recipe=recipe, seed=0)
+        path = store.path(f"scene_metrics/{recipe}/0") / "stage.json"
+        facts = {"inputs": {"frames": content, "sweeps": "s", "novel_views": recipe}}
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"facts": facts}))
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert ("Left out of the tables: quick" in text) == is_left_out
 
 
 def test_the_page_holds_what_earlier_runs_measured_and_says_where_each_row_is_from(tmp_path: Path) -> None:
