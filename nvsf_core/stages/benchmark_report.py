@@ -22,7 +22,8 @@ from nvsf_core.stores.scene_store import publish_folder, published
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
 _REPORTING, _METRICS = Path(reporting.__file__).parent, Path(metrics.__file__).parent
 _CODE = ("*.py", "*.js", "page.html")
-_RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/.index/*/*/{RECORD_NAME}")
+_INDEX = ".index"
+_RECORDS = (f"*/{RECORD_NAME}", f"*/*/*/{RECORD_NAME}", f"dataset/{_INDEX}/*/*/{RECORD_NAME}")
 """Patterns of stage records below a scene's folder: once per scene, per recipe and seed, per data set."""
 
 
@@ -131,8 +132,7 @@ def _records(root: Path) -> list[StageRecord]:
     found: dict[str, tuple[int, Path]] = {}
     for pattern in _RECORDS:
         for path in published(root, pattern):
-            parts = path.parent.relative_to(root).parts
-            name = parts[0] if len(parts) == 1 else " ".join(part for part in parts[:3] if part != ".index")
+            name = _name_of(path.parent.relative_to(root).parts)
             changed = path.stat().st_mtime_ns
             if name not in found or found[name][0] < changed:
                 found[name] = (changed, path.parent)
@@ -146,6 +146,14 @@ def _records(root: Path) -> list[StageRecord]:
             shown["inputs"] = inputs if isinstance(inputs, dict) else {}
             records.append(StageRecord(stage=name, **shown))
     return records
+
+
+def _name_of(parts: tuple[str, ...]) -> str:
+    """A record's stage and, of one that is run per recipe, recipe and seed; by the parts of its place."""
+    if parts[1:2] == (_INDEX,):
+        stage, _, recipe, sampled = parts  # seed, seed of drawing and label
+        return f"{stage} {recipe} {sampled.partition('-')[0]}"
+    return " ".join(parts)
 
 
 def _without_removed(root: Path, name: str, metadata: Mapping[str, Scalar]) -> dict[str, Scalar]:

@@ -175,6 +175,20 @@ def test_what_runs_were_measured_against_is_known_by_content(
     assert ("Left out of the tables: quick" in text) == is_left_out
 
 
+def test_a_doubt_of_the_newest_run_s_data_set_is_no_older_run_s(tmp_path: Path) -> None:
+    store = write_street(tmp_path, "street", recipe="quick", seed=0)
+    record = json.loads((store.path("novel_views/quick/0") / "stage.json").read_text())
+    for place, detail in (("0-0-manual", "views with an empty scan: left"), ("1-7-2026-W47", "of seed 1")):
+        folder = store.path("dataset") / ".index" / "quick" / place
+        folder.mkdir(parents=True)
+        check = {"name": "every_scan_has_returns", "passed": False, "detail": detail}
+        (folder / "stage.json").write_text(json.dumps(record | {"checks": [check]}))
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "2 of 2 checks raise a doubt" in text, "of the views and of the data set of seed 0"
+    shown, older = text.split("Checks of the older runs")
+    assert "dataset quick 0 every scan has returns" in shown and "dataset quick 1" in older
+
+
 def test_the_page_holds_what_earlier_runs_measured_and_says_where_each_row_is_from(tmp_path: Path) -> None:
     write_street(tmp_path, "street", recipe="quick", seed=3)
     write_street(tmp_path, "avenue", recipe="smoke", seed=0)

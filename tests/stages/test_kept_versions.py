@@ -320,7 +320,7 @@ def test_no_link_leads_to_a_removed_version(home: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv(KEEP_VARIABLE, "1")
     outcomes = [_make(home, draw) for draw in range(2)]
     (newest,) = _records(home / "tiny")[-1:]
-    assert newest.stage == "dataset quick" and newest.metadata["test_version"] == _folder(home, "W1").name
+    assert newest.stage == "dataset quick 0" and newest.metadata["test_version"] == _folder(home, "W1").name
     os.utime(outcomes[0].path / "stage.json", (4e9, 4e9))
     (newest,) = _records(home / "tiny")[-1:]
     assert newest.metadata["test_scans"] == 1 and "test_version" not in newest.metadata
