@@ -35,7 +35,7 @@ def follows_its_scene() -> dg.AutomationCondition:
 
 
 def follows_all_scenes() -> dg.AutomationCondition:
-    """Of the report: make it anew when any scene's metrics changed; scenes without metrics do not hinder."""
+    """Of the report: make it anew when any scene's metrics or data sets changed; others do not hinder."""
     return (
         _sources_changed().since(_handled()) & ~_Condition.any_deps_in_progress() & ~_Condition.in_progress()
     ).with_label("follows all scenes")

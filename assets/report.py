@@ -13,14 +13,14 @@ from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.errors import NvsfError
 
-METRICS_STAGE, REPORT = "scene_metrics", "benchmark_report"
+METRICS_STAGE, DATASET_STAGE, REPORT = "scene_metrics", "dataset", "benchmark_report"
 CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curves"
 """Folder where `make bench` stores error over training time; the report shows it."""
 
 
 @dg.asset(
     key=key_of(REPORT),
-    deps=[key_of(METRICS_STAGE)],
+    deps=[key_of(METRICS_STAGE), key_of(DATASET_STAGE)],
     group_name="report",
     owners=OWNERS,
     automation_condition=follows_all_scenes(),

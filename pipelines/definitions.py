@@ -19,6 +19,7 @@ from pipelines.resources import RESOURCES
 from pipelines.schedules import weekly_regeneration
 from pipelines.sensors import new_drives, scenes_follow
 from pipelines.terminal import terse_logger
+from pipelines.weekly_report import report_follows
 
 defs = dg.Definitions(
     assets=[
@@ -34,7 +35,7 @@ defs = dg.Definitions(
     asset_checks=offer_checks,
     jobs=JOBS,
     schedules=[weekly_regeneration],
-    sensors=[new_drives, scenes_follow, stale_run_reaper, failure_command],
+    sensors=[new_drives, scenes_follow, report_follows, stale_run_reaper, failure_command],
     resources=RESOURCES,
     executor=executor_from_environment(),
     loggers={"terse": terse_logger},

@@ -3,6 +3,7 @@
 import dagster as dg
 
 from assets.offers import offer_checks
+from assets.report import REPORT
 from assets.scenes import key_of
 from pipelines.executors import timing_executor
 from pipelines.reaper import host_tags
@@ -42,4 +43,12 @@ regenerate_synthetic = dg.define_asset_job(
     "trained again only where its drive, recipe or code changed.",
 )
 
-JOBS = [train_all_scenes, train_scene, regenerate_synthetic, benchmark]
+make_report = dg.define_asset_job(
+    "make_report",
+    selection=dg.AssetSelection.assets(key_of(REPORT)),
+    config=TERSE_LOGGING,
+    tags=host_tags(),
+    description="The report over all scenes; it has no partition, so the jobs of one scene do not make it.",
+)
+
+JOBS = [train_all_scenes, train_scene, regenerate_synthetic, make_report, benchmark]

@@ -1,0 +1,48 @@
+"""The report is made once after a regeneration of many scenes, and not while one of its runs goes on."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import dagster as dg
+import pytest
+
+from assets.scenes import key_of, register
+from pipelines.definitions import defs
+from pipelines.weekly_report import report_follows
+
+
+@pytest.fixture
+def instance(
+    tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[dg.DagsterInstance]:
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path / "home"))
+    with dg.DagsterInstance.ephemeral() as made:
+        register(made, ["tiny"])
+        yield made
+
+
+def _tick(instance: dg.DagsterInstance) -> dg.RunRequest | str:
+    """What the sensor asks for; else why it asks for nothing."""
+    data = report_follows.evaluate_tick(
+        dg.build_sensor_context(instance=instance, repository_def=defs.get_repository_def())
+    )
+    return data.run_requests[0] if data.run_requests else data.skip_message
+
+
+def test_the_report_is_made_once_after_all_runs_of_a_regeneration(instance: dg.DagsterInstance) -> None:
+    job = defs.resolve_job_def("regenerate_synthetic")
+    assert "no run of regenerate_synthetic has ended" in _tick(instance)
+    waiting = instance.create_run_for_job(job)
+    done = job.execute_in_process(instance=instance, partition_key="tiny", asset_selection=[key_of("frames")])
+    assert done.success
+    assert _tick(instance) == "runs of regenerate_synthetic have not ended yet"
+    instance.report_run_failed(waiting, "a scene's run fails alone")
+    request = _tick(instance)
+    assert request.run_key == waiting.run_id and request.partition_key is None
+    assert _tick(instance).run_key == request.run_key, "the daemon launches one run a key"
+    report = defs.resolve_job_def("make_report").execute_in_process(instance=instance)
+    assert {event.asset_key.path[-1] for event in report.get_asset_materialization_events()} == {
+        "benchmark_report"
+    }
+    assert "no run of regenerate_synthetic has ended" in _tick(instance)
