@@ -11,7 +11,7 @@ from nvsf_core.reporting import plots
 from nvsf_core.reporting.checks import checks_section
 from nvsf_core.reporting.error_cloud import error_cloud_figure
 from nvsf_core.reporting.html import escape, figure, number, page, plain_table, plot
-from nvsf_core.reporting.scene_notes import evidence_table, not_run
+from nvsf_core.reporting.scene_notes import evidence_table, holds_paper_scene, not_run
 from nvsf_core.reporting.scene_outputs import FieldRun, SceneOutputs, mean_of, method_rows
 from nvsf_core.reporting.tables import (
     METHOD_WORDS,
@@ -154,12 +154,13 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
             f'<div class="note"><b>No data on this machine</b> for these scenes of the catalogue:'
             f" {names}. They were not run, and nothing is claimed about them.</div>"
         )
-    parts.append(
-        '<p class="soft">Not measured on KITTI-360’s ten scenes that papers report on: their recordings were'
-        " never at hand. Numbers published elsewhere are of other scenes, so none stand here beside"
-        " ours.</p></section>"
-    )
-    return "".join(parts)
+    if not holds_paper_scene(scene.name for scene in measured):
+        parts.append(
+            '<p class="soft">Not measured on KITTI-360’s ten scenes that papers report on: their recordings'
+            " were never at hand. Numbers published elsewhere are of other scenes, so none stand here beside"
+            " ours.</p>"
+        )
+    return "".join([*parts, "</section>"])
 
 
 def _commit(run: FieldRun) -> str:

@@ -1,7 +1,19 @@
 """Notes of the report on one scene: what its scans prove, and the baselines that were not run."""
 
+from collections.abc import Iterable
+
 from nvsf_core.reporting.html import escape, number, plain_table
 from nvsf_core.reporting.scene_outputs import SceneOutputs
+
+_PAPER_SCENES = frozenset(
+    f"kitti360_{frame}" for frame in (1538, 1728, 1908, 3353, 2350, 4950, 8120, 10200, 10750, 11400)
+)
+"""KITTI-360's ten scenes that papers report on, as the catalogue names them."""
+
+
+def holds_paper_scene(names: Iterable[str]) -> bool:
+    """Whether one of KITTI-360's ten scenes that papers report on is among these."""
+    return not _PAPER_SCENES.isdisjoint(names)
 
 
 def evidence_table(scene: SceneOutputs) -> str:

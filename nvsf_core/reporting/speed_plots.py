@@ -10,6 +10,7 @@ from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting.html import escape, image, plain_table
 from nvsf_core.reporting.plots import BASELINE_COLOURS, tidy_axes
 from nvsf_core.reporting.previews import empty_figure, figure_png
+from nvsf_core.reporting.scene_notes import holds_paper_scene
 from nvsf_core.reporting.speed_error import (
     COSTS,
     METRICS,
@@ -32,6 +33,7 @@ _EARLIEST_S = 2.0
 _TICKS_S = (5, 15, 30, 60, 120, 300, 600, 1800)
 _INNER_SPLITS = ("val",)
 """Validation splits; their runs are not shown as results."""
+_NOT_OF_PAPERS = "; not measured on KITTI-360’s ten scenes"
 
 
 def curves_png(runs: Sequence[Run]) -> bytes:
@@ -76,12 +78,13 @@ def speed_section(folder: Path | None, scenes: Collection[str] | None = None) ->
     }
     if not shown:
         return ""
+    elsewhere = "" if holds_paper_scene(scene for scene, _ in shown) else _NOT_OF_PAPERS
     parts = [
         '<section id="speed"><h2>Speed against error</h2><p>How wrong each recipe is after so many seconds'
         " of training, on frames that it never saw. Scored from saved weights while the clock stood still, on"
         " a fixed quarter of the laser’s rays and a sixteenth of the pixels. Ringed, and <b>bold</b> in the"
         " tables: the Pareto front, than which nothing quicker is as good. Measured with <code>make"
-        " bench</code>; not measured on KITTI-360’s ten scenes.</p>"
+        f" bench</code>{elsewhere}.</p>"
     ]
     for (scene, split), mine in shown.items():
         parts.append(f"<h3>{escape(scene)}, split {escape(split)}</h3>")

@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import COLUMNS, UNITS
 from nvsf_core.reporting.scan_page.page import MOST_BYTES
+from nvsf_core.reporting.scene_notes import holds_paper_scene
 from nvsf_core.stages import benchmark_report
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.runner.failures import forget_failure, remember_failure
@@ -114,6 +116,18 @@ def test_a_view_with_known_truth_is_shown_beside_it_with_the_best_baseline_and_t
         assert words in view, words
     assert "truth quick: 24.5 dB reproject: 33.2 dB quick: error" in view
     assert "mesh:" not in view, "only the best baseline is shown, and it has no scan"
+
+
+def test_a_page_with_one_of_the_papers_scenes_does_not_say_that_none_was_measured(
+    tmp_path: Path,
+) -> None:
+    write_street(tmp_path, "kitti360_1908")
+    assert "Not measured on KITTI-360" not in _read(make_benchmark_report(tmp_path, [], {}, []))[1]
+
+
+def test_the_ten_scenes_are_the_catalogue_s(repo: Path) -> None:
+    named = {entry.name for entry in load_catalogue([repo / "scenes.toml"], None)} - {"demo"}
+    assert len(named) == 10 and all(holds_paper_scene([name]) for name in named)
 
 
 def test_failures_and_absent_scenes_are_named_with_the_reason(tmp_path: Path) -> None:
