@@ -1,13 +1,14 @@
 """Drives: what the project reads and does not make, observed by content."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import dagster as dg
 
 from assets.scenes import SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
+from nvsf_core.errors import NvsfError
 from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.facts import drive_version, views_version
 from nvsf_core.stores.file_hashes import FileHashes
@@ -26,13 +27,16 @@ _DESCRIPTIONS = {
 _KINDS = {DRIVE: {"file"}, ASKED_VIEWS: {"toml"}}
 
 
-def versions_of(entry: SceneEntry, workspace: Workspace, most_s: float = float("inf")) -> dict[str, str]:
-    """Data version of each observed asset of a scene; files are read only where they changed.
+def versions_of(
+    entry: SceneEntry, workspace: Workspace, most_s: float = float("inf"), names: Iterable[str] = VERSIONS
+) -> dict[str, str]:
+    """Data version of observed assets of a scene; files are read only where they changed.
 
     Args:
         entry: The scene.
         workspace: Names the home, where hashes are remembered.
         most_s: Seconds after which no further file is read.
+        names: The assets; default all.
 
     Raises:
         DataError: A file cannot be read.
@@ -40,7 +44,7 @@ def versions_of(entry: SceneEntry, workspace: Workspace, most_s: float = float("
     """
     store = SceneStore(workspace.home(), entry.name)
     with hashes_of(store, until_s=time.monotonic() + most_s) as hashes:
-        return {name: version(entry, hashes) for name, version in VERSIONS.items()}
+        return {name: VERSIONS[name](entry, hashes) for name in names}
 
 
 def _observed(name: str) -> dg.AssetsDefinition | dg.SourceAsset:
@@ -56,7 +60,14 @@ def _observed(name: str) -> dg.AssetsDefinition | dg.SourceAsset:
     def observe(context: dg.OpExecutionContext, workspace: Workspace) -> dg.DataVersionsByPartition:
         known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
         entries = [entry for entry in catalogue() if entry.name in known]
-        return dg.DataVersionsByPartition({one.name: versions_of(one, workspace)[name] for one in entries})
+        found: dict[str, str] = {}
+        for entry in entries:
+            try:
+                found[entry.name] = versions_of(entry, workspace, names=[name])[name]
+            except (NvsfError, OSError) as error:
+                # One scene's files must not hide the others' changes.
+                context.log.warning(f"[{entry.name}] not observed: {error}")
+        return dg.DataVersionsByPartition(found)
 
     return observe
 

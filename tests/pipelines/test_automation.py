@@ -23,6 +23,22 @@ from pipelines.sensors import new_drives, scenes_follow
 from tests.conftest import TINY_CATALOGUE
 
 SEQUENCE = "2013_05_28_drive_9900_sync"
+LANE = f"""
+[[scene]]
+name = "lane"
+root = "drive"
+sequence = "{SEQUENCE}"
+first_frame = 0
+last_frame = 2
+test_frames = [1]
+
+[[view]]
+name = "left"
+scenes = ["lane"]
+frames = [1]
+truth = {{ image_00 = "nowhere" }}
+"""
+"""A scene of the same drive, with a view whose true images are absent."""
 
 
 @dataclass
@@ -205,6 +221,17 @@ def test_what_the_ui_s_button_observes_is_what_the_sensor_reports(arrived: Watch
         (key_of(name), "tiny", digest) for name, digest in digests.items()
     }
     assert arrived.requested() == {}, "nothing changed"
+
+
+def test_a_scene_that_cannot_be_read_hides_no_other_one_s_observation(arrived: Watched) -> None:
+    (arrived.folder / "scenes.toml").write_text(TINY_CATALOGUE + LANE)
+    arrived.instance.add_dynamic_partitions(SCENES.name, ["lane"])
+    observed = defs.resolve_implicit_global_asset_job_def().execute_in_process(
+        instance=arrived.instance, asset_selection=[key_of(name) for name in VERSIONS]
+    )
+    events = [one.asset_observation_data.asset_observation for one in observed.get_asset_observation_events()]
+    found = {(one.asset_key.path[-1], one.partition) for one in events}
+    assert found == {("drive", "tiny"), ("drive", "lane"), ("asked_views", "tiny")}, "truth is no drive's"
 
 
 def test_a_drive_that_fails_is_not_tried_again_until_it_changes(arrived: Watched) -> None:
