@@ -22,13 +22,15 @@ from nvsf_core.metrics.table import mean_rows
 from nvsf_core.reporting.previews import image_preview, scan_top_view
 from nvsf_core.simulation.scan import GRID_ARRAYS
 from nvsf_core.stages.exports.manifest import (
+    CHECKSUMS,
     MANIFEST_NAME,
+    SEAL,
     damaged_data_set,
     is_sealed,
     stored_number,
 )
 from nvsf_core.stages.exports.of_view import RenderedView
-from nvsf_core.stages.exports.write import finish_data_set, write_data_set
+from nvsf_core.stages.exports.write import finish_data_set, rewrite_manifest, write_data_set
 from nvsf_core.stages.flow import DATASET, FIELD, NOVEL_VIEWS, SCENE_METRICS
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
@@ -40,6 +42,7 @@ from nvsf_core.stores.removal import carry_pin, removal_of
 from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
+_ERROR_KEYS = ("split", "region", "protocol", "sensor", "metric", "value", "n_frames", "n_defined")
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
@@ -75,7 +78,7 @@ def _rendered_from(task: Task) -> dict[str, str]:
 
 
 def is_there(task: Task, location: str) -> bool:
-    """Whether a version of a data set was published before and is whole: it is then left as it is."""
+    """Whether a version of a data set was published before and is whole: its files then stay as they are."""
     folder = task.store.recovered(location)
     return is_sealed(folder) and damaged_data_set(folder) is None and bool(_rendered_from(task))
 
@@ -102,7 +105,11 @@ def run(task: Task) -> StageOutput:
             continue
         arrays = _read_view(rendered / view.name / "model.zarr")
         attrs = read_attrs(rendered / view.name / "model.zarr")
-        if not is_there(task, location):
+        measured = [row for row in metrics if row["split"] in ("test", view.name)]
+        rendering = {k: v for k, v in attrs.items() if _is_plain(v)}
+        if is_there(task, location):
+            _follow_metrics(task, location, {"rendering": rendering, "field_metrics": measured})
+        else:
             with task.store.publish(location) as folder:
                 rendered_view = RenderedView(
                     scene=task.scene.name, sequence=task.scene.sequence, entry=view, config=task.config,
@@ -111,10 +118,10 @@ def run(task: Task) -> StageOutput:
                 manifest = {
                     **identity_of(task, view, version),
                     "drawn": rendered_view.what_was_sampled(),
-                    "rendering": {k: v for k, v in attrs.items() if _is_plain(v)},
+                    "rendering": rendering,
                     "source_checksums": sources,
                     **write_data_set(folder, rendered_view, boxes_of(task.store, arrays["time_s"])),
-                    "field_metrics": [row for row in metrics if row["split"] in ("test", view.name)],
+                    "field_metrics": measured,
                 }
                 finish_data_set(folder, manifest)
                 carry_pin(task.store.path(location), folder)
@@ -150,6 +157,31 @@ def identity_of(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
         "software": _software(),
         "rendered_from": _rendered_from(task),
     }
+
+
+def _follow_metrics(task: Task, location: str, found: Mapping[str, Any]) -> None:
+    """Write manifest and card of a version that is there anew, if other errors are measured now.
+
+    They do where a view's truth became known later, metrics were measured anew, or `render_view` made it.
+
+    Args:
+        task: Task of the stage.
+        location: Of the version.
+        found: The manifest's entries `rendering`, taken where it has none, and `field_metrics`.
+    """
+    folder = task.store.path(location)
+    written = dict(read_document(folder / MANIFEST_NAME))
+    if _errors(written.get("field_metrics", [])) == _errors(found["field_metrics"]):
+        return
+    kept = {key: value for key, value in written.items() if key not in (SEAL, CHECKSUMS)}
+    with task.store.publish(location) as anew:
+        rewrite_manifest(folder, anew, {**found, **kept, "field_metrics": found["field_metrics"]})
+    task.progress(f"[{task.scene.name}] dataset: {location}, its card says what was measured since")
+
+
+def _errors(rows: list[dict[str, Any]]) -> list[list[Any]]:
+    """What rows of mean metrics say of errors, without the seconds that these took."""
+    return [[row.get(key) for key in _ERROR_KEYS] for row in rows]
 
 
 def _facts_of(view: ViewEntry) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from nvsf_core.recipe import preset
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.scan import sample_scan
+from nvsf_core.stages.exports.manifest import SEAL, damaged_data_set, write_manifest
 from nvsf_core.stages.flow import DATASET
 from nvsf_core.stages.runner.facts import facts_of, scene_facts
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
@@ -21,7 +22,7 @@ from nvsf_core.stages.sizes import dataset_bytes
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.scene_store import SceneStore
-from nvsf_core.stores.tables import write_rows, write_table
+from nvsf_core.stores.tables import read_rows, write_rows, write_table
 from tests.clouds.ply_reader import read_ply
 
 _LASERS, _FIRINGS = 8, 64
@@ -147,6 +148,49 @@ def test_a_views_true_images_are_no_part_of_its_data_set(tmp_path: Path) -> None
     _, again = _run(replace(task, scene=replace(task.scene, views=(known,))))
     assert again == folders
     assert "right" not in (again["shift_1m"] / "manifest.json").read_text()
+
+
+def test_what_is_measured_later_comes_into_manifest_and_card_and_no_other_file(
+    tmp_path: Path,
+) -> None:
+    task = _task(tmp_path)
+    record = {"fingerprint": "f", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
+    (task.store.path("frames") / "stage.json").write_text(json.dumps(record))  # known: it counts as whole
+    _, folders = _run(task)
+    folder = folders["shift_1m"]
+    (folder / "PINNED").touch()
+    own = {"manifest.json", "card.json", "card.md"}
+
+    def state() -> tuple[dict[str, bytes], dict[str, tuple[int, int]], int]:
+        files = [path for path in folder.rglob("*") if path.is_file()]
+        texts = {path.name: path.read_bytes() for path in files if path.name in own}
+        others = {str(path): (path.stat().st_ino, path.stat().st_size) for path in files}
+        others = {name: found for name, found in others.items() if Path(name).name not in (*own, "PINNED")}
+        return texts, others, (folder / "manifest.json").stat().st_mtime_ns
+
+    def measure(**changed: object) -> None:
+        table = task.store.path("scene_metrics/quick/0") / "metrics.parquet"
+        rows = read_rows(table)
+        new = [row | changed for row in rows if row["frame"] == 3]
+        write_rows(table, [*(row for row in rows if row["frame"] != 3), *new], list(rows[0]))
+
+    before = state()
+    measure(render_seconds=0.7)
+    assert _run(task)[1] == folders and state() == before, "seconds are no errors"
+    measure(value=0.9)
+    _run(task)
+    texts, others, made_ns = state()
+    assert (others, made_ns) == before[1:] and (folder / "PINNED").is_file()
+    assert b"| 0.7 | 2 of 2 |" in texts["card.md"] and b"| 0.6 | 2 of 2 |" in before[0]["card.md"]
+    (errors,) = [row for row in json.loads(texts["card.json"])["errors"] if row["metric"] == "f_score"]
+    assert errors["value"] == pytest.approx(0.7)
+    assert damaged_data_set(folder) is None and "PINNED" not in texts["manifest.json"].decode()
+    manifest = json.loads(texts["manifest.json"])
+    bare = {key: value for key, value in manifest.items() if key not in ("field_metrics", "rendering")}
+    write_manifest(folder, {key: value for key, value in bare.items() if key != SEAL})  # as of `nvsf view`
+    _run(task)
+    again = json.loads((folder / "manifest.json").read_text())
+    assert again["field_metrics"] == manifest["field_metrics"] and "sensor" in again["rendering"]
 
 
 def test_a_view_without_a_grid_is_exported_as_rendered(tmp_path: Path) -> None:

@@ -15,6 +15,9 @@ MANIFEST_NAME = "manifest.json"
 SEAL = "manifest_sha256"
 """Key of the manifest: SHA-256 of all its other entries."""
 
+CHECKSUMS = "checksums"
+"""Key of the manifest: size and checksum of each other file."""
+
 
 def write_manifest(folder: Path, entries: Mapping[str, Any]) -> None:
     """Write the manifest, as strict JSON, with the digest of its entries."""
@@ -29,7 +32,7 @@ def damaged_data_set(folder: Path) -> str | None:
     the oldest no list: what is not listed counts as whole.
     """
     manifest = sound_manifest(folder)
-    listed = None if manifest is None else manifest.get("checksums", {})
+    listed = None if manifest is None else manifest.get(CHECKSUMS, {})
     if not isinstance(listed, dict):
         return MANIFEST_NAME
     return damaged_file(folder, {str(name): str(checksum) for name, checksum in listed.items()})

@@ -1,5 +1,7 @@
 """Writes a data set: scans and images in each format that its view asks for, and the manifest's rows."""
 
+import os
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,10 +11,10 @@ import numpy as np
 from nvsf_core.clouds.laz import write_laz
 from nvsf_core.drives.kitti360.writer import write_numbers
 from nvsf_core.rendering.rendered import Support
-from nvsf_core.stages.exports.card import write_card
+from nvsf_core.stages.exports.card import JSON_NAME, MARKDOWN_NAME, write_card
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
-from nvsf_core.stages.exports.manifest import write_manifest
+from nvsf_core.stages.exports.manifest import CHECKSUMS, MANIFEST_NAME, write_manifest
 from nvsf_core.stages.exports.nuscenes import write_nuscenes
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
@@ -21,6 +23,7 @@ from nvsf_core.stages.views.files import write_images, write_scans
 from nvsf_core.stages.views.instances import depth_m
 from nvsf_core.stages.views.view import camera_models
 from nvsf_core.stores.checksums import file_checksums
+from nvsf_core.stores.removal import PIN_NAME, carry_pin
 
 SCHEMA_VERSION = 3
 """Of the manifest and the files that it names."""
@@ -70,7 +73,33 @@ def finish_data_set(folder: Path, manifest: Mapping[str, Any]) -> None:
         manifest: The manifest's entries, without checksums.
     """
     write_card(folder, manifest)
-    write_manifest(folder, {**manifest, "checksums": file_checksums(folder)})
+    write_manifest(folder, {**manifest, CHECKSUMS: file_checksums(folder)})
+
+
+def rewrite_manifest(before: Path, folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Make a data set's folder anew with another manifest and its card; all other files are the same.
+
+    The manifest keeps the time of the one before: it says when the data set was made.
+
+    Args:
+        before: Folder of the data set as it is.
+        folder: Empty folder beside it.
+        manifest: The new manifest's entries, without checksums.
+    """
+    own = shutil.ignore_patterns(MANIFEST_NAME, JSON_NAME, MARKDOWN_NAME, PIN_NAME)
+    shutil.copytree(before, folder, copy_function=_link, ignore=own, dirs_exist_ok=True)
+    finish_data_set(folder, manifest)
+    found = (before / MANIFEST_NAME).stat()
+    os.utime(folder / MANIFEST_NAME, ns=(found.st_atime_ns, found.st_mtime_ns))
+    carry_pin(before, folder)
+
+
+def _link(source: str, target: str) -> None:
+    """A second name of the same bytes; a copy where the disk has no such names."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
 def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:
