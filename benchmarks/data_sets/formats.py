@@ -70,7 +70,7 @@ def write_once(
         scene=run.scene.name, sequence=run.scene.sequence, entry=entry, config=run.config, arrays=arrays,
         attrs=attrs,
     )  # fmt: skip
-    boxes = boxes_of(run.store, arrays["time_s"])
+    boxes = boxes_of(run.store)
     with tempfile.TemporaryDirectory(dir=run.store.home) as folder:
         started = time.perf_counter()
         write_data_set(Path(folder), rendered, boxes)

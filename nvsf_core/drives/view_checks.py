@@ -12,6 +12,7 @@ from nvsf_core.drives.kitti360.frames import FrameTimes
 from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError, NvsfError
+from nvsf_core.sensors.tables import SENSOR_TABLES
 
 _SLACK_S = 1e-6
 """Times may lie outside the drive by this rounding error."""
@@ -144,6 +145,7 @@ def require_views(scene: SceneEntry) -> None:
         if not has_data(scene):
             continue  # the embedded street is not written yet, or the drive is elsewhere
         _require_near(view, drive, where)
+        _require_beam_width(view, drive, where)
         needed = [*(view.cameras or ()), *(camera.like for camera in view.camera)]
         absent = [name for name in needed if drive.camera_place(name) is None]
         if absent:
@@ -171,6 +173,22 @@ def _require_sweeps_within(
         raise DataError(
             f"speed and sensor: a sweep goes on for {2 * half_s:g} s of the recorded path: expected times "
             f"from {first_s:g} to {last_s:g} seconds, found {outside.tolist()!s:.200}"
+        )
+
+
+def _require_beam_width(view: ViewEntry, drive: AbstractDrive, where: str) -> None:
+    """Refuse beams with a width by the recording sensor where that width is not known."""
+    if not view.footprint or view.sensor is not None:
+        return
+    try:
+        sensor = drive.facts().sensor
+    except (NvsfError, OSError):
+        return  # the stage `frames` says what is wrong with the drive
+    if sensor not in SENSOR_TABLES or SENSOR_TABLES[sensor].divergence_mrad == 0.0:
+        name = sensor if sensor in SENSOR_TABLES else "a sensor that is found"
+        raise DataError(
+            f"{where}: footprint: the beam width of {name} is not known; give it as "
+            "`divergence_mrad` of a [[sensor]] of your own, or leave `footprint` out"
         )
 
 

@@ -92,6 +92,8 @@ def compare(
     metrics: Mapping[str, bool],
     validation: Iterable[Left],
     candidates: Mapping[str, Callable[[Left], Sequence[float]]],
+    *,
+    at_once: int = MOST_VIEWS,
 ) -> Comparison:
     """Score candidates on validation data and take the means.
 
@@ -99,11 +101,12 @@ def compare(
         metrics: For each metric (its name with its unit), whether higher is better.
         validation: At least one scan or image.
         candidates: For each name, a function that scores one of them, in the order of the metrics.
+        at_once: Most that are scored at once.
     """
     kept_out = list(validation)
     # All together: threads wait for the last of them once, not once a candidate.
     work = [(score, one) for score in candidates.values() for one in kept_out]
-    scores = in_parts(lambda number: work[number][0](work[number][1]), len(work), MOST_VIEWS)
+    scores = in_parts(lambda number: work[number][0](work[number][1]), len(work), at_once)
     by_candidate = np.reshape(scores, (len(candidates), len(kept_out), len(metrics))).mean(axis=1)
     means = dict(zip(candidates, (tuple(row) for row in by_candidate.tolist()), strict=True))
     return Comparison(tuple(metrics), tuple(metrics.values()), means)

@@ -52,12 +52,6 @@ class Sweeps:
         fired_s: np.ndarray = float(self.arrays["time_s"][scan]) + elapsed.astype(np.float64) * self.period_s
         return fired_s
 
-    @property
-    def frame_s(self) -> float:
-        """Seconds from frame to frame, held-out frames included; infinite with a single pose."""
-        steps_s = np.diff(self.trajectory.times_s)
-        return float(np.median(steps_s)) if len(steps_s) else np.inf
-
     def clock_of(self, scan: int) -> SweepClock:
         """When in a scan's sweep each azimuth was measured."""
         return SweepClock.stored(self.arrays.get("sweep_clock"), scan)

@@ -120,7 +120,7 @@ def run(task: Task) -> StageOutput:
                     "drawn": rendered_view.what_was_sampled(),
                     "rendering": rendering,
                     "source_checksums": sources,
-                    **write_data_set(folder, rendered_view, boxes_of(task.store, arrays["time_s"])),
+                    **write_data_set(folder, rendered_view, boxes_of(task.store)),
                     "field_metrics": measured,
                 }
                 finish_data_set(folder, manifest)

@@ -57,7 +57,6 @@ def run(task: Task) -> StageOutput:
     went_on = go_on(task, work)
     trained = family.train(recipe, recording, StageSession(task, work))
     _write(task, trained, recording)
-    task.store.drop_work_dir(location)
     output = StageOutput(
         metadata={
             "train_seconds": trained.seconds,

@@ -19,7 +19,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="4",
+    version="5",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -60,7 +60,7 @@ EVIDENCE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="18",
+    version="19",
     run=_later("evidence", "run"),
     estimate_bytes=_later("sizes", "proof_bytes"),
 )
@@ -70,7 +70,7 @@ FIELD = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="36",
+    version="37",
     run=_later("field", "run"),
     estimate_bytes=_later("sizes", "field_bytes"),
     per_recipe=True,
@@ -91,7 +91,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="31",
+    version="32",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,
@@ -109,7 +109,7 @@ SCENE_METRICS = Stage(
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
         "and of every view what can be said without its truth."
     ),
-    version="13",
+    version="14",
     run=_later("scene_metrics", "run"),
     per_recipe=True,
     reads_truth=True,

@@ -148,7 +148,7 @@ def _publish(
     """Write the model's arrays, scan and image files of a view, and describe them in `output`."""
     attrs = view_attrs(recording, view, by_images=by_images)
     arrays = arrays | placed(recording, view)
-    instances, table = instance_arrays(arrays, camera_models(attrs), boxes_of(task.store, arrays["time_s"]))
+    instances, table = instance_arrays(arrays, camera_models(attrs), boxes_of(task.store))
     arrays, attrs = arrays | instances, attrs | {"instances": table}
     write_method(task, view.name, MODEL, arrays, attrs, recording.trajectory.scene_to_world)
     folder = task.folder / view.name

@@ -141,7 +141,7 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
     model = models[_MODEL]
     arrays = render_view_arrays(task, recording, view, model, _MODEL) | placed(recording, view)
     attrs = view_attrs(recording, view, by_images=asks_images(recording, view, model))
-    boxes = boxes_of(run.store, arrays["time_s"])
+    boxes = boxes_of(run.store)
     instances, attrs["instances"] = instance_arrays(arrays, camera_models(attrs), boxes)
     arrays |= instances
     rendered = RenderedView(

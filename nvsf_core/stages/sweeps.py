@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.clouds.map_thickness import map_thickness_m
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.errors import DataError
@@ -40,7 +41,6 @@ _Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Origins, directions and ranges of one scan's returns, as `compensate` gives them."""
 _MAP_RANGE_M = 40.0
 _MAP_RETURNS = 600_000
-_MAP_VOXEL_M = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,35 +266,6 @@ def _laser_errors(
     points_m = arrays["origin_m"][used] + arrays["direction"][used] * range_m[used, None]
     gain = learn_intensity_gain(points_m, arrays["intensity"][used], arrays["laser"][used], table.laser_count)
     return {"laser_range_bias_m": bias_m, "laser_intensity_gain": gain, "range_m": range_m}
-
-
-def map_thickness_m(points_m: np.ndarray, voxel_m: float = _MAP_VOXEL_M) -> float:
-    """Thickness of the map's surfaces: median over flat voxels of the standard deviation across the plane.
-
-    A voxel is flat if it has at least 30 points and its covariance's second eigenvalue is above four times
-    the smallest.
-
-    Args:
-        points_m: (n, 3) points of all scans, scene-local, metres.
-        voxel_m: Side of a voxel.
-
-    Returns:
-        Metres; NaN if no voxel is flat.
-    """
-    cell = np.floor(points_m / voxel_m).astype(np.int64)
-    cell -= cell.min(axis=0, initial=0)
-    size = cell.max(axis=0, initial=0) + 1
-    _, voxel, count = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2],
-                                return_inverse=True, return_counts=True)  # fmt: skip
-    mean = np.stack([np.bincount(voxel, points_m[:, k]) / count for k in range(3)], axis=-1)
-    apart = points_m - mean[voxel]
-    covariance = np.zeros((len(count), 3, 3))
-    for i in range(3):
-        for k in range(3):
-            covariance[:, i, k] = np.bincount(voxel, apart[:, i] * apart[:, k]) / count
-    eigenvalue = np.linalg.eigvalsh(covariance[count >= 30])
-    flat = eigenvalue[eigenvalue[:, 1] > 4.0 * eigenvalue[:, 0], 0]
-    return float(np.sqrt(np.median(np.maximum(flat, 0.0)))) if len(flat) else float("nan")
 
 
 def _thickness(arrays: dict[str, np.ndarray]) -> float:

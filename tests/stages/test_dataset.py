@@ -57,6 +57,7 @@ def _write_view(store: SceneStore, view: str, frames: list[int], arrays: dict[st
                 "intensity": np.full(count * 5, 0.25, np.float32),
                 "image_00_rgb": np.full((count, 6, 8, 3), 90, np.uint8),
                 "image_00_frame": np.array(frames),
+                "image_00_time_s": np.arange(count) * 0.1,
                 **arrays,
             },
             {"sensor": "HDL-64E", "peak_memory_mb": math.nan},

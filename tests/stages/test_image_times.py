@@ -16,7 +16,10 @@ from nvsf_core.drives.plain.writer import (
     write_poses,
 )
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recording.drive import Recording
+from nvsf_core.models.baselines.reproject import depth_scans
+from nvsf_core.recording.drive import Recording, Sweeps
+from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.inputs import read_recording
@@ -75,6 +78,16 @@ def test_images_have_their_own_times(recording: Recording) -> None:
     trained = [frame for frame in range(FRAMES) if frame not in TEST]
     assert camera.training_frame.tolist() == trained
     np.testing.assert_allclose(camera.training_time_s, camera.recorded_time_s[trained], atol=1e-9)
+
+
+def test_the_scan_of_an_images_frame_is_left_out_however_late_the_image_is() -> None:
+    path = Trajectory(np.arange(9) * PERIOD_S, np.tile(np.eye(4), (9, 1, 1)), np.eye(4))
+    arrays = {"frame": 10 + np.arange(9), "time_s": np.arange(9) * PERIOD_S}
+    sweeps = Sweeps(arrays, np.ones(9, bool), path, PERIOD_S, HDL_64E, 0.0)
+    for delay_s in (0.0, 0.045, 0.055, 0.065):
+        assert depth_scans(sweeps, 5 * PERIOD_S + delay_s)[0] == (5 if delay_s < 0.05 else 6)
+        found = depth_scans(sweeps, 5 * PERIOD_S + delay_s, leave_out=15)
+        assert sorted(found) == [0, 1, 2, 3, 4, 6, 7, 8], delay_s
 
 
 def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Recording) -> None:

@@ -259,3 +259,12 @@ def test_a_frame_without_a_pose_is_refused_before_anything_is_trained(drive: Pat
     views = (ViewEntry(name="last", frames=(1, 3)),)
     with pytest.raises(DataError, match=r"view last: .*expected frames with a pose, found none for \[3\]"):
         require_views(replace(scene_of(tmp_path / "drive"), views=views))
+
+
+def test_beams_of_a_recorder_of_unknown_width_are_refused_before_anything_is_trained(drive: Path) -> None:
+    views = (ViewEntry(name="wide", footprint=True),)
+    require_views(replace(scene_of(drive), views=views))
+    with pytest.raises(DataError, match=r"view wide: footprint: the beam width of HDL-32E is not known"):
+        require_views(replace(scene_of(drive), views=views, lidar="HDL-32E"))
+    with pytest.raises(DataError, match=r"the beam width of a sensor that is found is not known"):
+        require_views(replace(scene_of(drive), views=views, lidar="found"))

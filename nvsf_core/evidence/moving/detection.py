@@ -320,8 +320,7 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
         cluster_scan(scan, returns, above_ground, range_m, spacing_rad) for scan in range(returns.scan_count)
     ]
     step_s = float(np.median(np.diff(returns.scan_time_s)))
-    tracks = link_tracks(clusters, returns.frame_s, density, scan_step_s=step_s)
-    paths = [start_path(track) for track in tracks]
+    paths = list(map(start_path, link_tracks(clusters, returns.frame_s, density, scan_step_s=step_s)))
 
     def follow(number: int) -> None:
         solve_path(paths[number], returns)

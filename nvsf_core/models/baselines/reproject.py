@@ -12,8 +12,6 @@ from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 
 _DEPTH_SCANS = 10
 """Training scans nearest to a view in time, whose returns give the warped images their depth."""
-SAME_FRAME = 0.4
-"""A scan nearer in time to an image than this share of a frame's step is of the same frame."""
 
 
 def reprojection(recording: Recording) -> SceneModel:
@@ -37,13 +35,13 @@ def warping_renderer(recording: Recording) -> ImageRenderer:
     return warp
 
 
-def depth_points(recording: Recording, instant_s: float, *, leave_out: bool = False) -> np.ndarray:
+def depth_points(recording: Recording, instant_s: float, *, leave_out: int | None = None) -> np.ndarray:
     """Returns (m, 3) float32, scene-local, metres, of the scans nearest to an instant; none without LiDAR.
 
     Args:
         recording: The drive.
         instant_s: Seconds since the first frame.
-        leave_out: Do as if the scan of that instant were held out.
+        leave_out: Do as if the scan of the frame of this number were held out.
     """
     if recording.lidar is None:
         return np.zeros((0, 3), np.float32)
@@ -52,18 +50,18 @@ def depth_points(recording: Recording, instant_s: float, *, leave_out: bool = Fa
     return np.concatenate([returns_of_scan(sweeps, scan)[0] for scan in scans]).astype(np.float32)
 
 
-def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: bool = False) -> list[int]:
+def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: int | None = None) -> list[int]:
     """Numbers of the training scans nearest to an instant, at most 10, the nearest first.
 
     Args:
         sweeps: Of the drive.
         instant_s: Seconds since the first frame.
-        leave_out: Do as if the scan of that instant were held out.
+        leave_out: Do as if the scan of the frame of this number were held out.
     """
     time_s = sweeps.arrays["time_s"]
     training = np.flatnonzero(sweeps.is_training)
-    if leave_out and len(training) > 1:
-        training = training[np.abs(time_s[training] - instant_s) > SAME_FRAME * sweeps.frame_s]
+    if leave_out is not None and len(training) > 1:
+        training = training[sweeps.arrays["frame"][training] != leave_out]
     order = np.argsort(np.abs(time_s[training] - instant_s), kind="stable")
     return [int(scan) for scan in training[order[:_DEPTH_SCANS]]]
 

@@ -39,7 +39,7 @@ def camera_losses(
     assert isinstance(errors, ErrorMap)
     pixels = sample_camera_pixels(recipe.sampling, epoch, row, errors, generator)
     rows, columns = pixels.rows.numpy(), pixels.columns.numpy()
-    pose, frame = camera.images.pose[row], float(camera.frame[row])
+    pose, frame = camera.images.pose[row], float(camera.moment[row])
     direction = camera.images.pinhole.rays(np.stack([columns, rows], axis=1)) @ pose[:3, :3].T
     origin = np.broadcast_to(pose[:3, 3], direction.shape)
     rays = camera_rays(frames.bounds, origin, direction, near_m=recipe.sampling.near_m).to(trainee.device)

@@ -64,11 +64,13 @@ def training_frames(recipe: PaperRecipe, recording: Recording) -> PaperFrames:
         DataError: The scans were not projected to panos.
     """
     bounds = scene_bounds(recipe, recording)
+    number = frame_at(recording)
     cameras = tuple(
         Images(
             name=name,
             images=camera.training,
             frame=(camera.training_frame - recording.posed_frame[0]).astype(np.float64),
+            moment=np.array([number(float(time_s)) for time_s in camera.training_time_s]),
         )
         for name, camera in recording.cameras.items()
         if recipe.sampling.camera

@@ -37,7 +37,9 @@ class Images:
     name: str
     images: CameraImages
     frame: np.ndarray
-    """(k,) float64 frame coordinates."""
+    """(k,) float64 frame coordinates of the images' frames, by which they belong to panos."""
+    moment: np.ndarray
+    """(k,) float64 frame coordinates of the images' own instants."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ from torch import Tensor
 from nvsf_core._types import Scalar
 from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.kernels.threads import in_parts
+from nvsf_core.kernels.threads import images_at_once, in_parts
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.models.baselines.reproject import depth_points, warping_renderer
 from nvsf_core.models.family import TrainedPart, TrainingSession, Weights, fit, training_device
@@ -167,7 +167,9 @@ def _verdict(
     aligning = list(cameras) if spec.aligned else []
     aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out, exposures))
     scores = {
-        name: compare(_METRICS, one.validation, _candidates(given, aligned, one))
+        name: compare(
+            _METRICS, one.validation, _candidates(given, aligned, one), at_once=_at_once(given, name)
+        )
         for name, one in cameras.items()
     }
     metadata: dict[str, Scalar] = {}
@@ -192,6 +194,11 @@ def _verdict(
             learned.append(name)
     corrections = align_drive(given.world, better, exposures=exposures)
     return metadata, {LEARNED: learned, ALIGNED: facts_of(corrections), ALONE: alone}
+
+
+def _at_once(given: AlignedDrive, name: str) -> int:
+    pinhole = given.given.cameras[name].training.pinhole
+    return images_at_once(pinhole.width * pinhole.height)
 
 
 def _candidates(
@@ -284,7 +291,8 @@ def _by_warping(recording: Recording, camera: str) -> Callable[[int], list[float
 
     def score(index: int) -> list[float]:
         others = np.arange(len(images.rgb)) != index
-        points = depth_points(recording, float(one.training_time_s[index]), leave_out=True)
+        time_s, frame = float(one.training_time_s[index]), int(one.training_frame[index])
+        points = depth_points(recording, time_s, leave_out=frame)
         shown = render_by_warping(
             images.pose[index], images.pinhole, points,
             images.rgb[others], images.pose[others], source_valid=images.valid,

@@ -112,9 +112,10 @@ class ShownCamera:
         if found is None:
             world = self.drive.world
             one = world.recording.cameras[self.name]
-            time_s, pose = float(one.training_time_s[index]), self.drive.left_out_pose(self.name, index)
-            moving = world.moving(time_s, self.shared.times_s(world.recording), leave_out=True)
-            static_m = world.static_points(time_s, leave_out=True)
+            time_s, frame = float(one.training_time_s[index]), int(one.training_frame[index])
+            pose = self.drive.left_out_pose(self.name, index)
+            moving = world.moving(time_s, self.shared.times_s(world.recording), leave_out=frame)
+            static_m = world.static_points(time_s, leave_out=frame)
             found = moving, lidar_view(pose, one.training.pinhole, static_m, moving)
             self.returns[index] = found
         return found

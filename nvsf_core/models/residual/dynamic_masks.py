@@ -5,7 +5,7 @@ import numpy as np
 from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEvidence
 from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
-from nvsf_core.models.baselines.reproject import SAME_FRAME, depth_scans, returns_of_scan
+from nvsf_core.models.baselines.reproject import depth_scans, returns_of_scan
 from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.recording.images import CameraRecording
 from nvsf_core.rendering.lidar_view import MovingPoints, moving_pixels
@@ -25,13 +25,13 @@ class MovingWorld:
         self._static: dict[int, np.ndarray] = {}
 
     def static_points(
-        self, instant_s: float, *, leave_out: bool = False, most: int | None = None
+        self, instant_s: float, *, leave_out: int | None = None, most: int | None = None
     ) -> np.ndarray:
         """Static points (m, 3) float32, scene-local, of the scans around an instant; none without LiDAR.
 
         Args:
             instant_s: Seconds since the first frame.
-            leave_out: Do as if the scan of that instant were held out.
+            leave_out: Do as if the scan of the frame of this number were held out.
             most: Number of scans at most; None = as many as for any image's depth.
         """
         if self.recording.lidar is None:
@@ -40,24 +40,22 @@ class MovingWorld:
         scans = depth_scans(sweeps, instant_s, leave_out=leave_out)[:most]
         return np.concatenate([self._static_of(sweeps, scan) for scan in scans])
 
-    def own_returns(self, instant_s: float) -> np.ndarray:
-        """Static returns (m, 3) float32, scene-local, of the scan at an image's instant; none without one.
+    def own_returns(self, frame: int) -> np.ndarray:
+        """Static returns (m, 3) float32, scene-local, of the scan of an image's frame; none without one.
 
         Only this scan has the image's pose error; other scans have errors of their own.
         """
         assert self.recording.lidar is not None
         sweeps = self.recording.lidar.sweeps
-        apart_s = np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)
-        if not (apart_s <= SAME_FRAME * sweeps.frame_s).any():
-            return np.zeros((0, 3), np.float32)
-        return self.static_points(instant_s, most=1)
+        own = np.flatnonzero((sweeps.arrays["frame"] == frame) & sweeps.is_training)
+        return self._static_of(sweeps, int(own[0])) if len(own) else np.zeros((0, 3), np.float32)
 
     def moving(
         self,
         instant_s: float,
         image_time_s: np.ndarray,
         *,
-        leave_out: bool = False,
+        leave_out: int | None = None,
         from_m: np.ndarray | None = None,
     ) -> list[MovingPoints]:
         """The moving objects that are present at an instant; none in a static scene.
@@ -65,11 +63,11 @@ class MovingWorld:
         Args:
             instant_s: Seconds since the first frame.
             image_time_s: (j,) times of the images that a view is rendered from.
-            leave_out: Do as if the scan of that instant were held out.
+            leave_out: Do as if the scan of the frame of this number were held out.
             from_m: As in `objects_at`; not together with `leave_out`.
         """
         found = []
-        own = self._scan_at(instant_s) if leave_out else None
+        own = None if leave_out is None else self._scan_of(leave_out)
         for number, one in enumerate(self._objects, start=1):
             path = one.path.without(own)
             if not path.is_there(np.array([instant_s]))[0]:
@@ -100,12 +98,13 @@ class MovingWorld:
 
         return np.stack(in_parts(shadow, len(times), MOST_VIEWS))
 
-    def _scan_at(self, instant_s: float) -> int | None:
-        """Number of the training scan that is nearest in time; None without a LiDAR."""
+    def _scan_of(self, frame: int) -> int | None:
+        """Number, among the training scans, of that of a frame; None without one."""
         if self.recording.lidar is None:
             return None
         sweeps = self.recording.lidar.sweeps
-        return int(np.argmin(np.abs(sweeps.arrays["time_s"][sweeps.is_training] - instant_s)))
+        own = np.flatnonzero(sweeps.arrays["frame"][sweeps.is_training] == frame)
+        return int(own[0]) if len(own) else None
 
     def _divide(self, image_time_s: np.ndarray) -> None:
         """Divide the scans around images, each once, before threads ask for them."""

@@ -41,7 +41,7 @@ def exposures_of(world: MovingWorld, cameras: Sequence[str]) -> dict[str, Exposu
     found = {}
     for name in cameras:
         one = world.recording.cameras[name]
-        returns_m = [world.own_returns(time_s) for time_s in one.training_time_s.tolist()]
+        returns_m = [world.own_returns(frame) for frame in one.training_frame.tolist()]
         gains = log_gains(one.training.rgb, one.training.pinhole, one.training.pose, returns_m)
         if np.abs(gains - _line(one.training_time_s, gains)).max() > _SAME:
             found[name] = Exposures(one.training_time_s, gains)

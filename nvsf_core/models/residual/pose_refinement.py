@@ -74,7 +74,7 @@ def align_drive(
         unused = () if left_out is None else left_out.get(name, ())
         used = [index for index in range(len(one.training.rgb)) if index not in unused]
         time_s = one.training_time_s[used]
-        returns_m = [world.own_returns(instant_s) for instant_s in time_s.tolist()]
+        returns_m = [world.own_returns(frame) for frame in one.training_frame[used].tolist()]
         exposed = None if exposures is None else exposures.get(name)
         images = (evened(exposed, one.training.rgb, index) for index in used)
         twist = align_images(images, one.training.pinhole, one.training.pose[used], returns_m)

@@ -112,10 +112,16 @@ class RenderedView:
         """(n,) times on the sensor's clock."""
         return np.asarray(self.arrays.get("stamp_s", self.arrays["time_s"]))
 
-    def data_set(self, boxes: Callable[[int], list[BoxRecord]]) -> DataSet:
+    def image_times(self, camera: str, index: int) -> dict[str, float]:
+        """`time_s` and `stamp_s` of an image: of the sweep's, where images have no times of their own."""
+        time_s = float(self.arrays[f"{camera}_time_s"][index])
+        later_s = time_s - float(self.arrays["time_s"][index])
+        return {"time_s": time_s, "stamp_s": float(self.stamp_s[index]) + later_s}
+
+    def data_set(self, boxes: Callable[[float], list[BoxRecord]]) -> DataSet:
         """The data set, for the formats that hold all of it.
 
-        `boxes` gives the objects of an instant. A view of held-out frames may lack an image of some:
+        `boxes` gives the objects at an instant in seconds. A view of held-out frames may lack images:
         then its camera is left out of these formats.
         """
         a = self.arrays
@@ -130,7 +136,7 @@ class RenderedView:
             ranges, instances = (a.get(f"{camera}_{name}") for name in ("range_m", "instance"))
             return ImageRecord(
                 camera=camera, number=numbers[at], rgb=a[f"{camera}_rgb"][at],
-                stamp_s=float(self.stamp_s[at]), time_s=float(a["time_s"][at]),
+                **self.image_times(camera, at),
                 camera_to_world=a[f"{camera}_camera_to_world"][at],
                 depth_m=None if ranges is None else depth_m(models[camera], ranges[at]),
                 object_id=None if instances is None else object_ids(instances[at], table),
@@ -142,7 +148,7 @@ class RenderedView:
             sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)), sensor=self.attrs.get("sensor", ""),
             cameras={name: _camera(models[name], mounts[name]) for name in whole if name in models},
             scan=(lambda index: self.scan(int(order[index]))) if "points_m" in a else None,
-            image=image, boxes=lambda index: boxes(int(order[index])),
+            image=image, boxes=lambda index: boxes(float(a["time_s"][order[index]])),
         )  # fmt: skip
 
     def _words(self) -> list[int]:

@@ -39,14 +39,14 @@ WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
 
 
 def write_data_set(
-    folder: Path, view: RenderedView, boxes: Callable[[int], list[BoxRecord]]
+    folder: Path, view: RenderedView, boxes: Callable[[float], list[BoxRecord]]
 ) -> dict[str, Any]:
     """Write all files of a data set; the manifest's entries on them.
 
     Args:
         folder: Folder of the data set.
         view: The rendered view.
-        boxes: The objects at one of its instants.
+        boxes: The objects at an instant of the scene, in seconds.
     """
     a = view.arrays
     scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
@@ -155,7 +155,7 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
             row["support"] = f"{camera}/support/{number:010d}.png"
             row |= _support_counts(a[f"{camera}_support"][index])
         if np.array_equal(a[f"{camera}_frame"], a["frame"]):
-            row |= {"time_s": float(a["time_s"][index]), "stamp_s": float(view.stamp_s[index])}
+            row |= view.image_times(camera, index)
         if f"{camera}_camera_to_world" in a:
             row["camera_to_world"] = a[f"{camera}_camera_to_world"][index].reshape(-1).tolist()
         rows.append(row)
@@ -189,11 +189,11 @@ def _cameras(view: RenderedView) -> dict[str, Any]:
     }
 
 
-def _boxes(view: RenderedView, boxes: Callable[[int], list[BoxRecord]]) -> list[dict[str, Any]]:
+def _boxes(view: RenderedView, boxes: Callable[[float], list[BoxRecord]]) -> list[dict[str, Any]]:
     """A row for each object and instant; static objects have one row, of no instant."""
     found: dict[tuple[int, int | None], dict[str, Any]] = {}
     for index, number in enumerate(view.numbers):
-        for box in boxes(index):
+        for box in boxes(float(view.arrays["time_s"][index])):
             own = number if box.is_dynamic else None
             found[box.object_id, own] = {
                 "number": own, "object_id": box.object_id, "label": box.label, "dynamic": box.is_dynamic,

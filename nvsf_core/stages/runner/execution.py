@@ -162,6 +162,8 @@ def run_stage(place: StagePlace, progress: Progress) -> Outcome:
     require_space(stage, task(path))
     progress(f"{name}: started")
     record = _publish(place, found, task)
+    # Not sooner: what stops a stage in its last minute must not cost the hours before.
+    store.drop_work_dir(place.location)
     progress(f"{name}: done in {record['seconds']:.1f} s, {in_words(record['resources'])}")
     return outcome_of(stage, path, record, skipped=False)
 

@@ -137,6 +137,7 @@ def _named(
     return {
         f"{name}_rgb": rgb,
         f"{name}_frame": plan.frame,
+        f"{name}_time_s": plan.time_s,
         f"{name}_camera_to_world": camera_to_world,
         f"{name}_render_seconds": seconds,
     }

@@ -34,15 +34,14 @@ _MOST_OBJECTS = 65_535
 _SAME_S = 1e-6
 
 
-def boxes_at(rows: Sequence[Mapping[str, Any]], time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
-    """Gives the boxes at one of the instants of a view.
+def boxes_at(rows: Sequence[Mapping[str, Any]]) -> Callable[[float], list[BoxRecord]]:
+    """Gives the boxes at an instant of the scene, in seconds.
 
     A moving object's box between two of its own lies between these; it is absent before its first and after
     its last. Over a tenth of a second the mean of two poses is a rotation to 1e-4.
 
     Args:
         rows: One a box: object_id, label, dynamic, box_to_world and, if dynamic, time_s.
-        time_s: (n,) instants of the scene.
     """
     tracks: dict[int, list[Mapping[str, Any]]] = {}
     static: dict[int, Mapping[str, Any]] = {}
@@ -54,8 +53,8 @@ def boxes_at(rows: Sequence[Mapping[str, Any]], time_s: np.ndarray) -> Callable[
     for track in tracks.values():
         track.sort(key=lambda row: float(row["time_s"]))
 
-    def at(number: int) -> list[BoxRecord]:
-        moving = [_between(track, float(time_s[number])) for track in tracks.values()]
+    def at(time_s: float) -> list[BoxRecord]:
+        moving = [_between(track, time_s) for track in tracks.values()]
         return [_record(row, _matrix(row)) for row in static.values()] + [
             one for one in moving if one is not None
         ]
@@ -63,8 +62,8 @@ def boxes_at(rows: Sequence[Mapping[str, Any]], time_s: np.ndarray) -> Callable[
     return at
 
 
-def boxes_of(store: SceneStore, time_s: np.ndarray) -> Callable[[int], list[BoxRecord]]:
-    """Gives the boxes of a drive at one of the instants (n,) of a view.
+def boxes_of(store: SceneStore) -> Callable[[float], list[BoxRecord]]:
+    """Gives the boxes of a drive at an instant of the scene, in seconds.
 
     These are the labelled ones, and those of what was found to move without a label, as `dynamic`; their
     numbers come after the labelled ones'. A found object has a label if it lies in the box of one that moves,
@@ -72,7 +71,7 @@ def boxes_of(store: SceneStore, time_s: np.ndarray) -> Callable[[int], list[BoxR
     """
     labelled = _labelled(store)
     found = read_rows(store.require("evidence") / "moving.parquet")
-    return boxes_at(labelled + _without_label(found, labelled), time_s)
+    return boxes_at(labelled + _without_label(found, labelled))
 
 
 def _without_label(
@@ -85,12 +84,10 @@ def _without_label(
     static = [_matrix(row) for row in labelled if not row["dynamic"] and _can_move(row["label"])]
     # A drive has hundreds of static boxes and few that move: the static ones are asked once.
     is_labelled = inside_any(middles_m, np.array(static).reshape(-1, 4, 4), _SAME_OBJECT_M)
-    at = boxes_at(
-        [row for row in labelled if row["dynamic"]], np.array([row["time_s"] for row in found], np.float64)
-    )
+    at = boxes_at([row for row in labelled if row["dynamic"]])
     inside: dict[int, list[bool]] = {}
     for number, row in enumerate(found):
-        boxes = np.array([one.box_to_world for one in at(number)]).reshape(-1, 4, 4)
+        boxes = np.array([one.box_to_world for one in at(float(row["time_s"]))]).reshape(-1, 4, 4)
         is_labelled[number] |= inside_any(middles_m[number : number + 1], boxes, _SAME_OBJECT_M)[0]
         inside.setdefault(row["object_id"], []).append(bool(is_labelled[number]))
     first = max((row["object_id"] for row in labelled), default=0)
@@ -143,7 +140,7 @@ def _record(row: Mapping[str, Any], pose: np.ndarray) -> BoxRecord:
 def instance_arrays(
     arrays: Mapping[str, np.ndarray],
     models: Mapping[str, Pinhole | MeiFisheye],
-    boxes: Callable[[int], Sequence[BoxRecord]],
+    boxes: Callable[[float], Sequence[BoxRecord]],
 ) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
     """Instance images of all cameras of a view, and what their values mean.
 
@@ -153,7 +150,7 @@ def instance_arrays(
     Args:
         arrays: Of the view, with the length of each pixel's ray.
         models: Of its cameras.
-        boxes: Gives the objects at one of the view's instants.
+        boxes: Gives the objects at an instant, in seconds.
 
     Returns:
         `<camera>_instance` (n, H, W) uint16, 0 = none, and a row a value: `value`, `object_id`, `label`,
@@ -162,8 +159,10 @@ def instance_arrays(
     Raises:
         DataError: There are more objects than values.
     """
-    at = [list(boxes(index)) for index in range(len(arrays["time_s"]))]
-    known = {box.object_id: box for there in at for box in there}
+    shown_by = [name for name in cameras_of(arrays) if name in models and f"{name}_range_m" in arrays]
+    moments = np.concatenate([arrays["time_s"], *(arrays[f"{name}_time_s"] for name in shown_by)])
+    at = {time_s: list(boxes(time_s)) for time_s in dict.fromkeys(moments.tolist())}
+    known = {box.object_id: box for there in at.values() for box in there}
     if not known:
         return {}, []
     if len(known) > _MOST_OBJECTS:
@@ -173,29 +172,16 @@ def instance_arrays(
         {"value": value, "object_id": one, "label": known[one].label, "dynamic": known[one].is_dynamic}
         for one, value in value_of.items()
     ]
-    still = [box for box in known.values() if not box.is_dynamic]
     found = {}
-    for camera in cameras_of(arrays):
-        if camera not in models or f"{camera}_range_m" not in arrays:
-            continue
+    for camera in shown_by:
         rays, _ = camera_rays(models[camera])
         shown = []
-        for index, instant in enumerate(_instants(arrays, camera)):
+        for index, time_s in enumerate(arrays[f"{camera}_time_s"].tolist()):
             pose = arrays[f"{camera}_camera_to_world"][index]
             range_m = arrays[f"{camera}_range_m"][index].astype(np.float64)
-            there = still if instant is None else at[instant]
-            shown.append(_image(models[camera], rays, range_m, pose, there, value_of))
+            shown.append(_image(models[camera], rays, range_m, pose, at[time_s], value_of))
         found[f"{camera}_instance"] = np.stack(shown)
     return found, table
-
-
-def _instants(arrays: Mapping[str, np.ndarray], camera: str) -> Sequence[int | None]:
-    """Instant of the view of each of a camera's images; None of a held-out frame that has no scan."""
-    own, all_frames = arrays[f"{camera}_frame"], arrays["frame"]
-    if np.array_equal(own, all_frames):
-        return range(len(own))
-    row_of = {int(frame): row for row, frame in enumerate(all_frames)}
-    return [row_of.get(int(frame)) for frame in own]
 
 
 def _image(

@@ -173,10 +173,10 @@ def test_boxes_between_frames_lie_between_and_end_with_their_track() -> None:
         }  # fmt: skip
 
     rows = [row(3, 1.0), row(4, 3.0), row(-1, 9.0, dynamic=False)]
-    at = boxes_at(rows, np.array([0.3, 0.35, 0.4, 0.5]))
-    moving = [[box.box_to_world[0, 3] for box in at(k) if box.is_dynamic] for k in range(4)]
+    at, times_s = boxes_at(rows), (0.3, 0.35, 0.4, 0.5)
+    moving = [[box.box_to_world[0, 3] for box in at(time_s) if box.is_dynamic] for time_s in times_s]
     assert [np.round(one, 9).tolist() for one in moving] == [[1.0], [2.0], [3.0], []]
-    assert all(len([box for box in at(k) if not box.is_dynamic]) == 1 for k in range(4))
+    assert all(len([box for box in at(time_s) if not box.is_dynamic]) == 1 for time_s in times_s)
 
 
 def test_kitti360_numbers_an_object_alike_in_boxes_and_images() -> None:

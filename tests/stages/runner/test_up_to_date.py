@@ -102,7 +102,9 @@ def test_a_drive_that_changes_while_it_is_read_is_not_published(copy: Path, tiny
     assert not (copy / "home/tiny/a").exists()
 
 
-_LATER = ("views", "recipe", "licence", "kind", "lidar", "cut_frames", "overlap_frames")
+_LATER = (
+    "views", "recipe", "licence", "kind", "lidar", "cut_frames", "overlap_frames", "lidar_topic", "rectified",
+)  # fmt: skip
 """Fields of an entry that earlier fingerprints did not have."""
 
 
